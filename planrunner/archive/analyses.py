@@ -11,12 +11,12 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from planrunner.archive import formats
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal import FIRST, utc_now
 from planrunner.archive.storage import ASIDE, Storage, digest, digest_of
+from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 
@@ -45,7 +45,7 @@ class StoredAnalysis:
 
     run: GuardedFolder
     number: int
-    digests: Mapping[str, Any]
+    digests: Mapping[str, Json]
     digest: str
 
     @property
@@ -73,7 +73,7 @@ class StoredAnalysis:
             raise _changed(self.path / name)
         return data
 
-    def read_json(self, name: str, schema: str, version_key: str, newest: int) -> dict[str, Any]:
+    def read_json(self, name: str, schema: str, version_key: str, newest: int) -> JsonObject:
         """A JSON file of the analysis, checked against its digest and its schema. Raises `IntegrityError`."""
         return formats.parse_json(self.read(name), self.path / name, schema, version_key, newest)
 

@@ -7,9 +7,10 @@ import json
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from planrunner.archive.schema_check import Check, compile_schema
+from planrunner.base.documents import Json, JsonObject
 
 
 class IntegrityError(Exception):
@@ -25,12 +26,12 @@ MOST_LEVELS = 64
 FROM_BACKUP = "take the run folder from a backup"
 
 
-def to_bytes(value: Any) -> bytes:
+def to_bytes(value: Json) -> bytes:
     """JSON text of a file: full precision, no NaN, the same bytes for the same data. A lone surrogate becomes its escape."""
     return (json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode("utf-8", "backslashreplace")
 
 
-def from_bytes(data: bytes) -> Any:
+def from_bytes(data: bytes) -> Json:
     """JSON data; NaN, infinities and excessive nesting are refused. Raises ValueError."""
     try:
         value = _decode(data.decode("utf-8"))
@@ -48,7 +49,7 @@ def _refuse(name: str) -> NoReturn:
 _decode = json.JSONDecoder(parse_constant=_refuse).decode
 
 
-def _too_deep(value: Any) -> bool:
+def _too_deep(value: Json) -> bool:
     level = [value]
     for _ in range(MOST_LEVELS + 1):
         if not level:
@@ -63,11 +64,11 @@ def _too_deep(value: Any) -> bool:
 
 
 @lru_cache(maxsize=8)
-def schema(name: str) -> dict[str, Any]:
+def schema(name: str) -> JsonObject:
     """A shipped JSON Schema: `run`, `journal-event`, `seal`, `digests`, `issued` or `results`."""
     from planrunner.base.shipped import shipped
 
-    data: dict[str, Any] = json.loads((shipped("schemas") / f"{name}.schema.json").read_text(encoding="utf-8"))
+    data: JsonObject = json.loads((shipped("schemas") / f"{name}.schema.json").read_text(encoding="utf-8"))
     return data
 
 
@@ -77,7 +78,7 @@ def _check_of(name: str) -> Check:
     return compile_schema(whole, whole)
 
 
-def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int) -> dict[str, Any]:
+def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int) -> JsonObject:
     """The content of a JSON file of a run folder, checked against its schema. path: for messages. Raises `IntegrityError`."""
     try:
         value = from_bytes(data)
@@ -93,11 +94,11 @@ def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int
     if fault is not None:
         place, _, what = fault.partition(": ")
         raise IntegrityError(f"{path}: at {place.strip('/') or 'the top'}: {what}; {FROM_BACKUP}")
-    checked: dict[str, Any] = value
+    checked: JsonObject = value
     return checked
 
 
-def event_fault(event: Mapping[str, Any]) -> str | None:
+def event_fault(event: Mapping[str, Json]) -> str | None:
     """The fault of a journal event according to its schema; None if it is valid."""
     kind = event.get("event")
     check = _events().get(kind) if isinstance(kind, str) else None

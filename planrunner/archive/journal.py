@@ -13,10 +13,10 @@ import math
 from collections.abc import Collection, Iterator, Mapping
 from datetime import UTC, datetime
 from io import FileIO
-from typing import Any
 
 from planrunner.archive.formats import IntegrityError, from_bytes
 from planrunner.archive.storage import Storage
+from planrunner.base.documents import Json, JsonObject
 from planrunner.base.guarded_folder import GuardedFolder
 
 NAME = "journal.jsonl"
@@ -33,7 +33,7 @@ def utc_now() -> str:
     return datetime.now(UTC).isoformat(timespec="microseconds")
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Json) -> Json:
     """numpy scalars and arrays as JSON data."""
     if hasattr(value, "tolist"):
         return value.tolist()
@@ -68,7 +68,7 @@ class Journal:
     def count(self) -> int:
         return self._state[1]
 
-    def append(self, event: str, data: Mapping[str, Any], *, acknowledge: bool = True) -> str:
+    def append(self, event: str, data: Mapping[str, Json], *, acknowledge: bool = True) -> str:
         """Add one event; returns the digest of its line.
 
         acknowledge: wait for the disk (in durable mode). False for events that announce something; the next acknowledged event writes them
@@ -124,7 +124,7 @@ class JournalScan:
         self.heads: dict[int, str] = {0: FIRST}
         self._marks = frozenset(marks)
 
-    def __iter__(self) -> Iterator[dict[str, Any]]:
+    def __iter__(self) -> Iterator[JsonObject]:
         with self.folder.open_file(NAME, MOST_BYTES) as file:
             while line := file.readline(MOST_LINE + 1):
                 if len(line) > MOST_LINE:
@@ -148,7 +148,7 @@ class JournalScan:
                     self.heads[self.count] = self.head
                 yield event
 
-    def _event(self, line: bytes) -> dict[str, Any]:
+    def _event(self, line: bytes) -> JsonObject:
         try:
             event = from_bytes(line)
         except ValueError:

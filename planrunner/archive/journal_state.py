@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from planrunner.archive import formats
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal import JournalScan
 from planrunner.archive.segment_file import Part
+from planrunner.base.documents import Json, JsonObject
 from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 
 
@@ -55,14 +55,14 @@ class JournalState:
     """clock, states: values at the last acknowledged segment, to resume from. open: the segment in which the process ended.
     sealed_before: whether the run had a seal when it was reopened, according to the journal."""
 
-    created: dict[str, Any] = field(default_factory=dict)
+    created: JsonObject = field(default_factory=dict)
     acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
     rejected: list[Rejected] = field(default_factory=list)
     attempts: dict[int, int] = field(default_factory=dict)
     instruments: dict[str, dict[str, str]] = field(default_factory=dict)
     open: Begun | None = None
     clock: float = 0.0
-    states: Mapping[str, Any] = field(default_factory=dict)
+    states: Mapping[str, Json] = field(default_factory=dict)
     finished: bool = False
     sealed_before: bool = False
     failures: list[str] = field(default_factory=list)
@@ -76,31 +76,31 @@ class JournalState:
         if self.open is not None:
             yield from self.open.parts
 
-    def take(self, event: Mapping[str, Any]) -> None:
+    def take(self, event: Mapping[str, Json]) -> None:
         """Update the state with one event."""
         kind = event["event"]
         handler = getattr(self, f"_{kind}", None)
         if handler is not None:
             handler(event)
 
-    def _created(self, event: Mapping[str, Any]) -> None:
+    def _created(self, event: Mapping[str, Json]) -> None:
         self.created = dict(event)
 
-    def _instruments(self, event: Mapping[str, Any]) -> None:
+    def _instruments(self, event: Mapping[str, Json]) -> None:
         self.instruments = {name: dict(identity) for name, identity in event["instruments"].items()}
 
-    def _begun(self, event: Mapping[str, Any]) -> None:
+    def _begun(self, event: Mapping[str, Json]) -> None:
         index = event["segment"]
         self.attempts[index] = max(self.attempts.get(index, 0), event["attempt"])
         self.open = Begun(index, event["label"], event["attempt"], event["on_break"], clock=event["clock"])
         self.finished = False
 
-    def _part(self, event: Mapping[str, Any]) -> None:
+    def _part(self, event: Mapping[str, Json]) -> None:
         if self.open is not None and self.open.index == event["segment"]:
             self.open.parts.append(Part.from_json(event["part"]))
             self.open.clock = event["clock"]
 
-    def _segment(self, event: Mapping[str, Any]) -> None:
+    def _segment(self, event: Mapping[str, Json]) -> None:
         index = event["segment"]
         parts = tuple(Part.from_json(part) for part in event["parts"])
         self.acknowledged[index] = Acknowledged(
@@ -114,7 +114,7 @@ class JournalState:
         )
         self.clock, self.states, self.open = event["clock"], event["states"], None
 
-    def _rejected(self, event: Mapping[str, Any]) -> None:
+    def _rejected(self, event: Mapping[str, Json]) -> None:
         index = event["segment"]
         parts = tuple(Part.from_json(part) for part in event["parts"])
         self.attempts[index] = max(self.attempts.get(index, 0), event["attempt"])
@@ -125,13 +125,13 @@ class JournalState:
         if self.open is not None and self.open.index == index:
             self.open = None
 
-    def _failed(self, event: Mapping[str, Any]) -> None:
+    def _failed(self, event: Mapping[str, Json]) -> None:
         self.failures.append(f"{event['where']}: {event['message']}")
 
-    def _finished(self, event: Mapping[str, Any]) -> None:
+    def _finished(self, event: Mapping[str, Json]) -> None:
         self.finished = True
 
-    def _reopened(self, event: Mapping[str, Any]) -> None:
+    def _reopened(self, event: Mapping[str, Json]) -> None:
         self.finished = False
         self.sealed_before = self.sealed_before or "seal" in event
 

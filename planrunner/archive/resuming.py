@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal import Journal
 from planrunner.archive.journal_state import Acknowledged, JournalState, name_parts
 from planrunner.archive.segment_file import FOLDER, MOST_BYTES, Part, check_part, rows_of
 from planrunner.archive.storage import ASIDE, Storage, digest
+from planrunner.base.documents import Json
 from planrunner.base.guarded_folder import GuardedFolder
 
 REASON = "the process ended in this segment"
@@ -26,7 +26,7 @@ class ResumePoint:
     """
 
     clock: float = 0.0
-    states: Mapping[str, Any] = field(default_factory=dict)
+    states: Mapping[str, Json] = field(default_factory=dict)
     acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
     attempts: dict[int, int] = field(default_factory=dict)
     files: dict[str, str] = field(default_factory=dict)
@@ -84,7 +84,7 @@ def settle_break(folder: GuardedFolder, storage: Storage, journal: Journal, stat
     )
 
 
-def _append(journal: Journal, state: JournalState, kind: str, data: Mapping[str, Any]) -> None:
+def _append(journal: Journal, state: JournalState, kind: str, data: Mapping[str, Json]) -> None:
     journal.append(kind, data)
     state.take({"event": kind, **data})
 

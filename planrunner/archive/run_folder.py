@@ -15,7 +15,6 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from io import FileIO
 from pathlib import Path
-from typing import Any
 
 from planrunner.archive import formats
 from planrunner.archive import journal as journal_lines
@@ -37,6 +36,7 @@ from planrunner.archive.segment_file import (
 )
 from planrunner.archive.storage import ASIDE, Durability, Storage, digest
 from planrunner.archive.verifying import BENCH, MENDED, PLAN, RUN, Examined, examine, open_run
+from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 from planrunner.bench.watchdog_report import NAME as REPORT
@@ -81,7 +81,7 @@ class RunWriter:
         plan_name: str,
         plan_bytes: bytes,
         bench_bytes: bytes,
-        info: Mapping[str, Any],
+        info: Mapping[str, Json],
         durability: Durability = "durable",
         *,
         seed: int | None = None,
@@ -222,7 +222,7 @@ class RunWriter:
 
     # -- growing -----------------------------------------------------------------------------------------------------
 
-    def note(self, event: str, **data: Any) -> None:
+    def note(self, event: str, **data: Json) -> None:
         """Add an event about the run as a whole (`started`, `failed`, `stopped`, `safe`, `instruments` …)."""
         self._journal.append(event, data)
 
@@ -273,12 +273,12 @@ class RunWriter:
     def acknowledge(
         self,
         clock: float,
-        states: Mapping[str, Any],
+        states: Mapping[str, Json],
         readings: Mapping[str, float],
         *,
         truncated: bool = False,
         reason: str = "",
-        frames: Mapping[str, Any] | None = None,
+        frames: Mapping[str, Json] | None = None,
     ) -> None:
         """Finish the segment's files and acknowledge it. clock, states: values from which the run can continue after it; frames: frame
         counts of the sensor."""
@@ -301,7 +301,7 @@ class RunWriter:
         self._journal.append("segment", event)
         self._account(parts)
 
-    def break_off(self, reason: str, clock: float, states: Mapping[str, Any]) -> None:
+    def break_off(self, reason: str, clock: float, states: Mapping[str, Json]) -> None:
         """The segment in progress, if any, was interrupted: keep its samples, and count them if the plan says so."""
         segment = self._segment
         if segment is None:
@@ -312,12 +312,12 @@ class RunWriter:
             return
         self.set_aside(reason)
 
-    def set_aside(self, reason: str, frames: Mapping[str, Any] | None = None) -> None:
+    def set_aside(self, reason: str, frames: Mapping[str, Json] | None = None) -> None:
         """The segment in progress is unusable and will be repeated. Its data are kept with the reason."""
         segment = self._segment
         assert segment is not None
         parts = self._keep_what_there_is()
-        told: dict[str, Any] = {} if frames is None else {"frames": frames}
+        told: JsonObject = {} if frames is None else {"frames": frames}
         self._journal.append(
             "rejected",
             {

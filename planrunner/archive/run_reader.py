@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 from planrunner.archive.analyses import Basis, StoredAnalysis, add_analysis
 from planrunner.archive.formats import IntegrityError
@@ -16,6 +15,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.segment_file import SegmentData
 from planrunner.archive.statistics import statistics_of
 from planrunner.archive.verifying import BENCH, MENDED, PLAN, Examined, examine, open_run
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Block
@@ -32,10 +32,10 @@ class RunReader:
     """
 
     folder: GuardedFolder
-    run: dict[str, Any]
+    run: JsonObject
     plan_bytes: bytes
     bench_bytes: bytes
-    seal: dict[str, Any] | None
+    seal: JsonObject | None
     state: JournalState
     torn: int
     first: str

@@ -11,21 +11,22 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from datetime import date, datetime
-from typing import Any
 
-Check = Callable[[Any], str | None]
+from planrunner.base.documents import Json
+
+Check = Callable[[Json], str | None]
 """The fault of a value, beginning with its place (empty for the value itself); None if the value is valid."""
 
 ABOUT = {"$schema", "$id", "$defs", "title", "description"}
 FIRST_YEAR, LAST_YEAR = 1971, 9000  # range that every time zone and every system can represent
 
 
-def compile_schema(schema: Mapping[str, Any], whole: Mapping[str, Any]) -> Check:
+def compile_schema(schema: Mapping[str, Json], whole: Mapping[str, Json]) -> Check:
     """The check of one schema. whole: the document that `$ref` refers to. Raises ValueError for an unsupported keyword."""
     return _compiled(schema, whole, {})
 
 
-def _compiled(schema: Any, whole: Mapping[str, Any], known: dict[str, list[Check]]) -> Check:
+def _compiled(schema: Json, whole: Mapping[str, Json], known: dict[str, list[Check]]) -> Check:
     if schema is True:
         return _anything
     checks: list[Check] = []
@@ -64,11 +65,11 @@ def _compiled(schema: Any, whole: Mapping[str, Any], known: dict[str, list[Check
     return checks[0] if len(checks) == 1 else _all_of(checks)
 
 
-def _referred(reference: str, whole: Mapping[str, Any], known: dict[str, list[Check]]) -> Check:
+def _referred(reference: str, whole: Mapping[str, Json], known: dict[str, list[Check]]) -> Check:
     """A definition, compiled once; it may refer to itself."""
     if reference not in known:
         known[reference] = []
-        target: Any = whole
+        target: Json = whole
         for step in reference.removeprefix("#/").split("/"):
             target = target[step]
         known[reference].append(_compiled(target, whole, known))
@@ -76,12 +77,12 @@ def _referred(reference: str, whole: Mapping[str, Any], known: dict[str, list[Ch
     return later[0] if later else lambda value: later[0](value)
 
 
-def _anything(value: Any) -> str | None:
+def _anything(value: Json) -> str | None:
     return None
 
 
 def _all_of(checks: Sequence[Check]) -> Check:
-    def check(value: Any) -> str | None:
+    def check(value: Json) -> str | None:
         for one in checks:
             fault = one(value)
             if fault is not None:
@@ -92,14 +93,14 @@ def _all_of(checks: Sequence[Check]) -> Check:
 
 
 def _any_of(checks: Sequence[Check]) -> Check:
-    def check(value: Any) -> str | None:
+    def check(value: Json) -> str | None:
         faults = [one(value) for one in checks]
         return None if None in faults else faults[0]
 
     return check
 
 
-_TYPES: dict[str, Callable[[Any], bool]] = {
+_TYPES: dict[str, Callable[[Json], bool]] = {
     "integer": lambda value: type(value) is int,
     "number": lambda value: type(value) is int or (type(value) is float and math.isfinite(value)),
     "string": lambda value: type(value) is str,
@@ -114,18 +115,18 @@ def _typed(kinds: Sequence[str]) -> Check:
     tests = [_TYPES[kind] for kind in kinds]
     wanted = " or ".join(kinds)
 
-    def check_one(value: Any) -> str | None:
+    def check_one(value: Json) -> str | None:
         return None if test(value) else f": {_shown(value)} is not of type {wanted}"
 
-    def check(value: Any) -> str | None:
+    def check(value: Json) -> str | None:
         return None if any(test(value) for test in tests) else f": {_shown(value)} is not of type {wanted}"
 
     test = tests[0]
     return check_one if len(tests) == 1 else check
 
 
-def _one_of(values: Sequence[Any]) -> Check:
-    def check(value: Any) -> str | None:
+def _one_of(values: Sequence[Json]) -> Check:
+    def check(value: Json) -> str | None:
         for one in values:
             if type(one) is type(value) and one == value:
                 return None
@@ -137,7 +138,7 @@ def _one_of(values: Sequence[Any]) -> Check:
 def _like(pattern: str) -> Check:
     compiled = re.compile(pattern.removesuffix("$") + r"\Z") if pattern.endswith("$") else re.compile(pattern)
 
-    def check(value: Any) -> str | None:
+    def check(value: Json) -> str | None:
         if type(value) is not str or compiled.search(value):
             return None
         return f": {_shown(value)} is not of the form {pattern}"
@@ -145,7 +146,7 @@ def _like(pattern: str) -> Check:
     return check
 
 
-def _date_time(value: Any) -> str | None:
+def _date_time(value: Json) -> str | None:
     if type(value) is not str:
         return None
     try:
@@ -157,7 +158,7 @@ def _date_time(value: Any) -> str | None:
     return f": {_shown(value)} is not a time with an offset to UTC, such as 2026-03-01T12:00:00+00:00"
 
 
-def _date(value: Any) -> str | None:
+def _date(value: Json) -> str | None:
     if type(value) is not str:
         return None
     try:
@@ -172,7 +173,7 @@ _FORMATS: dict[str, Check] = {"date-time": _date_time, "date": _date}
 
 
 def _between(least: float, most: float) -> Check:
-    def check(value: Any) -> str | None:
+    def check(value: Json) -> str | None:
         if type(value) not in (int, float) or least <= value <= most:
             return None
         return f": {_shown(value)} is not " + (f"at least {least}" if value < least else f"at most {most}")
@@ -181,7 +182,7 @@ def _between(least: float, most: float) -> Check:
 
 
 def _at_most(letters: int | None, items: int | None) -> Check:
-    def check(value: Any) -> str | None:
+    def check(value: Json) -> str | None:
         if type(value) is str and letters is not None and len(value) > letters:
             return f": it has {len(value)} characters, at most {letters} are allowed"
         if type(value) is list and items is not None and len(value) > items:
@@ -195,7 +196,7 @@ def _object(properties: Mapping[str, Check], required: Sequence[str], other: Che
     known = dict(properties)
     needed = tuple(required)
 
-    def check(value: Any) -> str | None:
+    def check(value: Json) -> str | None:
         if type(value) is not dict:
             return None
         for name in needed:
@@ -214,7 +215,7 @@ def _object(properties: Mapping[str, Check], required: Sequence[str], other: Che
 
 
 def _items(one: Check) -> Check:
-    def check(value: Any) -> str | None:
+    def check(value: Json) -> str | None:
         if type(value) is list:
             for place, item in enumerate(value):
                 fault = one(item)
@@ -225,7 +226,7 @@ def _items(one: Check) -> Check:
     return check
 
 
-def _shown(value: Any) -> str:
+def _shown(value: Json) -> str:
     if isinstance(value, dict | list):
         return f"{'an object' if isinstance(value, dict) else 'an array'} of {len(value)}"
     if isinstance(value, int) and not -(10**20) < value < 10**20:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 from planrunner.archive import formats
 from planrunner.archive.journal import MOST_BYTES as MOST_OF_JOURNAL
@@ -13,6 +12,7 @@ from planrunner.archive.journal import NAME as JOURNAL
 from planrunner.archive.journal import JournalScan, utc_now
 from planrunner.archive.journal_state import JournalState
 from planrunner.archive.storage import Storage, digest_of
+from planrunner.base.documents import Json, JsonObject
 from planrunner.base.guarded_folder import GuardedFolder
 
 NAME = "seal.json"
@@ -38,12 +38,12 @@ def write_seal(
     storage.write_whole(folder, NAME, formats.to_bytes(seal))
 
 
-def parse_seal(data: bytes, path: Path) -> dict[str, Any]:
+def parse_seal(data: bytes, path: Path) -> JsonObject:
     """The content of a seal. Raises `IntegrityError` if it does not match its schema."""
     return formats.parse_json(data, path, "seal", "planrunner_seal", formats.SEAL_FORMAT)
 
 
-def seal_faults(path: Path, seal: Mapping[str, Any], scan: JournalScan, state: JournalState) -> Iterator[str]:
+def seal_faults(path: Path, seal: Mapping[str, Json], scan: JournalScan, state: JournalState) -> Iterator[str]:
     """Differences between a seal and the journal. scan: has the head after the number of events in the seal.
 
     If a finished run was reopened to repeat a segment, its journal continues after the seal; then only the sealed beginning is checked.

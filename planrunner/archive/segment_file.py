@@ -13,7 +13,7 @@ import hashlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,12 @@ from numpy.typing import NDArray
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.storage import ASIDE, Storage, digest
 from planrunner.base import arrow_columns
+from planrunner.base.documents import Json, JsonObject
 from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 from planrunner.instruments.interfaces import Block, InstrumentError
 
 if TYPE_CHECKING:
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
 FOLDER = "segments"
@@ -49,11 +51,11 @@ class Part:
     rows: int
     bytes: int
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         return asdict(self)
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Part:
+    def from_json(cls, data: Mapping[str, Json]) -> Part:
         if not re.fullmatch(rf"{FOLDER}/[A-Za-z0-9+_.-]+\.parquet", data["file"]):
             raise ValueError(f"{data['file']!r} is not a file of samples")
         return cls(str(data["file"]), str(data["sha256"]), int(data["rows"]), int(data["bytes"]))
@@ -211,7 +213,7 @@ class _HashedSink:
         self.closed = False
         self.broken = False
 
-    def write(self, data: Any) -> int:
+    def write(self, data: bytes) -> int:
         if self.broken:
             raise OSError("an earlier write of this file failed")
         self.broken = True  # until this write has succeeded: a file with a gap is never finished
@@ -242,7 +244,7 @@ class _HashedSink:
 class _OpenPart:
     """One Parquet file being written under a temporary name."""
 
-    def __init__(self, folder: GuardedFolder, name: str, schema: Any, storage: Storage):
+    def __init__(self, folder: GuardedFolder, name: str, schema: pa.Schema, storage: Storage):
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -261,7 +263,7 @@ class _OpenPart:
             self._sink.file.close()
             raise
 
-    def write(self, table: Any) -> None:
+    def write(self, table: pa.Table) -> None:
         self._writer.write_table(table, row_group_size=max(GROUP_ROWS, 1))
         self.rows += table.num_rows
 
@@ -292,7 +294,10 @@ class _OpenPart:
             self._storage.remove(self.folder, self.aside)
 
 
-def _schema(channels: Mapping[str, str], description: Mapping[str, str]) -> Any:
+def _schema(
+    channels: Mapping[str, str],
+    description: Mapping[str, str],
+) -> pa.Schema:
     import pyarrow as pa
 
     units = {"time": "s", **channels}
@@ -300,7 +305,7 @@ def _schema(channels: Mapping[str, str], description: Mapping[str, str]) -> Any:
     return pa.schema(fields, metadata={"planrunner_segment": str(FORMAT), **description})
 
 
-def _joined(arrays: Sequence[Any]) -> Any:
+def _joined(arrays: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     whole = arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
     return np.ascontiguousarray(whole, dtype=np.float64)
 
@@ -356,14 +361,14 @@ class SegmentData:
         except (pa.ArrowException, OSError) as error:
             raise self._foreign(str(error)[:200]) from None
 
-    def _check_version(self, schema: Any) -> None:
+    def _check_version(self, schema: pa.Schema) -> None:
         version = (schema.metadata or {}).get(b"planrunner_segment", b"").decode("ascii", "replace")
         if version != str(FORMAT):
             raise IntegrityError(
                 f"{self.path}: segment format {version[:40]!r}; this version of planrunner reads {FORMAT}: use a newer version"
             )
 
-    def _check_shape(self, part: Part, schema: Any) -> None:
+    def _check_shape(self, part: Part, schema: pa.Schema) -> None:
         """Checks the footer: number of rows as in the journal, columns of 64-bit floats, and no more of both than a part can have."""
         import pyarrow as pa
 
@@ -434,6 +439,6 @@ def _checked_bytes(folder: GuardedFolder, part: Part) -> bytes:
     return data
 
 
-def _column(table: Any, name: str) -> NDArray[np.float64]:
+def _column(table: pa.Table, name: str) -> NDArray[np.float64]:
     parts = [arrow_columns.numbers(chunk) for chunk in table.column(name).chunks]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from planrunner.archive import analyses as stored
 from planrunner.archive import formats, pausing
@@ -25,6 +24,7 @@ from planrunner.archive.origin import NAME as ORIGIN
 from planrunner.archive.segment_file import FOLDER as SEGMENTS
 from planrunner.archive.segment_file import Part, check_part
 from planrunner.archive.storage import ASIDE, digest
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark
 from planrunner.base.guarded_folder import Entry, GuardedFolder, NotOrdinaryError
 from planrunner.bench.watchdog_report import NAME as WATCHDOG
@@ -56,8 +56,8 @@ class Examined:
     state: JournalState | None = None
     scan: JournalScan | None = None
     given: dict[str, bytes] = field(default_factory=dict)
-    run: dict[str, Any] = field(default_factory=dict)
-    seal: dict[str, Any] | None = None
+    run: JsonObject = field(default_factory=dict)
+    seal: JsonObject | None = None
     seal_digest: str | None = None
     analyses: tuple[StoredAnalysis, ...] = ()
     sealed_before: bool = False

@@ -7,13 +7,16 @@ reads or writes samples. Buffers and DLPack go without.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    import pyarrow as pa
 
-def column(values: NDArray[np.float64]) -> Any:
+
+def column(values: NDArray[np.float64]) -> pa.Array:
     """A `pyarrow.Array` of numbers (n,), which it shares where they lie one after the other."""
     import pyarrow as pa
 
@@ -21,6 +24,6 @@ def column(values: NDArray[np.float64]) -> Any:
     return pa.Array.from_buffers(pa.float64(), len(whole), [None, pa.py_buffer(whole)])
 
 
-def numbers(values: Any) -> NDArray[np.float64]:
+def numbers(values: pa.Array) -> NDArray[np.float64]:
     """The numbers (n,) of a `pyarrow.Array` of 64-bit floats, NaN where one is missing; they may be read-only."""
     return np.asarray(np.from_dlpack(values.fill_null(math.nan) if values.null_count else values), dtype=np.float64)

@@ -8,6 +8,8 @@ import os
 import stat
 from pathlib import Path
 
+from planrunner.base.file_kind import open_flags
+
 
 class HeldError(Exception):
     """Another process, or another lock of this one, holds the file. The message is the note of the holder."""
@@ -55,7 +57,7 @@ ATTEMPTS = 10
 NOTE_AT = 1
 """The note begins behind the byte that is locked, so that it can be read while the lock is held, on Windows too."""
 LONGEST_NOTE = 300
-NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
+NO_LINK = open_flags("O_NOFOLLOW", "O_NONBLOCK", "O_NOCTTY")
 
 
 def _open(path: Path, mode: int) -> int:

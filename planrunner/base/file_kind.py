@@ -1,4 +1,4 @@
-"""The kind of a file system entry as one word, equal on all systems."""
+"""The kind of a file system entry as one word, equal on all systems, and the flags that a system has for opening it."""
 
 from __future__ import annotations
 
@@ -17,6 +17,14 @@ _KINDS: tuple[tuple[int, FileKind], ...] = (
     (stat.S_IFCHR, "a device"),
     (stat.S_IFBLK, "a device"),
 )
+
+
+def open_flags(*names: str) -> int:
+    """The flags of `os.open` with these names, such as O_NOFOLLOW; those that this system lacks are left out."""
+    flags = 0
+    for name in names:
+        flags |= getattr(os, name, 0)
+    return flags
 
 
 def file_kind(status: os.stat_result) -> FileKind:

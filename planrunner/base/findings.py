@@ -14,9 +14,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import field, replace
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Literal
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import JsonObject
 
 Severity = Literal["error", "warning", "note"]
 
@@ -68,7 +69,7 @@ class Finding:
     def __str__(self) -> str:
         return f"{self.mark}: {self.severity}[{self.code}]: {self.message}"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         place = {"file": self.mark.file, "line": self.mark.line, "column": self.mark.column}
         return {
             **place,

@@ -23,16 +23,16 @@ from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Literal
 
-from planrunner.base.file_kind import file_kind
+from planrunner.base.file_kind import file_kind, open_flags
 
 RELATIVE = os.open in os.supports_dir_fd and os.rename in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
 """Whether this system opens names relative to an open folder."""
 MOST_ENTRIES = 250_000
 """Largest number of entries of one folder that are read."""
 
-_READ = os.O_RDONLY | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
-_WRITE = os.O_RDWR | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
-_NEVER = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
+_READ = os.O_RDONLY | open_flags("O_CLOEXEC", "O_BINARY")
+_WRITE = os.O_RDWR | open_flags("O_CLOEXEC", "O_BINARY")
+_NEVER = open_flags("O_NOFOLLOW", "O_NONBLOCK", "O_NOCTTY")
 """Links are not followed, and opening never waits, for example for the other end of a pipe."""
 _REPARSE_POINT = 0x400  # FILE_ATTRIBUTE_REPARSE_POINT: links and junctions of Windows
 _LOOKS = 3

@@ -14,12 +14,15 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable, Sequence
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
+SignalHandler = Callable[[int, FrameType | None], object] | int | None
+"""What `signal.signal` replaces; None: a handler that Python did not set."""
 INTERRUPTED = 130
 """Exit code of a command that any signal ended."""
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
@@ -41,12 +44,12 @@ class Interruption:
         self._heard = signal.SIGINT
         self._raised = 0
         self._listening = self._within_hook = False
-        self._restore: dict[int, Any] = {}
+        self._restore: dict[int, SignalHandler] = {}
         self._hook = sys.unraisablehook
 
     def __enter__(self) -> Interruption:
         if threading.current_thread() is threading.main_thread():
-            for number in _ending():
+            for number in signals(ENDING):
                 if signal.getsignal(number) != signal.SIG_IGN:
                     self._restore[number] = signal.signal(number, self._hear)
             self._hook, sys.unraisablehook = sys.unraisablehook, self._raise_again
@@ -101,14 +104,14 @@ class Interruption:
 def leave_with(code: int) -> None:
     """Marks the command as finished: a signal during the interpreter's shutdown ends the process at once, with the exit code of the
     command."""
-    for number in _ending():
+    for number in signals(ENDING):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, lambda number, frame: os._exit(code))
 
 
 def be_deaf() -> None:
     """For a process that must outlive the signals that end planrunner."""
-    for number in _ending():
+    for number in signals(ENDING):
         signal.signal(number, signal.SIG_IGN)
 
 
@@ -118,5 +121,6 @@ def _main_thread() -> int:
     return number
 
 
-def _ending() -> list[signal.Signals]:
-    return [getattr(signal, name) for name in ENDING if hasattr(signal, name)]
+def signals(names: Sequence[str]) -> list[signal.Signals]:
+    """The signals with these names; those that this system lacks are left out."""
+    return [signal.Signals[name] for name in names if name in signal.Signals.__members__]

@@ -12,19 +12,12 @@ import os
 from pathlib import Path
 from typing import BinaryIO, Literal
 
-from planrunner.base.file_kind import file_kind
+from planrunner.base.file_kind import file_kind, open_flags
 
 Refusal = Literal["missing", "folder", "special", "link", "size", "unreadable"]
 
-_READING = (
-    os.O_RDONLY
-    | getattr(os, "O_BINARY", 0)
-    | getattr(os, "O_CLOEXEC", 0)
-    | getattr(os, "O_NOINHERIT", 0)
-    | getattr(os, "O_NOCTTY", 0)
-    | getattr(os, "O_NONBLOCK", 0)
-)
-_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+_READING = os.O_RDONLY | open_flags("O_BINARY", "O_CLOEXEC", "O_NOINHERIT", "O_NOCTTY", "O_NONBLOCK")
+_NO_LINK = open_flags("O_NOFOLLOW")
 
 
 class RefusedFileError(Exception):

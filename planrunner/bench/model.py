@@ -12,7 +12,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import field, replace
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any
 
 from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
@@ -278,20 +277,24 @@ def site_of(bench: Bench) -> Site:
 
 def models(bench: Bench) -> BenchModels:
     """The models that the bench's drivers declare, limited by the bench's protection."""
-    found: dict[str, Any] = {}
     drivers = {name: driver_of(entry) for name, entry in bench.instruments.items()}
+    table, chamber, sensor = None, None, None
     for name, driver in drivers.items():
-        if driver.role in SINGLE_ROLES:
-            found[driver.role] = driver.model(bench.instruments[name].parameters)
-    table, chamber = found.get("table"), found.get("chamber")
-    table = None if table is None else kept_table(table, bench.protection)
-    chamber = None if chamber is None else kept_chamber(chamber, bench.protection)
+        if driver.role not in SINGLE_ROLES:
+            continue
+        found = driver.model(bench.instruments[name].parameters)
+        if isinstance(found, TableModel):
+            table = kept_table(found, bench.protection)
+        elif isinstance(found, ChamberModel):
+            chamber = kept_chamber(found, bench.protection)
+        else:
+            sensor = found
     replays = any(issubclass(driver, PlaysBack) for driver in drivers.values())
     simulated = _virtual(bench, replays)
     measures = simulated or any(issubclass(driver, Watched) for driver in drivers.values())
     counts = simulated or any(driver.role == "sensor" and issubclass(driver, Counting) for driver in drivers.values())
     origin = _origin(bench, drivers.values(), replays)
-    return BenchModels(site_of(bench), table, chamber, found.get("sensor"), replays, measures, counts, origin)
+    return BenchModels(site_of(bench), table, chamber, sensor, replays, measures, counts, origin)
 
 
 def _origin(bench: Bench, drivers: Iterable[type[Driver[Record]]], replays: bool) -> DataOrigin:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from planrunner.base.documents import Json
 from planrunner.bench.model import Bench, driver_of, real_instruments
 from planrunner.instruments.interfaces import Addressed
 from planrunner.plan import source
@@ -32,7 +31,7 @@ def addresses(bench: Bench) -> dict[str, str]:
     return found
 
 
-def _differences(one: Any, other: Any, place: tuple[str, ...]) -> list[tuple[str, ...]]:
+def _differences(one: Json, other: Json, place: tuple[str, ...]) -> list[tuple[str, ...]]:
     if isinstance(one, dict) and isinstance(other, dict):
         names = list(dict.fromkeys([*one, *other]))
         return [

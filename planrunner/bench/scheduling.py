@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -30,21 +29,20 @@ from planrunner.plan.motion import motion_of
 from planrunner.plan.orientation import Orientation
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Motion, Schedule, Segment, Spin, Stability, Watch
+from planrunner.plan.segments import State
 
 Add = Callable[[str, Mark, str, str], None]
 
 
-def wait_of(state: Mapping[str, Any], name: str) -> tuple[float, Stability | None]:
-    """Planned seconds of `settle` or `soak`, and the quantities that must have settled afterwards, if the plan names any."""
-    stated: Quantity | holding_spec.StabilitySpec | None = state.get(name)
+def wait_of(stated: Quantity | holding_spec.StabilitySpec | None) -> tuple[float, Stability | None]:
+    """Planned seconds of a `settle` or `soak`, and the quantities that must have settled afterwards, if the plan names any."""
     if not isinstance(stated, holding_spec.StabilitySpec):
         return (0.0 if stated is None else stated.value), None
     duration = stated.for_.value
     return duration, Stability(_in_si(stated), duration, stated.within.value)
 
 
-def watch_of(state: Mapping[str, Any]) -> Watch | None:
-    stated: holding_spec.WatchSpec | None = state.get("watch")
+def watch_of(stated: holding_spec.WatchSpec | None) -> Watch | None:
     if stated is None:
         return None
     lost, corrupt = stated.lost_frames, stated.corrupt_frames
@@ -57,14 +55,13 @@ def watch_of(state: Mapping[str, Any]) -> Watch | None:
     )
 
 
-def check_measured(state: Mapping[str, Any], marks: Mapping[str, Mark], models: BenchModels, add: Add) -> None:
+def check_measured(state: State, marks: Mapping[str, Mark], models: BenchModels, add: Add) -> None:
     """Adds an error for each limit on a quantity that no instrument of the bench can measure. add: takes code, place, message and hint."""
-    for name in ("soak", "settle", "watch"):
-        stated = state.get(name)
+    for name, stated in (("soak", state.soak), ("settle", state.settle), ("watch", state.watch)):
         if isinstance(stated, holding_spec.Tolerated) and stated.stated() and not models.measures:
             message = f"no instrument of this bench has live readings of {', '.join(stated.stated())}"
             add("physics-unmeasured", marks[name], message, "leave them out, or use a bench that measures them")
-    watch = state.get("watch")
+    watch = state.watch
     if watch is None or models.counts:
         return
     if watch.lost_frames is not None or watch.corrupt_frames is not None:
@@ -158,8 +155,8 @@ class _Planner:
         self._timed = True  # until a segment is left out, because the soak time of the sensor is unknown after it
         self._soaked: float | None = None
         self._mounted: Orientation | None = None
-        self._reached: dict[Any, Array] = {}
-        self._complained: set[tuple[Any, ...]] = set()
+        self._reached: dict[tuple[object, tuple[float, ...]], Array] = {}
+        self._complained: set[tuple[str, Mark]] = set()
         self._without_orientation: dict[Mark, str] = {}
         self._without_dwell: dict[Mark, str] = {}
 
@@ -168,15 +165,15 @@ class _Planner:
         state, marks = item.state, item.marks
         orientation = self._orientation(item)
         dwell = self._dwell(item)
-        settle, stable = wait_of(state, "settle")
+        settle, stable = wait_of(state.settle)
         motion = motion_of(state, marks, dwell, self.log)
         kelvin, ramp_to = self._temperature(item)
-        if orientation is None or motion is None or (dwell is None and state.get("dwell") != "recorded"):
+        if orientation is None or motion is None or (dwell is None and state.dwell != "recorded"):
             self._timed = False
             return None
         mark_of = marks.get
         transition = self.temperatures.change(kelvin, self.time, mark_of("temperature") or item.mark)
-        soak, soaked = wait_of(state, "soak") if kelvin is not None and kelvin != self._soaked else (0.0, None)
+        soak, soaked = wait_of(state.soak) if kelvin is not None and kelvin != self._soaked else (0.0, None)
         self._soaked = kelvin if kelvin is not None else self._soaked
         transition += self._move(orientation, mark_of("orientation") or item.mark)
         hold = Hold(settle if stable is None else stable.patience, dwell, self._sampled(item))
@@ -194,7 +191,7 @@ class _Planner:
         if self._timed and kelvin is not None and soaked is None:
             self.temperatures.check_soaked(item.label, start, soak, mark_of("soak") or marks["temperature"])
         self.time = start + (dwell or 0.0)
-        rate = state.get("sample_rate")
+        rate = state.sample_rate
         return Segment(
             index=index,
             label=item.label,
@@ -207,11 +204,11 @@ class _Planner:
             temperature=kelvin,
             ramp_to=ramp_to,
             sample_rate=rate.value if rate else None,
-            mode=state.get("mode"),
-            on_break=state.get("on_break", "retake"),
+            mode=state.mode,
+            on_break=state.on_break or "retake",
             stable=stable,
             soaked=soaked,
-            watch=watch_of(state),
+            watch=watch_of(state.watch),
             prompts=tuple(text for text, _ in item.prompts),
             transition=transition,
             start=start,
@@ -234,13 +231,13 @@ class _Planner:
     # -- keys of a segment ---------------------------------------------------------------------------------------------
 
     def _orientation(self, item: StatedSegment) -> Orientation | None:
-        orientation: Orientation | None = item.state.get("orientation")
+        orientation = item.state.orientation
         if orientation is None:
             self._without_orientation.setdefault(item.mark, item.label)
         return orientation
 
     def _dwell(self, item: StatedSegment) -> float | None:
-        dwell = item.state.get("dwell")
+        dwell = item.state.dwell
         if dwell is None:
             self._without_dwell.setdefault(item.mark, item.label)
         elif isinstance(dwell, Quantity):
@@ -279,7 +276,7 @@ class _Planner:
         return stated * period
 
     def _temperature(self, item: StatedSegment) -> tuple[float | None, float | None]:
-        stated = item.state.get("temperature")
+        stated = item.state.temperature
         if isinstance(stated, Ramp):
             return None, stated.ramp_to.value
         return (stated.value if stated is not None else None), None
@@ -293,13 +290,13 @@ class _Planner:
             self.log.error(code, mark, message, hint)
 
     def _check_mode(self, item: StatedSegment) -> None:
-        mode, sensor = item.state.get("mode"), self.models.sensor
+        mode, sensor = item.state.mode, self.models.sensor
         if mode is not None and sensor is not None and mode not in sensor.modes and not self.models.replays:
             hint = closest(mode, sensor.modes) or "leave mode out: this sensor has only one mode"
             self._once("physics-mode", item.marks["mode"], f"the sensor of this bench has no mode '{mode}'", hint)
 
     def _check_samples(self, item: StatedSegment, dwell: float | None) -> None:
-        rate, sensor, sampled = item.state.get("sample_rate"), self.models.sensor, self._sampled(item)
+        rate, sensor, sampled = item.state.sample_rate, self.models.sensor, self._sampled(item)
         if rate is not None and sensor is not None and (refused := sensor.rate_refused(rate.value)):
             hint = (
                 "use the sample rate to which the sensor is set, or leave sample_rate out"
@@ -354,7 +351,7 @@ class _Planner:
         return joint if followed else None
 
     def _start(self, motion: Motion, hold: Hold, orientation: Orientation, item: StatedSegment) -> float:
-        stated = item.state.get("motion")
+        stated = item.state.motion
         whole = item.marks.get("motion") or item.marks.get("rate") or item.mark
 
         def at(key: str) -> Mark:
@@ -367,7 +364,7 @@ class _Planner:
 
     def _sampled(self, item: StatedSegment) -> float | None:
         """Sample rate, Hz; None if the sensor is not known."""
-        rate, sensor = item.state.get("sample_rate"), self.models.sensor
+        rate, sensor = item.state.sample_rate, self.models.sensor
         if rate is not None:
-            return float(rate.value)
+            return rate.value
         return None if sensor is None else sensor.sample_rate

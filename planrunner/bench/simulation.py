@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Mapping
-from typing import Any
 
+from planrunner.base.documents import Json, JsonObject
 from planrunner.bench.clock import WallClock
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.kinds import Choice, Record, Text, key
@@ -41,7 +41,7 @@ class SimulationSpec(Record):
     )
 
 
-def ask(control: str, request: Mapping[str, Any], token: str | None = None) -> dict[str, Any]:
+def ask(control: str, request: Mapping[str, Json], token: str | None = None) -> JsonObject:
     """The answer of a simulated bench to one request. token: from its readiness file, for requests that change something. Raises
     `InstrumentError` if nothing answers or the request is refused."""
     import json
@@ -52,7 +52,7 @@ def ask(control: str, request: Mapping[str, Any], token: str | None = None) -> d
         with socket.create_connection((host, int(port)), _PATIENCE) as connection:
             connection.sendall(json.dumps(request).encode() + b"\n")
             with connection.makefile("rb") as replies:
-                reply: dict[str, Any] = json.loads(replies.readline() or b'{"error": "it hung up"}')
+                reply: JsonObject = json.loads(replies.readline() or b'{"error": "it hung up"}')
     except (OSError, ValueError) as error:
         reason = (error.strerror if isinstance(error, OSError) else None) or error
         message = f"no simulated bench answers at {control} ({reason}): start it with `planrunner simulate-bench BENCH`"

@@ -18,7 +18,7 @@ import threading
 import time
 from collections.abc import Collection
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from planrunner.instruments.interfaces import InstrumentError
 
@@ -122,15 +122,16 @@ class Watchdog:
 
 
 def _start() -> subprocess.Popen[bytes]:
-    apart: dict[str, Any] = {"start_new_session": True}  # Ctrl-C in the terminal must not reach the watchdog
-    if os.name == "nt":  # pragma: no cover (not the platform of continuous integration)
+    own_session, flags = os.name != "nt", 0  # Ctrl-C in the terminal must not reach the watchdog
+    if not own_session:  # pragma: no cover (not the platform of continuous integration)
         # Nor must closing the console, which ends every process attached to it.
         flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW  # type: ignore[attr-defined,unused-ignore]
-        apart = {"creationflags": flags}
     command = [sys.executable, "-m", "planrunner.bench.watchdog_start"]
     pipe = subprocess.PIPE
     try:
-        return subprocess.Popen(command, stdin=pipe, stdout=pipe, bufsize=0, **apart)
+        return subprocess.Popen(
+            command, stdin=pipe, stdout=pipe, bufsize=0, start_new_session=own_session, creationflags=flags
+        )
     except OSError as error:
         raise InstrumentError(f"the watchdog process cannot be started: {error.strerror or error}") from None
 

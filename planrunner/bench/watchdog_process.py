@@ -21,8 +21,9 @@ import time
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import InputError
 from planrunner.bench.clock import WallClock
 from planrunner.bench.lock import watchdog_lock
@@ -80,7 +81,7 @@ def _listen(lines: queue.SimpleQueue[bytes]) -> None:
 
 
 def _read_charge(line: bytes) -> Charge:
-    told: dict[str, Any] = json.loads(line)
+    told: JsonObject = json.loads(line)
     shown = told["shown"]
     bench, log = parse_bench(source.parse(source.decode(base64.b64decode(told["bench"]), shown), shown))
     if bench is None or log.errors:
@@ -107,7 +108,7 @@ def _guard(charge: Charge, lines: queue.SimpleQueue[bytes]) -> str | None:
             _hear(charge, json.loads(line))
 
 
-def _hear(charge: Charge, told: dict[str, Any]) -> None:
+def _hear(charge: Charge, told: JsonObject) -> None:
     if "report" in told:
         charge.report = Path(told["report"])
     charge.controlled |= set(told.get("answer_for", ()))

@@ -6,8 +6,9 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import InputError, Mark, closest
 from planrunner.cli import exit_codes
 from planrunner.cli.printing import print_findings, print_json, write_file
@@ -127,7 +128,7 @@ def _recorded(args: argparse.Namespace) -> Recorded:
     return recorded_file(subject, args.bench, args.recording, args.segments)
 
 
-def _next(args: argparse.Namespace, found: dict[str, Any]) -> str:
+def _next(args: argparse.Namespace, found: JsonObject) -> str:
     """Write the proposed plan to the file given by --next or next to the page, and enter its path in the diagnosis."""
     following = found["next"]
     if following is None:
@@ -141,7 +142,7 @@ def _next(args: argparse.Namespace, found: dict[str, Any]) -> str:
     return text
 
 
-def _context(made: Diagnosed, found: dict[str, Any], next_plan: str) -> DiagnosisContext:
+def _context(made: Diagnosed, found: JsonObject, next_plan: str) -> DiagnosisContext:
     from planrunner.reporting.context import site_facts
     from planrunner.reporting.diagnosis_page import DiagnosisContext
 

@@ -7,8 +7,8 @@ import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
+from planrunner.base.documents import JsonObject
 from planrunner.cli.failures import failure_of
 from planrunner.cli.printing import print_json
 
@@ -18,7 +18,7 @@ class Done:
     """Result of a command on one run: its exit code and, for `--json`, its output."""
 
     code: int
-    found: dict[str, Any] = field(default_factory=dict)
+    found: JsonObject = field(default_factory=dict)
 
 
 def add_runs(parser: argparse.ArgumentParser) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import COMMAND_LINE, InputError, Mark, closest
 from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done, each_run
@@ -75,7 +75,7 @@ def _export(run: Path, asked: str, args: argparse.Namespace, *, folder: bool) ->
         raise InputError.at(Mark(str(analysis.path)), "estimate-missing", f"there is no estimate '{name}'", hint)
     estimate = results.estimates[name]
     whole = Results({name: estimate}).to_json()["estimates"][0]
-    found: dict[str, Any] = {
+    found: JsonObject = {
         "analysis": number,
         "plan": reader.run["plan"],
         "estimate": name,

@@ -17,9 +17,10 @@ from collections.abc import Iterable
 from contextvars import ContextVar
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import Json
 from planrunner.base.findings import Finding, InputError, Mark
 from planrunner.reporting.printable import beneath, printable
 
@@ -160,7 +161,7 @@ def write_file(path: Path, text: str) -> None:
         ) from None
 
 
-def print_json(value: Any) -> None:
+def print_json(value: Json) -> None:
     """Print to standard output, with escapes if its encoding is not UTF-8, so that it stays valid JSON."""
     plain = (sys.stdout.encoding or "").lower().replace("-", "") != "utf8"
     import json

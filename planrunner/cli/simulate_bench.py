@@ -8,13 +8,18 @@ import json
 import os
 import signal
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import COMMAND_LINE, InputError, Mark
 from planrunner.base.regular_files import RefusedFileError, read_regular
 from planrunner.bench.model import Bench, read_bench
 from planrunner.bench.simulation import ask
 from planrunner.cli import exit_codes
+from planrunner.plan.kinds import Record
+
+if TYPE_CHECKING:
+    from planrunner.simulators.serving import Serving
 
 _LONGEST_NOTE = 1_000_000
 
@@ -74,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     return asyncio.run(_serve(args, bench, data, shown))
 
 
-def _request(args: argparse.Namespace) -> dict[str, Any] | None:
+def _request(args: argparse.Namespace) -> JsonObject | None:
     if args.inject is not None:
         return {"inject": args.inject}
     if args.clear is not None:
@@ -82,7 +87,7 @@ def _request(args: argparse.Namespace) -> dict[str, Any] | None:
     return {"stop": True} if args.stop else None
 
 
-def _tell(bench: Bench, request: dict[str, Any], ready: Path | None) -> int:
+def _tell(bench: Bench, request: JsonObject, ready: Path | None) -> int:
     from planrunner.simulators.from_bench import simulation_of
 
     control = simulation_of(bench).control
@@ -155,19 +160,20 @@ async def _serve(args: argparse.Namespace, bench: Bench, data: bytes, shown: str
     return exit_codes.DONE
 
 
-def _copied(data: bytes, bench: Bench, control: str, serving: Any) -> bytes:
+def _copied(data: bytes, bench: Bench, control: str, serving: Serving) -> bytes:
     """The bench file with its addresses replaced by the served ones."""
     from planrunner.bench.model import driver_of
     from planrunner.instruments.interfaces import Addressed
+    from planrunner.simulators.from_bench import simulation_of
 
-    places: list[tuple[Any, str, str, str]] = [
-        (bench.simulation, "control", control, f"{serving.control.host}:{serving.control.port}")
+    places: list[tuple[Record, str, str, str]] = [
+        (simulation_of(bench), "control", control, f"{serving.control.host}:{serving.control.port}")
     ]
     for name, served in serving.addresses.items():
         parameters, driver = bench.instruments[name].parameters, driver_of(bench.instruments[name])
         assert issubclass(driver, Addressed)  # it is served at its address
         written = driver.address(parameters)
-        key = next(item for item in ("address", "port") if getattr(parameters, item, None) == written)
+        key = next(item for item in ("address", "port") if item in parameters.origin.keys)
         places.append((parameters, key, written, served))
     lines = data.decode("utf-8").splitlines(keepends=True)
     marked = [(record.at(key), written, served) for record, key, written, served in places]

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.documents import Json
 from planrunner.base.findings import InputError
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.virtual.added import Gives, Moments
@@ -112,14 +113,14 @@ class AddedEffects:
     def close(self) -> None:
         """Does nothing, because nothing is open."""
 
-    def checkpoint(self) -> Mapping[str, Any]:
+    def checkpoint(self) -> Mapping[str, Json]:
         return {
             "before": self.before,
             "change": self.change,
             "walks": {name: walk.checkpoint() for name, walk in self.walks.items()},
         }
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: Mapping[str, Json]) -> None:
         self.before, self.change = state["before"], float(state["change"])
         for name, walk in state["walks"].items():
             self.walks[name] = RandomWalk(0.0)

@@ -11,7 +11,8 @@ import signal
 import threading
 from collections.abc import Callable
 from types import FrameType, TracebackType
-from typing import Any
+
+from planrunner.base.interruption import SignalHandler, signals
 
 AT_ONCE_SIGNALS = ("SIGTERM", "SIGHUP", "SIGBREAK")
 
@@ -28,7 +29,7 @@ class StopRequest:
         self.reason = ""
         self._presses = 0
         self._notify = notify
-        self._restore: dict[int, Any] = {}
+        self._restore: dict[int, SignalHandler] = {}
 
     def request(self, *, at_once: bool = False, reason: str = "asked to stop") -> None:
         """Ask to stop after the segment, or at once."""
@@ -46,9 +47,8 @@ class StopRequest:
         if threading.current_thread() is not threading.main_thread():
             return self
         self._listen(signal.SIGINT, self._on_interrupt)
-        for name in AT_ONCE_SIGNALS:
-            number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) != signal.SIG_IGN:  # nohup ignores SIGHUP on purpose
+        for number in signals(AT_ONCE_SIGNALS):
+            if signal.getsignal(number) != signal.SIG_IGN:  # nohup ignores SIGHUP on purpose
                 self._listen(number, self._on_termination)
         return self
 

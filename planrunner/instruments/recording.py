@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.documents import Json
 from planrunner.base.findings import Findings, Mark
 from planrunner.instruments.interfaces import Block, Clock, InstrumentError, PlaysBack, Surroundings, UnservedError
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
@@ -178,10 +178,10 @@ class RecordingPlayer(PlaysBack):
     def close(self) -> None:
         """The file is opened anew for every segment and held open by none."""
 
-    def checkpoint(self) -> Mapping[str, Any]:
+    def checkpoint(self) -> Mapping[str, Json]:
         return {"served": self._served}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: Mapping[str, Json]) -> None:
         self._served = state["served"]
 
     # -- how it does it ------------------------------------------------------------------------------------------------

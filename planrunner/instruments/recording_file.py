@@ -17,7 +17,7 @@ import tempfile
 import weakref
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
+from typing import TYPE_CHECKING, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.span import EVERYTHING, Span
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+    import pyarrow.csv as arrow_csv
     import pyarrow.parquet as pq
 
 MAX_BYTES = 100_000_000_000
@@ -161,7 +163,7 @@ def open_recording(path: Path, name: str, time: str, scale: float, channels: Map
     name: for messages; time: column of time, `scale` seconds a unit; channels: channel → column. Raises
     `InstrumentError`.
     """
-    kinds: dict[str, Any] = {".parquet": _Parquet, ".pq": _Parquet, ".csv": _Csv, ".txt": _Csv}
+    kinds: dict[str, type[_File]] = {".parquet": _Parquet, ".pq": _Parquet, ".csv": _Csv, ".txt": _Csv}
     kind = kinds.get(path.suffix.lower())
     if kind is None:
         open_samples(path, name).close()  # a folder, or nothing at all, is named as what it is
@@ -252,7 +254,7 @@ class _File:
     def columns(self) -> list[str]:
         raise NotImplementedError
 
-    def batches(self, span: Span) -> Iterator[tuple[int, Any]]:
+    def batches(self, span: Span) -> Iterator[tuple[int, pa.RecordBatch]]:
         """(number of the first row, counted from 1; record batch), possibly with rows outside the span."""
         raise NotImplementedError
 
@@ -290,7 +292,7 @@ class _File:
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError, UnicodeDecodeError) as error:
             raise self._unreadable(error) from None
 
-    def _numbers(self, batch: Any, column: str, first: int) -> Array:
+    def _numbers(self, batch: pa.RecordBatch, column: str, first: int) -> Array:
         import pyarrow as pa
 
         try:
@@ -342,7 +344,7 @@ class _Parquet(_File):
                 check_parquet(file, self.name, (self.time, *self.channels.values()))
                 yield file
 
-    def batches(self, span: Span) -> Iterator[tuple[int, Any]]:
+    def batches(self, span: Span) -> Iterator[tuple[int, pa.RecordBatch]]:
         wanted = list(dict.fromkeys((self.time, *self.channels.values())))
         with self._opened() as file:
             first = 1
@@ -355,7 +357,7 @@ class _Parquet(_File):
                         row += batch.num_rows
                 first += count
 
-    def _outside(self, group: Any, span: Span) -> bool:
+    def _outside(self, group: pq.RowGroupMetaData, span: Span) -> bool:
         """By its statistics; a group that a rounded boundary may touch is read."""
         for index in range(group.num_columns):
             column = group.column(index)
@@ -420,7 +422,7 @@ class _Csv(_File):
         with self._opened(None) as reader:
             return list(reader.schema.names)
 
-    def batches(self, span: Span) -> Iterator[tuple[int, Any]]:
+    def batches(self, span: Span) -> Iterator[tuple[int, pa.RecordBatch]]:
         with self._opened(list(dict.fromkeys((self.time, *self.channels.values())))) as reader:
             first = 1
             for batch in reader:
@@ -430,7 +432,7 @@ class _Csv(_File):
                     first += part.num_rows
 
     @contextlib.contextmanager
-    def _opened(self, wanted: list[str] | None) -> Iterator[Any]:
+    def _opened(self, wanted: list[str] | None) -> Iterator[arrow_csv.CSVStreamingReader]:
         """A reader of the columns `wanted`, of all without them. What is wrong with the file becomes an `InstrumentError`."""
         import pyarrow as pa
         from pyarrow import csv as arrow_csv

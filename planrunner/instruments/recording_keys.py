@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings
 from planrunner.plan.kinds import Choice, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
 from planrunner.plan.quantity import Quantity
@@ -30,7 +31,7 @@ class UnitText:
             return None
         return text
 
-    def schema(self) -> dict[str, Any]:
+    def schema(self) -> JsonObject:
         return {"type": "string"}
 
 
@@ -137,7 +138,7 @@ class ChannelKind:
             log.error("meaning-noise-twice", channel.at(stated[1]), message, "keep one of them")
         return channel
 
-    def schema(self) -> dict[str, Any]:
+    def schema(self) -> JsonObject:
         return self._record.schema()
 
 

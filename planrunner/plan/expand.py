@@ -16,12 +16,15 @@ from planrunner.plan.sweep import SweepValue
 # More than any overnight plan needs; without a limit a file of a few lines could ask for any number.
 MAX_SEGMENTS = 10_000
 
+StateValues = dict[str, Any]
+"""Key of a state → its value, or `UNREADABLE`. The keys are those that the record `State` declares."""
+
 _PLACEHOLDER = re.compile(r"\{([a-z_]*)\}")
 
 
 @dataclass(frozen=True, slots=True)
 class StatedSegment:
-    """One segment with all inherited keys: key → value as read, and the place of each value.
+    """One segment: its state with all inherited keys, and the place of each value by key.
 
     prompts: prompts to the operator before the segment, in order, with their places. conditioning: whether the plan declares that the
     segment only brings the sensor to a state. sound: False if its state is not known, because it inherits a value from `defaults` that
@@ -29,7 +32,7 @@ class StatedSegment:
     """
 
     label: str
-    state: Mapping[str, Any]
+    state: State
     marks: Mapping[str, Mark]
     mark: Mark
     sound: bool = True
@@ -50,7 +53,7 @@ def expand(plan: Plan, log: Findings) -> list[StatedSegment]:
             "sweep over fewer values, repeat less often, or split the plan",
         )
         return []
-    state: dict[str, Any] = {}
+    state: StateValues = {}
     marks: dict[str, Mark] = {}
     if plan.defaults is not None:
         _inherit(plan.defaults, state, marks)
@@ -65,10 +68,10 @@ def expand(plan: Plan, log: Findings) -> list[StatedSegment]:
 UNREADABLE = object()
 
 
-def _stated(label: str, state: dict[str, Any], marks: dict[str, Mark], mark: Mark) -> StatedSegment:
+def _stated(label: str, state: StateValues, marks: dict[str, Mark], mark: Mark) -> StatedSegment:
     readable = {name: value for name, value in state.items() if value is not UNREADABLE}
     sound = len(readable) == len(state) or not any(state.get(name) is UNREADABLE for name in _DECISIVE)
-    return StatedSegment(label, readable, marks, mark, sound)
+    return StatedSegment(label, State(**readable), marks, mark, sound)
 
 
 # Without these, the other keys of a segment cannot be judged.
@@ -85,14 +88,14 @@ def _shown(count: int) -> str:
     return str(count) if count < 10**9 else "billions of"
 
 
-def _inherit(own: State, state: dict[str, Any], marks: dict[str, Mark]) -> None:
+def _inherit(own: State, state: StateValues, marks: dict[str, Mark]) -> None:
     for name in STATE_KEYS:
         value = getattr(own, name)
         if value is not None:
             _set(name, value, own.at(name), state, marks)
 
 
-def _set(name: str, value: Any, mark: Mark, state: dict[str, Any], marks: dict[str, Mark]) -> None:
+def _set(name: str, value: object, mark: Mark, state: StateValues, marks: dict[str, Mark]) -> None:
     """Sets a key. A rate replaces an inherited motion and vice versa, because both define the motion of the table."""
     other = STATE_TRAITS[name].replaces
     if other is not None:
@@ -132,7 +135,7 @@ def _swept_once(spec: SegmentSpec, log: Findings) -> bool:
 
 
 def _expand(
-    spec: SegmentSpec, path: tuple[str, ...], state: dict[str, Any], marks: dict[str, Mark], log: Findings
+    spec: SegmentSpec, path: tuple[str, ...], state: StateValues, marks: dict[str, Mark], log: Findings
 ) -> Iterator[StatedSegment]:
     if not spec.own_sound or not _one_motion(spec, log) or not _swept_once(spec, log):
         return
@@ -174,7 +177,7 @@ def _label_parts(
     parts: list[str] = []
     used: set[str] = set()
     if spec.label is not None:
-        parts.append(_filled(spec, "label", values, turn, used, log))
+        parts.append(_filled(spec, "label", spec.label, values, turn, used, log))
     if spec.repeat > 1 and "repeat" not in used:
         parts.append(f"r{turn}")
     parts.extend(value.name for name, value in values.items() if name not in used)
@@ -182,7 +185,13 @@ def _label_parts(
 
 
 def _filled(
-    spec: SegmentSpec, key: str, values: Mapping[str, SweepValue], turn: int, used: set[str], log: Findings
+    spec: SegmentSpec,
+    key: str,
+    text: str,
+    values: Mapping[str, SweepValue],
+    turn: int,
+    used: set[str],
+    log: Findings,
 ) -> str:
     """The text of `key` with its {placeholders} replaced; `used` collects their names."""
 
@@ -199,7 +208,7 @@ def _filled(
         log.error("meaning-label", spec.at(key), message, closest(name, known))
         return name
 
-    return _PLACEHOLDER.sub(fill, getattr(spec, key))
+    return _PLACEHOLDER.sub(fill, text)
 
 
 def _prompts(
@@ -208,7 +217,7 @@ def _prompts(
     if spec.prompt is None:
         return ()
     values = dict(zip(keys, row, strict=True))
-    return ((_filled(spec, "prompt", values, turn, set(), log), spec.at("prompt")),)
+    return ((_filled(spec, "prompt", spec.prompt, values, turn, set(), log), spec.at("prompt")),)
 
 
 def _check_unique(segments: list[StatedSegment], log: Findings) -> None:

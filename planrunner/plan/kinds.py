@@ -16,6 +16,7 @@ from dataclasses import field
 from typing import Any, Protocol, dataclass_transform
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings, InputError, Mark, closest, nearest
 from planrunner.plan import source
 from planrunner.plan.values import (
@@ -146,10 +147,10 @@ def is_required(item: dataclasses.Field[Any]) -> bool:
 
 def read_keys(
     node: source.Mapping, fields: Mapping[str, dataclasses.Field[Any]], log: Findings, passed: Iterable[str] = ()
-) -> tuple[dict[str, Any], Origin]:
+) -> tuple[JsonObject, Origin]:
     """Values of the given keys by Python name, and their places. Unknown and missing keys become findings. Keys in `passed` are read
     elsewhere."""
-    values: dict[str, Any] = {}
+    values: JsonObject = {}
     broken: set[str] = set()
     known = [*fields, *passed]
     missing = [name for name, item in fields.items() if is_required(item) and node.get(name) is None]

@@ -10,13 +10,12 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 from planrunner.base.findings import Findings, Mark, closest
 from planrunner.plan import model
 from planrunner.plan.directions import DIRECTIONS
-from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Motion, Move, Rest, Rock, Spin
+from planrunner.plan.segments import State
 
 TURN = 2 * math.pi
 _ANGLE_TOLERANCE = math.radians(1e-6)
@@ -30,12 +29,11 @@ _KEYS = {
 }
 
 
-def motion_of(state: Mapping[str, Any], marks: Mapping[str, Mark], dwell: float | None, log: Findings) -> Motion | None:
+def motion_of(state: State, marks: Mapping[str, Mark], dwell: float | None, log: Findings) -> Motion | None:
     """The motion of one segment; None after a finding."""
-    rate: Quantity | None = state.get("rate")
-    if rate is not None:
-        return Spin(rate.value) if rate.value else Rest()
-    motion: model.MotionSpec | str | None = state.get("motion")
+    if state.rate is not None:
+        return Spin(state.rate.value) if state.rate.value else Rest()
+    motion = state.motion
     if motion is None or isinstance(motion, str):
         return Rest()
     if motion.origin.broken:

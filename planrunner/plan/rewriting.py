@@ -9,7 +9,6 @@ import functools
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import yaml
@@ -106,16 +105,15 @@ def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: 
     left = dict(dwells)
     spans = []
     root = yaml.compose(text)
-    for item in _child(root, "segments").value:
+    listed = _child(root, "segments")
+    for item in listed.value if isinstance(listed, yaml.SequenceNode) else ():
         if not isinstance(item, yaml.MappingNode):
             continue
         named = {key.value: value for key, value in item.value}
         swept = _child(item, "for_each")
-        only = (
-            swept is not None
-            and set(named) == {"for_each"}
-            and [key.value for key, _ in swept.value] == ["orientation"]
-        )
+        if not isinstance(swept, yaml.MappingNode):
+            continue
+        only = set(named) == {"for_each"} and [key.value for key, _ in swept.value] == ["orientation"]
         if only and isinstance(swept.value[0][1], yaml.MappingNode):
             rows = swept.value[0][1].value
             places = [(node.start_mark.line + 1, node.start_mark.column + 1) for _, node in rows]
@@ -206,7 +204,7 @@ def _dwell(given: str | None) -> str:
     return "" if given is None else f", dwell: {given}"
 
 
-def _child(node: yaml.Node | None, name: str) -> Any:
+def _child(node: yaml.Node | None, name: str) -> yaml.Node | None:
     pairs: Sequence[tuple[yaml.Node, yaml.Node]] = node.value if isinstance(node, yaml.MappingNode) else ()
     return next((value for key, value in pairs if key.value == name), None)
 

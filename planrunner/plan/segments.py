@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import field
-from typing import Any
 
 from planrunner.base.findings import Findings
 from planrunner.plan import source
@@ -73,7 +72,7 @@ class State(Record):
             swept=True, directed=True, decisive=True, replaces="motion", sweep_example="±300, ±150 deg/s"
         ),
     )
-    motion: MotionSpec | None = key(
+    motion: MotionSpec | str | None = key(
         WordOr(("rest",), RecordOf(MotionSpec)),
         "What the table does while recording; at rest without it.",
         {"rate": "10 deg/s"},
@@ -145,9 +144,9 @@ class State(Record):
 class SegmentKind:
     """A segment. Its steps are segments too."""
 
-    def read(self, node: source.Node, log: Findings) -> Any:
+    def read(self, node: source.Node, log: Findings) -> SegmentSpec | None:
         before = log.raised
-        spec = RecordOf(SegmentSpec).read(node, log)
+        spec: SegmentSpec | None = RecordOf(SegmentSpec).read(node, log)
         if spec is not None and log.raised > before:
             trouble = log.raised - before
             object.__setattr__(spec, "trouble", trouble)

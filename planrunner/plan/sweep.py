@@ -21,12 +21,11 @@ import random
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark, closest
 from planrunner.plan import source
-from planrunner.plan.kinds import ByShape, QuantityOf, Record, Schema, WordOr, keys_of
+from planrunner.plan.kinds import ByShape, Kind, QuantityOf, Record, Schema, WordOr, keys_of
 from planrunner.plan.quantity import (
     Quantity,
     QuantityError,
@@ -47,7 +46,7 @@ class SweepValue:
 
     name: str
     short: str
-    value: Any
+    value: object
     mark: Mark
 
 
@@ -105,7 +104,7 @@ class StateTraits:
     directed: bool = False
     decisive: bool = False
     replaces: str | None = None
-    sweep_example: Any = None
+    sweep_example: object = None
 
 
 def traits_of(state: type[Record]) -> dict[str, StateTraits]:
@@ -118,10 +117,10 @@ class SweptKey:
     """A key of a state that `for_each` accepts. quantity: kind of its quantity; None if it is not a quantity."""
 
     name: str
-    kind: Any
+    kind: Kind
     quantity: QuantityOf | None
     directed: bool
-    example: Any
+    example: object
 
 
 _NAME = r"[^/\x00-\x1f]{1,60}"
@@ -229,7 +228,7 @@ def _values(key: SweptKey, node: source.Node, log: Findings) -> tuple[SweepValue
     return _check_signs(key, quantities, node, log)
 
 
-def _entry(key: SweptKey, item: source.Node, log: Findings) -> list[tuple[Any, Mark]]:
+def _entry(key: SweptKey, item: source.Node, log: Findings) -> list[tuple[object, Mark]]:
     """The values of one entry of a list: two for a quantity with both signs."""
     if (
         key.quantity is not None
@@ -249,7 +248,7 @@ def _entry(key: SweptKey, item: source.Node, log: Findings) -> list[tuple[Any, M
     return [] if value is None else [(value, item.mark)]
 
 
-def _quantity_kind(kind: Any) -> QuantityOf | None:
+def _quantity_kind(kind: Kind) -> QuantityOf | None:
     """The kind of quantity of a swept key."""
     scalar = kind.other if isinstance(kind, WordOr) else kind
     inner = scalar.scalar if isinstance(scalar, ByShape) else scalar
@@ -281,7 +280,7 @@ def _check_signs(
     return _labelled(key, [(quantity, node.mark) for quantity in quantities])
 
 
-def _named(kind: Any, node: source.Mapping, log: Findings) -> tuple[SweepValue, ...] | None:
+def _named(kind: Kind, node: source.Mapping, log: Findings) -> tuple[SweepValue, ...] | None:
     values = []
     for name, item in node.entries:
         if not re.fullmatch(r"[^/\x00-\x1f]{1,60}", name.text):
@@ -300,7 +299,7 @@ def _named(kind: Any, node: source.Mapping, log: Findings) -> tuple[SweepValue, 
     return tuple(values) if node.entries and len(values) == len(node.entries) else None
 
 
-def _labelled(key: SweptKey, values: list[tuple[Any, Mark]]) -> tuple[SweepValue, ...]:
+def _labelled(key: SweptKey, values: list[tuple[object, Mark]]) -> tuple[SweepValue, ...]:
     """The values with labels made from their figures and units; repeated values are numbered."""
     rows: list[SweepValue] = []
     for index, (value, mark) in enumerate(values, start=1):

@@ -12,12 +12,13 @@ from functools import lru_cache
 from typing import Any, Protocol
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings, closest
 from planrunner.plan import source
 from planrunner.plan.quantity import Quantity, anchored, read_quantity
 from planrunner.plan.quantity import schema as quantity_schema
 
-Schema = dict[str, Any]
+Schema = JsonObject
 
 
 class Kind(Protocol):
@@ -275,11 +276,11 @@ class MapOf:
     names: tuple[str, ...] = ()
     pattern: str = r"[^\x00-\x1f]{1,80}"
 
-    def read(self, node: source.Node, log: Findings) -> dict[str, Any] | None:
+    def read(self, node: source.Node, log: Findings) -> JsonObject | None:
         if not isinstance(node, source.Mapping):
             log.error("form-type", node.mark, "a mapping of names is expected here", "write {name: value, …}")
             return None
-        result: dict[str, Any] = {}
+        result: JsonObject = {}
         for name, item in node.entries:
             if self.names and name.text not in self.names:
                 log.error(

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
+from planrunner.base.documents import JsonObject
 from planrunner.estimators.interface import Estimate
 from planrunner.reporting import words
 from planrunner.reporting.rounding import rounded
 from planrunner.uncertainty.influences import Budget, BudgetLine
 
 
-def budget_views(estimate: Estimate) -> list[dict[str, Any]]:
+def budget_views(estimate: Estimate) -> list[JsonObject]:
     """The budgets with contributions other than the data; those of the headline coefficients come first.
 
     Each {coefficient, unit, headline, lines, standard, freedom, factor, expanded}, its lines {quantity, kind, value, standard, unit,
@@ -25,7 +25,7 @@ def budget_views(estimate: Estimate) -> list[dict[str, Any]]:
     return sorted(told, key=lambda view: not view["headline"])
 
 
-def _view(budget: Budget, headline: bool) -> dict[str, Any]:
+def _view(budget: Budget, headline: bool) -> JsonObject:
     return {
         "coefficient": budget.coefficient,
         "unit": shown_unit(budget.unit),
@@ -38,7 +38,7 @@ def _view(budget: Budget, headline: bool) -> dict[str, Any]:
     }
 
 
-def _line(line: BudgetLine, variance: float) -> dict[str, Any]:
+def _line(line: BudgetLine, variance: float) -> JsonObject:
     value = rounded(line.value, line.standard_uncertainty)
     power = f"e{value.exponent}" if value.exponent else ""
     share = words.probability(line.contribution**2 / variance) if line.added and variance > 0 else "–"

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
+from planrunner.base.documents import JsonObject
 from planrunner.estimators.interface import Coefficient, Estimate
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.reporting import words
@@ -20,7 +20,7 @@ from planrunner.reporting.template_data import Told
 from planrunner.uncertainty.decision import coverage_factor
 
 
-def certificate_view(context: ReportContext) -> dict[str, Any]:
+def certificate_view(context: ReportContext) -> JsonObject:
     """Keys: number, number_css (a CSS string), laboratory, told, corrected, references, conditions, events, performed, issued, plan_digest,
     run, analysis, duration, before_run, simulated, replayed, results, has_before, rules,
     conformity, warnings."""
@@ -75,7 +75,7 @@ def _span(first: str, last: str) -> str:
     return first if first == last or not last else f"{first} – {last}"
 
 
-def _results(estimate: Estimate, before: Estimate | None, probability: float) -> dict[str, Any]:
+def _results(estimate: Estimate, before: Estimate | None, probability: float) -> JsonObject:
     found = {} if before is None else {item.name: item for item in before.coefficients}
     rows = []
     for item in estimate.coefficients:

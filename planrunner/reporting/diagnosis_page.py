@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
+from planrunner.base.documents import Json
 from planrunner.estimators.interface import Role, Table, TableColumn
 from planrunner.estimators.results import DataOrigin
 from planrunner.reporting.columns import alike
@@ -28,7 +28,7 @@ FOOTER = (
     "where “none” is less probable than 5 %; effects that this plan cannot separate are named together."
 )
 WHERE = "Where: each factor divides the same gap in a different way, so shares add up within one factor but not across factors"
-Data = Mapping[str, Any]
+Data = Mapping[str, Json]
 
 
 @dataclass(frozen=True)
@@ -283,7 +283,7 @@ def _spaced(text: str) -> str:
     return text.replace("_", " ")
 
 
-def _plain(value: Any) -> str:
+def _plain(value: Json) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, str):

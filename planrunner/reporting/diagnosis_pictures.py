@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from planrunner.base.documents import Json, JsonObject
 from planrunner.estimators.interface import Plot
 from planrunner.reporting.plots import COLOURS, WIDTH, drawing, plot_svg
 
-Data = Mapping[str, Any]
+Data = Mapping[str, Json]
 
 SHOWN = 0.005
 """Hypotheses with a lower probability are combined as `others`."""
@@ -36,7 +37,7 @@ HOTTEST = 100.0
 large, and so on."""
 
 
-def pictures(found: Data) -> list[dict[str, Any]]:
+def pictures(found: Data) -> list[JsonObject]:
     """Title, description and SVG of each picture for which the diagnosis has data. wide: spans the full width of the page."""
     from markupsafe import Markup
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import Any
 
+from planrunner.base.documents import Json
 from planrunner.base.shipped import shipped
 
 ENGLISH = "en"
@@ -71,11 +71,11 @@ def spoken(language: str) -> dict[str, Callable[..., str]]:
     description of a coefficient. Text without a translation stays as it is. The result is escaped like other text."""
     known = translations(language)
 
-    def gettext(message: str, /, **values: Any) -> str:
+    def gettext(message: str, /, **values: Json) -> str:
         said = known.get(message, message)
         return filled(said if isinstance(said, str) else said[0], values)
 
-    def ngettext(singular: str, plural: str, count: int, /, **values: Any) -> str:
+    def ngettext(singular: str, plural: str, count: int, /, **values: Json) -> str:
         said = known.get(singular, (singular, plural))
         forms = (said,) if isinstance(said, str) else said
         return filled(forms[0 if count == 1 else -1], {"num": count, **values})
@@ -90,6 +90,6 @@ def spoken(language: str) -> dict[str, Callable[..., str]]:
     return {"_": gettext, "term": term, "gettext": gettext, "ngettext": ngettext}
 
 
-def filled(message: str, values: Mapping[str, Any]) -> str:
+def filled(message: str, values: Mapping[str, Json]) -> str:
     """The message with `%(name)s` replaced and `%%` as %. Raises KeyError for a name without a value."""
     return _PLACE.sub(lambda place: "%" if place[1] is None else str(values[place[1]]), message)

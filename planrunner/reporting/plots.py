@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from html import escape
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,11 @@ from numpy.typing import NDArray
 from planrunner.estimators.interface import Plot
 from planrunner.plan.schedule import Schedule
 from planrunner.reporting.words import clock
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.typing import RcKeyType
 
 Array = NDArray[np.float64]
 
@@ -29,7 +34,7 @@ _MARKERS = ("o", "s", "^", "D", "v")
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))  # distinguishable in print without colour
 _MARGIN = 3.0  # points around all lettering
 MOST_POINTS = 2000  # of a plotted curve
-_STYLE: dict[Any, Any] = {
+_STYLE: dict[RcKeyType, object] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "planrunner",
     "font.family": "sans-serif",
@@ -74,20 +79,23 @@ def plot_svg(plot: Plot, key: str) -> str:
         return save(key, plot.title, described)
 
 
-def _plain_ticks(axes: Any) -> None:
+def _plain_ticks(axes: Axes) -> None:
     """Numbers at logarithmic axes as text, because formulas are not drawn. An axis of less than two decades also shows 2 and 5."""
 
-    def between(value: float, _: int) -> str:
+    def between(value: float, _: float) -> str:
         leading = round(value / 10 ** math.floor(math.log10(value)), 6)
         return f"{value:g}" if leading in (2, 5) else ""
+
+    def nothing(value: float, _: float) -> str:
+        return ""
 
     for axis in (axes.xaxis, axes.yaxis):
         low, high = axis.get_view_interval()
         axis.set_major_formatter(lambda value, _: f"{value:g}")
-        axis.set_minor_formatter(between if high < 100 * low else lambda value, _: "")
+        axis.set_minor_formatter(between if high < 100 * low else nothing)
 
 
-def _draw_points(axes: Any, plot: Plot, labels: list[str]) -> None:
+def _draw_points(axes: Axes, plot: Plot, labels: list[str]) -> None:
     xs = np.arange(len(labels), dtype=float) if labels else np.array([float(x) for x in plot.x])
     count = max(len(plot.series), 1)
     for index, (name, values) in enumerate(plot.series.items()):
@@ -107,7 +115,7 @@ def _draw_points(axes: Any, plot: Plot, labels: list[str]) -> None:
         )
 
 
-def _draw_courses(axes: Any, plot: Plot) -> None:
+def _draw_courses(axes: Axes, plot: Plot) -> None:
     """Each series as a line, with ±1 standard uncertainty, if given, as a band. A non-finite value interrupts the line."""
     xs = np.array([float(x) for x in plot.x])
     for index, (name, values) in enumerate(plot.series.items()):
@@ -141,12 +149,12 @@ def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
     return np.array(sorted(kept))
 
 
-def _labels(x: Sequence[Any]) -> list[str]:
+def _labels(x: Sequence[object]) -> list[str]:
     """Labels if x contains text, otherwise nothing."""
     return [str(item) for item in x] if any(isinstance(item, str) for item in x) else []
 
 
-def _finish(axes: Any, plot: Plot, labels: list[str]) -> None:
+def _finish(axes: Axes, plot: Plot, labels: list[str]) -> None:
     axes.set_xlabel(plot.x_title)
     axes.set_ylabel(plot.y_title)
     lowest, highest = axes.get_ylim()
@@ -225,14 +233,14 @@ def timeline_svg(schedule: Schedule, key: str) -> str:
 
     panels = panels_of(schedule)
     with drawing(7.2, 0.75 + 0.95 * len(panels)) as (figure, save):
-        rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+        rows = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
         draw_panels(rows, panels, schedule)
         described = f"{len(schedule.segments)} segments in {clock(schedule.total)} (hours, minutes, seconds)."
         return save(key, "Timeline of the planned run", described)
 
 
 @contextmanager
-def drawing(width: float, height: float) -> Iterator[tuple[Any, Callable[[str, str, str], str]]]:
+def drawing(width: float, height: float) -> Iterator[tuple[Figure, Callable[[str, str, str], str]]]:
     """A figure in the project's style and a function that turns it into an `<svg>` element."""
     import io
 
@@ -246,16 +254,16 @@ def drawing(width: float, height: float) -> Iterator[tuple[Any, Callable[[str, s
         def save(key: str, title: str, described: str) -> str:
             target = io.StringIO()
             nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-            canvas: Any = FigureCanvasSVG(figure)
+            canvas = FigureCanvasSVG(figure)
             _make_room(figure)
             # What `savefig` does, without its first drawing, which only measures for margins that are known already.
-            canvas.print_svg(target, metadata=nothing)
+            canvas.print_svg(target, metadata=nothing)  # type: ignore[no-untyped-call]
             return _inline(target.getvalue(), key, title, described)
 
         yield figure, save
 
 
-def _make_room(figure: Any) -> None:
+def _make_room(figure: Figure) -> None:
     """Set the margins so that lettering around the axes, which stand one under the other, lies within the figure.
 
     Lettering is measured once: matplotlib's constrained layout measures it twice, and measuring takes as long as drawing.
@@ -265,7 +273,9 @@ def _make_room(figure: Any) -> None:
     margins = []
     for axes in figure.axes:
         axes.apply_aspect()
-        around = axes.get_tightbbox(for_layout_only=True).transformed(figure.transFigure.inverted())
+        measured = axes.get_tightbbox(for_layout_only=True)
+        assert measured is not None  # the axes are visible
+        around = measured.transformed(figure.transFigure.inverted())
         inner = axes.get_position()
         margins.append((inner.x0 - around.x0, around.x1 - inner.x1, inner.y0 - around.y0, around.y1 - inner.y1))
     sides = np.array(margins)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from planrunner.base.documents import Json
 from planrunner.base.regular_files import RefusedFileError, read_regular
 from planrunner.base.shipped import shipped
 from planrunner.reporting.language import ENGLISH, languages, spoken
@@ -56,7 +57,7 @@ def _template_of(name: str, roots: tuple[Path, ...]) -> tuple[str, str]:
     return full, ENGLISH
 
 
-def lay_out(name: str, given: Mapping[str, Any], folder: Path | None = None, most: int = MAX_OUTPUT) -> str:
+def lay_out(name: str, given: Mapping[str, Json], folder: Path | None = None, most: int = MAX_OUTPUT) -> str:
     """The text made from `given` with the template `name` (with or without `.j2`), in this process.
 
     folder: a user's template folder, searched before the shipped one; most: maximum number of characters of the text. Raises `ReportError`.

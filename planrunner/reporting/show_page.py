@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from planrunner.base.documents import JsonObject
 from planrunner.estimators.interface import Coefficient, Design, Role, Table, TableColumn
 from planrunner.plan.schedule import Rest, Schedule, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
@@ -49,7 +49,7 @@ def render_show(context: ShowContext, template: str = "show.html", folder: Path 
     return render(template, show_view(context), folder)
 
 
-def show_view(context: ShowContext) -> dict[str, Any]:
+def show_view(context: ShowContext) -> JsonObject:
     """Data for the template: title, description, facts, timeline (SVG), segments, pictures, predictions …"""
     from markupsafe import Markup
 
@@ -90,7 +90,7 @@ def show_view(context: ShowContext) -> dict[str, Any]:
     }
 
 
-def show_json(schedule: Schedule, designs: Mapping[str, Design]) -> dict[str, Any]:
+def show_json(schedule: Schedule, designs: Mapping[str, Design]) -> JsonObject:
     """A schedule and its expected results as plain JSON data: total_s, segments, predicted (by estimate), in the units named in the
     keys. None: not specified in the plan."""
     return {
@@ -113,7 +113,7 @@ def show_json(schedule: Schedule, designs: Mapping[str, Design]) -> dict[str, An
     }
 
 
-def _segment_json(item: Segment) -> dict[str, Any]:
+def _segment_json(item: Segment) -> JsonObject:
     return {
         "index": item.index + 1,
         "label": item.label,
@@ -164,7 +164,7 @@ def totals(schedule: Schedule) -> dict[str, str]:
 
 def orientations(segments: Sequence[Segment]) -> list[list[Segment]]:
     """Segments grouped by attitude, in the order of first use."""
-    groups: dict[Any, list[Segment]] = {}
+    groups: dict[object, list[Segment]] = {}
     for item in segments:
         key = None if item.attitude is None else tuple(np.round(item.attitude, 7).ravel() + 0.0)
         groups.setdefault(key, []).append(item)

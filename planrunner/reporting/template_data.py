@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
+
+from planrunner.base.documents import Json, JsonObject
 
 
 class Told(dict[str, str]):
@@ -18,18 +19,18 @@ class Told(dict[str, str]):
 _PAIRS, _TOLD, _HTML = "pairs", "told", "html"
 
 
-def to_json(given: Mapping[str, Any]) -> str:
+def to_json(given: Mapping[str, Json]) -> str:
     """The data as JSON text, with pictures drawn. Raises TypeError for anything except plain data."""
     return json.dumps(_plain(given), ensure_ascii=True)
 
 
-def from_json(text: str) -> dict[str, Any]:
+def from_json(text: str) -> JsonObject:
     """The data from JSON text, with pictures as markup that is not escaped."""
-    given: dict[str, Any] = json.loads(text, object_hook=_restored)
+    given: JsonObject = json.loads(text, object_hook=_restored)
     return given
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Json) -> Json:
     if hasattr(value, "__html__"):
         return {_HTML: value.__html__()}
     if isinstance(value, Mapping):
@@ -42,7 +43,7 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} is not plain data")
 
 
-def _restored(found: dict[str, Any]) -> Any:
+def _restored(found: JsonObject) -> Json:
     from markupsafe import Markup
 
     ((kind, value),) = found.items()

@@ -15,8 +15,8 @@ import threading
 import time
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
+from planrunner.base.documents import JsonObject
 from planrunner.reporting.sandbox import ReportError, lay_out
 from planrunner.reporting.template_data import from_json
 
@@ -25,7 +25,7 @@ CHECK_EVERY = 0.2  # s
 
 def main() -> None:
     """Lay out one template on request of `planrunner.reporting.templates`."""
-    request: dict[str, Any] = json.loads(sys.stdin.buffer.read())
+    request: JsonObject = json.loads(sys.stdin.buffer.read())
     _import_what_is_needed()
     _limit(request["seconds"], request["memory"])
     threading.Thread(target=_watch, args=(request["name"], request["seconds"]), daemon=True).start()

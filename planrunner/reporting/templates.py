@@ -11,8 +11,8 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
+from planrunner.base.documents import Json
 from planrunner.reporting.sandbox import MAX_OUTPUT, ReportError, available, lay_out
 from planrunner.reporting.template_data import to_json
 
@@ -26,7 +26,7 @@ PATIENCE = 10
 """Multiple of `MAX_SECONDS` after which the parent ends the child; it allows for a busy computer."""
 
 
-def render(name: str, given: Mapping[str, Any], folder: Path | None = None) -> str:
+def render(name: str, given: Mapping[str, Json], folder: Path | None = None) -> str:
     """The text made from `given`, which must be plain data, with the template `name` (with or without `.j2`).
 
     The name may contain a language: `certificate.zh.html`. folder: a user's template folder, searched before the shipped one. Raises
@@ -35,7 +35,7 @@ def render(name: str, given: Mapping[str, Any], folder: Path | None = None) -> s
     return lay_out(name, given) if folder is None else _lay_out_apart(name, given, folder)
 
 
-def _lay_out_apart(name: str, given: Mapping[str, Any], folder: Path) -> str:
+def _lay_out_apart(name: str, given: Mapping[str, Json], folder: Path) -> str:
     request = {
         "name": name,
         "folder": str(folder.resolve()),

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from planrunner.plan.schedule import Cycle, Rock, Schedule, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Panel = Literal["segments", "temperature", "rate"]
 PHASES = (("reaching", "#c9d1d9"), ("soaking, settling", "#f0c48a"), ("recording", "#0b5394"))
@@ -45,7 +48,7 @@ def panels_of(schedule: Schedule) -> list[Panel]:
     return panels
 
 
-def draw_panels(rows: Sequence[Any], panels: Sequence[Panel], schedule: Schedule) -> None:
+def draw_panels(rows: Sequence[Axes], panels: Sequence[Panel], schedule: Schedule) -> None:
     """Draw the panels one below the other in their matplotlib axes, with a common time axis."""
     times = spans(schedule)
     longest = max([schedule.total, *(span.end for span in times)], default=0.0) or 1.0
@@ -57,7 +60,7 @@ def draw_panels(rows: Sequence[Any], panels: Sequence[Panel], schedule: Schedule
     rows[-1].set_xlabel(f"time since the first move [{unit}]")
 
 
-def _bars(axes: Any, times: list[SegmentTimes], divisor: float, longest: float) -> None:
+def _bars(axes: Axes, times: list[SegmentTimes], divisor: float, longest: float) -> None:
     from matplotlib.patches import Patch
 
     for place, (_, colour) in enumerate(PHASES):
@@ -82,7 +85,7 @@ def _bars(axes: Any, times: list[SegmentTimes], divisor: float, longest: float) 
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=3, borderaxespad=0.2, handlelength=1)
 
 
-def _temperature(axes: Any, times: list[SegmentTimes], divisor: float, longest: float) -> None:
+def _temperature(axes: Axes, times: list[SegmentTimes], divisor: float, longest: float) -> None:
     xs: list[float] = []
     ys: list[float] = []
     last = math.nan
@@ -101,7 +104,7 @@ def _temperature(axes: Any, times: list[SegmentTimes], divisor: float, longest: 
     axes.set_ylabel("temperature\n[°C]", fontsize=8.5)
 
 
-def _rate(axes: Any, times: list[SegmentTimes], divisor: float, longest: float) -> None:
+def _rate(axes: Axes, times: list[SegmentTimes], divisor: float, longest: float) -> None:
     xs, ys = [0.0], [0.0]
     for span in times:
         motion = span.segment.motion

@@ -33,8 +33,9 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any, TypeGuard
+from typing import TypeGuard
 
+from planrunner.base.documents import Json, JsonObject
 from planrunner.estimators.interface import Cell, Coefficient, Estimate, Role, Table
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.estimators.results import DataOrigin
@@ -54,7 +55,7 @@ STRONG = 0.3  # stronger correlations are listed in words
 _PROPER = {"id": "ID", "utc": "UTC"}
 
 
-def report_view(context: ReportContext) -> dict[str, Any]:
+def report_view(context: ReportContext) -> JsonObject:
     """The complete context for templates."""
     return {
         "title": context.title,
@@ -82,12 +83,12 @@ def report_view(context: ReportContext) -> dict[str, Any]:
     }
 
 
-def stamped(origin: DataOrigin | None) -> dict[str, Any]:
+def stamped(origin: DataOrigin | None) -> JsonObject:
     """The stamp for templates; `word` is empty if there is none."""
     return asdict(stamp(origin) or Stamp("", "", False))
 
 
-def estimate_view(estimate: Estimate, index: int, probability: float) -> dict[str, Any]:
+def estimate_view(estimate: Estimate, index: int, probability: float) -> JsonObject:
     """One estimate with its pictures. index: makes ids in the page unique."""
     from planrunner.reporting.plots import correlation, correlation_svg, plot_svg, strong
 
@@ -166,7 +167,7 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
     }
 
 
-def table_view(table: Table) -> dict[str, Any]:
+def table_view(table: Table) -> JsonObject:
     """A table as text, with a flag for numeric columns; at most MAX_ROWS rows, with a note if there are more."""
     roles = [column.role for column in table.columns]
     guides = [_guide(roles, index) for index in range(len(roles))]
@@ -206,7 +207,7 @@ def _measured(value: Cell) -> TypeGuard[float]:
     return isinstance(value, float) and math.isfinite(value)
 
 
-def cell(value: Any) -> str:
+def cell(value: object) -> str:
     """A cell as text; numbers without uncertainty have five significant digits."""
     if value is None:
         return "–"
@@ -219,7 +220,7 @@ def cell(value: Any) -> str:
     return str(value)
 
 
-def setting(value: Any) -> str:
+def setting(value: object) -> str:
     if isinstance(value, str):
         return value
     if isinstance(value, Mapping):
@@ -229,7 +230,7 @@ def setting(value: Any) -> str:
     return cell(value)
 
 
-def named(facts: Mapping[str, Any]) -> list[list[str]]:
+def named(facts: Mapping[str, Json]) -> list[list[str]]:
     """[name, value] pairs, names made readable: `device_serial` becomes `Device serial`."""
     return [[readable(name), setting(value)] for name, value in facts.items()]
 

@@ -11,12 +11,12 @@ import hmac
 import json
 import secrets
 from collections.abc import Callable, Mapping
-from typing import Any
 
+from planrunner.base.documents import Json
 from planrunner.simulators.ports import PortError
 
 _LONGEST = 65536
-Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
+Handler = Callable[[Mapping[str, Json]], Mapping[str, Json]]
 
 
 class Control:
@@ -41,7 +41,7 @@ class Control:
 
     async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            answer: Mapping[str, Any] = {}
+            answer: Mapping[str, Json] = {}
             while "error" not in answer and (line := await reader.readline()):
                 answer = self._answer(line)
                 writer.write(json.dumps(answer).encode() + b"\n")
@@ -51,7 +51,7 @@ class Control:
         finally:
             writer.close()
 
-    def _answer(self, line: bytes) -> Mapping[str, Any]:
+    def _answer(self, line: bytes) -> Mapping[str, Json]:
         try:
             request = json.loads(line)
             if not isinstance(request, dict):

@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings, InputError, closest
 from planrunner.plan import source
 from planrunner.plan.kinds import Choice, ListOf, Number, QuantityOf, Record, RecordOf, Text, key
@@ -214,7 +214,7 @@ class FaultBoard:
         mine = (item for item in self.standing.values() if item.fault.instrument == instrument)
         return [item for item in mine if item.begins <= now < item.ends and item.left != 0]
 
-    def told(self) -> list[dict[str, Any]]:
+    def told(self) -> list[JsonObject]:
         """The active faults, as JSON data."""
         return [
             {"number": item.number, "instrument": item.fault.instrument, "fault": item.fault.fault, "begun": item.begun}

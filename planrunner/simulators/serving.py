@@ -9,10 +9,10 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.control import Control
@@ -156,7 +156,7 @@ class Serving:
         """Their numbers."""
         return [self.board.declare(fault, self.live.now()) for fault in faults]
 
-    def handle(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+    def handle(self, request: Mapping[str, Json]) -> Mapping[str, Json]:
         """`{ask: bench}`, `{inject: FAULT}`, `{clear: NUMBER or all}`, `{ask: state}`, `{stop: true}`. Raises `ValueError`."""
         if request.get("ask") == "bench":
             return {
@@ -182,10 +182,10 @@ class Serving:
             return {"stopping": True}
         raise ValueError("a request is one of ask, inject, clear and stop")
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> Mapping[str, Json]:
         """What is true now, for whoever judges a run: joint angles and rates [rad, rad/s], air, its target, set point [K], faults, the
         line's counts."""
-        told: dict[str, Any] = {"now": self.live.now(), "faults": self.board.told()}
+        told: JsonObject = {"now": self.live.now(), "faults": self.board.told()}
         if self.live.table is not None:
             angles, rates = self.live.world.joints(self.live.now())
             told["table"] = {"angles": angles.tolist(), "rates": rates.tolist()}

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from datetime import UTC, date, datetime
-from typing import Any
 
 from planrunner.archive.analyses import StoredAnalysis
 from planrunner.archive.recording import RecordedSegment, duration_of
 from planrunner.archive.run_reader import RunReader
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, Findings, Mark, closest
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.results import Results
@@ -73,7 +73,7 @@ def recorded_information(reader: RunReader) -> dict[str, str]:
     return {name: str(value) for name, value in reader.run["info"].items()}
 
 
-def _day(moment: Any) -> str:
+def _day(moment: object) -> str:
     return str(moment)[:10]
 
 
@@ -211,7 +211,7 @@ def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log
         log.error("report-certificate-amendment", mark, message, hint)
 
 
-def issued_as(shown: CertificateFacts) -> dict[str, Any]:
+def issued_as(shown: CertificateFacts) -> JsonObject:
     """Data stored with a certificate, so that later ones can be checked against it."""
     kept = {name: shown.told.get(name, "") for name in ("certificate_number", "amends", "amendment_reason")}
     return {"planrunner_issued": 1, **{name: text for name, text in kept.items() if text}, "issued": shown.issued}

@@ -103,8 +103,14 @@ def _cable(axes: Sequence[TableAxis], segment: Segment, azimuth: float, sign: fl
 
 def _sense(plan: model.Plan, label: str) -> float:
     """−1 where the plan counts angles clockwise."""
-    stated = next(item for item in expand(plan, Findings()) if item.label == label)
-    return -1.0 if stated.state["motion"].sense == "clockwise" else 1.0
+    return -1.0 if _motion(plan, label).sense == "clockwise" else 1.0
+
+
+def _motion(plan: model.Plan, label: str) -> model.MotionSpec:
+    """The stated motion of a segment that has a cycle."""
+    motion = next(item.state.motion for item in expand(plan, Findings()) if item.label == label)
+    assert isinstance(motion, model.MotionSpec)
+    return motion
 
 
 def _moves(cycle: RotationCycle, motion: Cycle, sign: float) -> tuple[str, ...]:
@@ -124,8 +130,7 @@ def _moves(cycle: RotationCycle, motion: Cycle, sign: float) -> tuple[str, ...]:
 
 def _text(checked: Checked, segment: Segment, moves: Sequence[str]) -> str:
     assert checked.plan is not None
-    stated = next(item for item in expand(checked.plan, Findings()) if item.label == segment.label)
-    mark = stated.state["motion"].at("moves")
+    mark = _motion(checked.plan, segment.label).at("moves")
     try:
         return with_moves(source.decode(checked.plan_bytes, checked.file), (mark.line, mark.column), moves)
     except RewriteError as error:

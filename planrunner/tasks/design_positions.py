@@ -337,7 +337,7 @@ def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> 
     for item in expand(checked.plan, Findings()):
         mark = item.marks.get("orientation")
         changed = new.get((mark.line, mark.column)) if mark else None
-        stated.append(replace(item, state={**item.state, "orientation": changed}) if changed else item)
+        stated.append(replace(item, state=replace(item.state, orientation=changed)) if changed else item)
     log = Findings()
     schedule = build_schedule(stated, checked.models, log, checked.plan.mounting)
     if log.errors:

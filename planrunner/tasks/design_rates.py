@@ -216,7 +216,7 @@ class _RateDesigner:
 
     def _dwell(self, rate: float) -> float:
         """As the plan says it for its largest rate, at another one."""
-        stated = self.stated[self.pattern[0].label]["dwell"]
+        stated = self.stated[self.pattern[0].label].dwell
         if isinstance(stated, Turns):
             period = 2 * math.pi / rate
             least = 0 if stated.at_least is None else math.ceil(stated.at_least.value / period - 1e-9)

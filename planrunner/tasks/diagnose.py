@@ -13,12 +13,13 @@ from datetime import date, datetime
 from functools import partial
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from planrunner.archive.played_back import played
 from planrunner.archive.recording import RecordedSegment, in_time_order
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.statistics import statistics_of
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
 from planrunner.bench.clock import VirtualClock
 from planrunner.bench.model import Bench, shipped_benches
@@ -62,7 +63,7 @@ class Diagnosed:
     findings: Findings
     following: Next | None = None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         """As `schemas/diagnosis.schema.json` has it."""
         found = {"planrunner_diagnosis": DIAGNOSIS_FORMAT, **self.diagnosis.to_json()}
         return found | {"next": None if self.following is None else self.following.to_json()}

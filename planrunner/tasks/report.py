@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from planrunner.archive.recording import RecordedSegment, duration_of
 from planrunner.archive.run_reader import RunReader
+from planrunner.base.documents import Json
 from planrunner.reporting import words
 from planrunner.reporting.context import CertificateFacts, ReportContext, SegmentSummary
 
@@ -136,7 +137,7 @@ def _of_the_run(reader: RunReader, planned: int) -> list[str]:
     return warnings
 
 
-def _text(value: Any) -> str:
+def _text(value: Json) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{name}: {_text(item)}" for name, item in value.items())
     return str(value)

@@ -10,7 +10,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import date, datetime
 from pathlib import Path
-from typing import Any
 
 from planrunner.archive.analyses import StoredAnalysis
 from planrunner.archive.formats import IntegrityError, from_bytes, to_bytes
@@ -21,6 +20,7 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.archive.space import recording_bytes, require_space
 from planrunner.archive.storage import Durability
 from planrunner.archive.verifying import Examined, examine, open_run
+from planrunner.base.documents import Json
 from planrunner.base.findings import Finding, Findings, InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.bench.attendance import check_unattended
@@ -344,7 +344,7 @@ def stored_results(analysis: StoredAnalysis) -> Results:
         raise IntegrityError(f"{analysis.path / RESULTS}: not a results file of planrunner: {error}") from None
 
 
-def _read_results(analysis: StoredAnalysis) -> Any:
+def _read_results(analysis: StoredAnalysis) -> Json:
     """As JSON data: an older version's results lack keys that today's schema asks for. Raises `IntegrityError`."""
     try:
         return from_bytes(analysis.read(RESULTS))

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.run_reader import RunReader
+from planrunner.base.documents import JsonObject
 from planrunner.base.shipped import shipped
 from planrunner.estimators.results import Results
 from planrunner.execution.stopping import StopRequest
@@ -40,7 +40,7 @@ class Comparison:
 def validate(folder: Path) -> Iterator[Comparison]:
     """Runs every reference beneath `folder`, which must be empty, and yields the comparisons as they are made."""
     references = shipped("plans") / "self_test"
-    answers: dict[str, Any] = source.plain(source.load(references / "answers.yaml"))
+    answers: JsonObject = source.plain(source.load(references / "answers.yaml"))
     run = folder
     for case, answer in answers.items():
         run, results = _carry_out(references / f"{case}.yaml", references, folder)

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import yaml
 
@@ -128,7 +128,8 @@ def _flow(value: object) -> str:
 
 def _with_instrument(text: str, name: str, entry: str) -> str:
     """The text with an instrument added behind the others, in the form in which they stand."""
-    root: Any = yaml.compose(text)
+    root = yaml.compose(text)
+    assert isinstance(root, yaml.MappingNode)  # a bench file that was read
     nodes = {key.value: value for key, value in root.value}
     instruments, order = nodes["instruments"], nodes.get("safe_order")
     changes = [_appended(text, instruments, f"{name}: {entry}", instruments.value[-1][1])]
@@ -139,7 +140,7 @@ def _with_instrument(text: str, name: str, entry: str) -> str:
     return text
 
 
-def _appended(text: str, node: Any, more: str, last: Any, dash: str = "") -> tuple[int, str]:
+def _appended(text: str, node: yaml.CollectionNode, more: str, last: yaml.Node, dash: str = "") -> tuple[int, str]:
     """Where something is put in behind the last item of a mapping or list, and what."""
     begin = node.start_mark.index
     end = begin + len(text[begin : last.end_mark.index].rstrip())

@@ -8,8 +8,8 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
+from planrunner.base.documents import Json, JsonObject
 from planrunner.plan import quantity
 from planrunner.plan.kinds import Schema, keys_of, object_schema
 from planrunner.plan.units import DIMENSIONS
@@ -66,7 +66,7 @@ def _shared() -> dict[str, Schema]:
     return parts
 
 
-def _with_references(schema: Any, names: dict[str, str], used: set[str]) -> Any:
+def _with_references(schema: Json, names: dict[str, str], used: set[str]) -> Json:
     """`schema` with every part that `names` knows replaced by a reference; descriptions and examples stay beside it."""
     if isinstance(schema, list):
         return [_with_references(item, names, used) for item in schema]
@@ -81,7 +81,7 @@ def _with_references(schema: Any, names: dict[str, str], used: set[str]) -> Any:
     return {**about, **{key: _with_references(value, names, used) for key, value in rest.items()}}
 
 
-def text(schema: dict[str, Any]) -> str:
+def text(schema: JsonObject) -> str:
     """The file's text."""
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 

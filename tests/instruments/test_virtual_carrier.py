@@ -190,8 +190,8 @@ def test_a_heading_aligned_bench_feels_the_same_in_turned_axes():
     lat, _, velocity, _, force = by_differences(plain, t[0])
     heading = math.atan2(velocity[0], velocity[1])
     # Along the great circle of normals, not of positions: these headings differ by up to 0.2 deg.
-    assert math.degrees(float(turned.place(t).heading[0]) - heading) == pytest.approx(0.0, abs=0.2)
-    h = float(turned.place(t).heading[0])
+    assert math.degrees(float(np.ravel(turned.place(t).heading)[0]) - heading) == pytest.approx(0.0, abs=0.2)
+    h = float(np.ravel(turned.place(t).heading)[0])
     felt_rate, felt_force = (np.ravel(v) for v in turned.felt(t, EARTH_RATE))
     # Right is 90 deg clockwise of forward.
     assert felt_force[1] == pytest.approx(float(force[0]) * math.sin(h) + float(force[1]) * math.cos(h), abs=2e-11)

@@ -52,7 +52,7 @@ def findings(text: str) -> list[Finding]:
         segments = expand(plan, log)
         check_meaning(plan, segments, ["report.html", "summary.md"], log)
         for segment in segments:
-            dwell = segment.state.get("dwell")
+            dwell = segment.state.dwell
             motion_of(segment.state, segment.marks, dwell.value if isinstance(dwell, Quantity) else None, log)
     return list(log)
 

@@ -52,7 +52,7 @@ segments = expand(plan, log)
 wrong = parse_plan({PLAN.replace("pressure: 80", "presure: 80")!r}, "plan.yaml")[1]
 print(json.dumps({{
     "findings": [str(one) for one in log],
-    "stated": [(one.label, str(one.state["pressure"])) for one in segments],
+    "stated": [(one.label, str(one.state.pressure)) for one in segments],
     "misspelt": [one.hint for one in wrong],
     "schema": json.dumps(plan_schema()),
     "reference": keys_reference(),

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from planrunner.base import plugins
+from planrunner.base.documents import Json, JsonObject
 from planrunner.error_model.effects.interface import ActsOnNoise, Effect
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer import parameters as estimates
@@ -62,7 +62,7 @@ class Diagnosis:
     """gap: by channel, in its unit. posterior: of all hypotheses. absorbed: effect → share of its energy that remains after the nominal
     parameters. pictures: data for plots."""
 
-    gap: Mapping[str, Mapping[str, Any]]
+    gap: Mapping[str, Mapping[str, Json]]
     where: tuple[MisfitPlace, ...]
     posterior: Posterior
     verdict: Verdict
@@ -70,10 +70,10 @@ class Diagnosis:
     absorbed: Mapping[str, float]
     parameters: tuple[ParameterEstimate, ...]
     closure: Closure
-    pictures: Mapping[str, Any] = field(repr=False)
+    pictures: Mapping[str, Json] = field(repr=False)
     grounds: Grounds = field(repr=False)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         """Plain data as `schemas/diagnosis.schema.json` has it; NaN becomes null."""
         shut = self.closure
         plain = {
@@ -112,7 +112,7 @@ class Diagnosis:
             "priors": dict(PRIORS),
             "pictures": dict(self.pictures),
         }
-        finite: dict[str, Any] = _finite(plain)
+        finite: JsonObject = _finite(plain)
         return finite
 
 
@@ -223,7 +223,7 @@ def _parameters(
     return listed
 
 
-def _finite(value: Any) -> Any:
+def _finite(value: Json) -> Json:
     if isinstance(value, Mapping):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.documents import JsonObject
 from planrunner.gap.answer.confusability import matrix
 from planrunner.gap.evidence.spectrum import band_edges
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
@@ -15,7 +15,7 @@ from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 Array = NDArray[np.float64]
 
 
-def gap_by_channel(weighing: Weighing) -> dict[str, dict[str, Any]]:
+def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
     """By channel: root mean square of the residual coefficients of the nominal simulation, the value for noise alone, and the unit."""
     found = {}
     for index, channel in enumerate(weighing.observed.channels):
@@ -31,7 +31,7 @@ def gap_by_channel(weighing: Weighing) -> dict[str, dict[str, Any]]:
     return found
 
 
-def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed | None) -> dict[str, Any]:
+def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed | None) -> JsonObject:
     """heat: energy per segment and channel in times of the noise; confusability; means before and after; spectra."""
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = len(observed)
@@ -63,7 +63,7 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
     }
 
 
-def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None) -> dict[str, Any]:
+def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None) -> JsonObject:
     """One-sided density by band (root of power) before and after the effect, with the white level. Segment means are left out, because
     they have no frequency within a segment. For a long recording only the segments with the largest bins are used, up to half the bin
     rate."""

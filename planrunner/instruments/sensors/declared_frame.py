@@ -15,7 +15,6 @@ imu:
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 from planrunner.base.findings import InputError
 from planrunner.instruments.interfaces import InstrumentError
@@ -105,6 +104,9 @@ class ChecksumOfFrame(Record):
     little_endian: bool = key(Boolean(), "Whether the low byte comes first.", True, default=False)
 
 
+PartOfFrame = FieldOfFrame | CounterOfFrame | StatusOfFrame
+
+
 class DeclaredFrameParameters(SerialSensorParameters):
     """A sensor whose frames are described here."""
 
@@ -181,7 +183,7 @@ class DeclaredFrame(SerialSensor[DeclaredFrameParameters]):
         return FrameLayout(_framing(parameters), fields, units, counter, counts, statuses=statuses, zeros=zeros)
 
 
-def _field(item: Any, scale: float = 1.0) -> Field:
+def _field(item: PartOfFrame, scale: float = 1.0) -> Field:
     width, kind = TYPES[item.type]
     return Field(item.place, width, kind, scale, item.little_endian)
 
@@ -204,7 +206,9 @@ def _framing(parameters: DeclaredFrameParameters) -> Framing:
 def _check(parameters: DeclaredFrameParameters) -> None:
     """Everything lies within the frame. Raises `InputError`."""
     check = CHECKSUMS[parameters.checksum.type].width // 8 if parameters.checksum is not None else 0
-    places: dict[str, tuple[Any, int]] = {name: (item, TYPES[item.type][0]) for name, item in parameters.fields.items()}
+    places: dict[str, tuple[PartOfFrame, int]] = {
+        name: (item, TYPES[item.type][0]) for name, item in parameters.fields.items()
+    }
     for name, other in (("counter", parameters.counter), ("status", parameters.status)):
         if other is not None:
             places[name] = (other, TYPES[other.type][0])

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
+from planrunner.base.documents import Json
 from planrunner.instruments.chamber_keys import ChamberKeys
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import ChamberModel
@@ -64,10 +64,10 @@ class VirtualChamber:
     def close(self) -> None:
         """Nothing is held open."""
 
-    def checkpoint(self) -> Mapping[str, Any]:
+    def checkpoint(self) -> Mapping[str, Json]:
         return self.world.thermal_state()
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: Mapping[str, Json]) -> None:
         self.world.restore_thermal(state)
 
     def _air(self) -> float:

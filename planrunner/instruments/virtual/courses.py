@@ -10,12 +10,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import pairwise
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import Json, JsonObject
 from planrunner.physics.kinematics import TableAxis, move_time
 
 Array = NDArray[np.float64]
@@ -272,16 +273,20 @@ def _fade(elapsed: Array, period: float) -> tuple[Array, Array]:
     return 0.5 * (1 - np.cos(phase)), 0.5 * math.pi / period * np.sin(phase)
 
 
-_KINDS: Mapping[str, Any] = {kind.kind: kind for kind in (Standing, Travelling, Spinning, Rocking, Cycling)}
+StatedCourse = Standing | Travelling | Spinning | Rocking | Cycling
+_KINDS: Mapping[str, Callable[..., Course]] = {
+    kind.kind: kind for kind in (Standing, Travelling, Spinning, Rocking, Cycling)
+}
 
 
-def to_json(course: Any) -> dict[str, Any]:
-    """The course as JSON data; an endless duration is written as null."""
+def to_json(course: Course) -> JsonObject:
+    """A course of this module as JSON data; an endless duration is written as null."""
+    assert isinstance(course, StatedCourse)
     state = {name: None if value == math.inf else value for name, value in asdict(course).items()}
     return {"kind": course.kind, **state}
 
 
-def from_json(state: Mapping[str, Any]) -> Course:
+def from_json(state: Mapping[str, Json]) -> Course:
     values = {name: value for name, value in state.items() if name != "kind"}
     made = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
     course: Course = _KINDS[state["kind"]](**{name: math.inf if v is None else v for name, v in made.items()})

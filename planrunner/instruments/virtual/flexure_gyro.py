@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.documents import Json
 from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.parameters import QuantityLike
@@ -177,10 +178,10 @@ class VirtualFlexureGyro:
     def close(self) -> None:
         """Nothing is held open."""
 
-    def checkpoint(self) -> Mapping[str, Any]:
+    def checkpoint(self) -> Mapping[str, Json]:
         return {name: flicker.checkpoint() for name, flicker in self.flicker.items()}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: Mapping[str, Json]) -> None:
         for name, flicker in self.flicker.items():
             flicker.restore(float(state[name]["time"]), state[name]["state"])
 

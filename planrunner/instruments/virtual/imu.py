@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import Json
 from planrunner.base.findings import InputError
 from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings, TakesEffects
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
@@ -154,7 +154,7 @@ class VirtualImu(TakesEffects):
     def close(self) -> None:
         """Nothing is held open."""
 
-    def checkpoint(self) -> Mapping[str, Any]:
+    def checkpoint(self) -> Mapping[str, Json]:
         return {
             "powered": self.powered,
             "switched_on": self.switched_on,
@@ -163,7 +163,7 @@ class VirtualImu(TakesEffects):
             "walk": {name: walk.checkpoint() for name, walk in self.walk.items()},
         }
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: Mapping[str, Json]) -> None:
         self.powered = bool(state["powered"])
         self.switched_on = float(state["switched_on"])
         self.times_switched_on = int(state["times_switched_on"])

@@ -6,8 +6,6 @@ Keys for all gyros (accelerometers) are next to `axes`; keys of an axis take pre
 
 from __future__ import annotations
 
-from typing import Any
-
 from planrunner.base.findings import Findings
 from planrunner.instruments.parameters import Polynomial, QuantityLike
 from planrunner.plan.kinds import Boolean, Choice, MapOf, QuantityOf, Record, RecordOf, Text, key
@@ -232,7 +230,7 @@ class AccelerometerAxis(AccelerometerErrors, InputAxisDirection):
 class Gyros(GyroErrors):
     """The gyros of a sensor, with keys common to all."""
 
-    axes: dict[str, Any] = key(
+    axes: dict[str, GyroAxis] = key(
         MapOf(RecordOf(GyroAxis), pattern=AXIS_NAME),
         "The gyros by name, 1 to 12; the output of `x` is `gyro_x`.",
         {"x": {"bias": "0.05 deg/h"}, "y": {}, "z": {}},
@@ -242,7 +240,7 @@ class Gyros(GyroErrors):
 class Accelerometers(AccelerometerErrors):
     """The accelerometers of a sensor, with keys common to all."""
 
-    axes: dict[str, Any] = key(
+    axes: dict[str, AccelerometerAxis] = key(
         MapOf(RecordOf(AccelerometerAxis), pattern=AXIS_NAME),
         "The accelerometers by name, 1 to 12; the output of `x` is `accel_x`.",
         {"x": {"bias": "50 ug"}, "y": {}, "z": {}},

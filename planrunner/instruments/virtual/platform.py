@@ -13,12 +13,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import Json
 from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.virtual.base_motion import base_axes, shaking, turn_by
@@ -180,7 +180,7 @@ class VirtualPlatform:
     def close(self) -> None:
         """Nothing is held open."""
 
-    def checkpoint(self) -> Mapping[str, Any]:
+    def checkpoint(self) -> Mapping[str, Json]:
         return {
             "cagings": self.cagings,
             "element": self.element.to_json(),
@@ -189,7 +189,7 @@ class VirtualPlatform:
             "walked_until": self.walked_until,
         }
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: Mapping[str, Json]) -> None:
         self.cagings = int(state["cagings"])
         self.element = Element.from_json(state["element"])
         self.drift = np.array(state["drift"], dtype=float)

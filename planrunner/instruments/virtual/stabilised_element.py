@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import Json, JsonObject
 from planrunner.instruments.virtual.base_motion import base_axes, mean_square_rate, turn, turn_by
 from planrunner.instruments.virtual.world import World
 
@@ -98,13 +98,13 @@ class Element:
             columns.append(turn_by(carried @ self.axes.T, -angle))
         return np.stack(columns, axis=2), replace(self, drifted=grown[-1], at=float(times[-1]) + step)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         arrays = {name: getattr(self, name) for name in ("caged", "axes", "left", "drifted")}
         plain = {name: None if value is None else value.tolist() for name, value in arrays.items()}
         return {**plain, "released": self.released, "at": self.at}
 
     @classmethod
-    def from_json(cls, state: Mapping[str, Any]) -> Element:
+    def from_json(cls, state: Mapping[str, Json]) -> Element:
         arrays = {name: None if (value := state[name]) is None else np.array(value, float) for name in _ARRAYS}
         caged = arrays.pop("caged")
         assert caged is not None

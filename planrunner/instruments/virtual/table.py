@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.documents import Json
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import TableModel
 from planrunner.instruments.table_keys import TableKeys
@@ -131,10 +131,10 @@ class VirtualTable:
     def close(self) -> None:
         """Nothing is held open."""
 
-    def checkpoint(self) -> Mapping[str, Any]:
+    def checkpoint(self) -> Mapping[str, Json]:
         return self.world.motion_state()
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: Mapping[str, Json]) -> None:
         self.world.restore_motion(state)
 
     # -- how it does it --------------------------------------------------------------------------------------------

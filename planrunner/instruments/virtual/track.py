@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.virtual import ellipsoid
-from planrunner.instruments.virtual.courses import Stretch
+from planrunner.instruments.virtual.courses import Stretch, Value
 
 Array = NDArray[np.float64]
 Vector = tuple[Array, Array, Array]
@@ -68,8 +67,8 @@ class CarrierPlace:
     longitude_rate: Array
     latitude_acceleration: Array
     longitude_acceleration: Array
-    heading: Any
-    heading_rate: Any
+    heading: Value
+    heading_rate: Value
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +204,7 @@ def _rhumb_rates(
     return latitude_rate, longitude_rate, latitude_acceleration, longitude_acceleration
 
 
-def _in_bench(v: tuple[Any, Any, Any], heading: Any) -> Vector:
+def _in_bench(v: Vector, heading: Value) -> Vector:
     """Components in axes that are turned by `heading` clockwise about up."""
     if isinstance(heading, float) and heading == 0.0:
         return v

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import Json, JsonObject
 from planrunner.instruments.interfaces import Clock, Surroundings
 from planrunner.instruments.virtual import courses, thermal
 from planrunner.instruments.virtual.added import Added
@@ -131,10 +131,10 @@ class World:
 
     # -- resuming ------------------------------------------------------------------------------------------------------
 
-    def motion_state(self) -> dict[str, Any]:
+    def motion_state(self) -> JsonObject:
         return {"course": courses.to_json(self.course), "steady_at": self.steady_at, "skew": self.skew.tolist()}
 
-    def restore_motion(self, state: Mapping[str, Any]) -> None:
+    def restore_motion(self, state: Mapping[str, Json]) -> None:
         self.course = courses.from_json(state["course"])
         self.steady_at = float(state["steady_at"])
         self.skew = np.array(state["skew"], dtype=float)
@@ -142,7 +142,7 @@ class World:
     def thermal_state(self) -> dict[str, float]:
         return asdict(self.command)
 
-    def restore_thermal(self, state: Mapping[str, Any]) -> None:
+    def restore_thermal(self, state: Mapping[str, Json]) -> None:
         self.command = thermal.Command(**{name: float(value) for name, value in state.items()})
 
 

@@ -80,11 +80,26 @@ class LinkFailure(Exception):  # noqa: N818 - reported to users as an Instrument
     """An exchange that failed; the text follows the resource name."""
 
 
+class Wire(Protocol):
+    """The interface used of a PyVISA resource. timeout: ms; baud_rate and bytes_in_buffer: of a serial line."""
+
+    timeout: float
+    read_termination: str | None
+    baud_rate: int
+    bytes_in_buffer: int
+
+    def read_raw(self) -> bytes: ...
+    def read_bytes(self, count: int, *, break_on_termchar: bool) -> bytes: ...
+    def write_raw(self, message: bytes) -> int: ...
+    def clear(self) -> None: ...
+    def close(self) -> None: ...
+
+
 @dataclass(slots=True)
 class Incoming:
     """The bytes that come in, until `deadline` [monotonic s]; `got` is what came so far."""
 
-    resource: Any
+    resource: Wire
     deadline: float
     whole: bool
     """Whether the bus marks the end of a message (GPIB, USB), which is then read at once."""
@@ -141,7 +156,7 @@ class MessageLink:
     def __init__(self, settings: LinkSettings, framing: AnswerFraming | None = None):
         self.settings = settings
         self.framing: AnswerFraming = framing or LineAnswers()
-        self._resource: Any = None
+        self._resource: Wire | None = None
         self._lock = lock_of(settings.address)
         self._last = 0.0
         self._disturbed = False
@@ -239,11 +254,11 @@ class MessageLink:
         finally:
             self._last = time.monotonic()
 
-    def _opened(self) -> Any:
+    def _opened(self) -> Wire:
         if self._resource is None:
             settings = self.settings
             patience = round(settings.timeout * 1000)
-            resource = _manager().open_resource(settings.address, open_timeout=patience)
+            resource: Wire = _manager().open_resource(settings.address, open_timeout=patience)
             self._resource = resource
             resource.timeout = patience
             resource.read_termination = None
@@ -262,7 +277,7 @@ class MessageLink:
                 resource.clear()
         self.close()
 
-    def _drop_rests(self, resource: Any) -> None:
+    def _drop_rests(self, resource: Wire) -> None:
         """Discard unread data, which nobody requested."""
         if self.settings.address.startswith("ASRL") and not resource.bytes_in_buffer:
             return
@@ -277,7 +292,7 @@ class MessageLink:
         if len(rests) >= LONGEST:
             raise LinkFailure(f"sends without being asked ({shown(rests[:40])}…): {_GARBAGE}")
 
-    def _await_silence(self, resource: Any) -> None:
+    def _await_silence(self, resource: Wire) -> None:
         """A serial line remembers: after a failure it must have been silent for a time-out before it is asked again."""
         if not self.settings.address.startswith("ASRL"):
             return
@@ -310,7 +325,7 @@ def shown(data: bytes | bytearray) -> str:
     return text if len(data) <= len(cut) else f"{text}…"
 
 
-def _wait_at_most(resource: Any, seconds: float) -> None:
+def _wait_at_most(resource: Wire, seconds: float) -> None:
     """The time-out of the next read; set only where it differs."""
     if abs(resource.timeout - seconds * 1000) > 0.5:
         resource.timeout = seconds * 1000

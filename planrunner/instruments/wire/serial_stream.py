@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.wire.framing import Piece
@@ -31,7 +31,7 @@ class SerialPort(Protocol):
     @property
     def in_waiting(self) -> int: ...
     def read(self, size: int) -> bytes: ...
-    def write(self, data: bytes) -> Any: ...
+    def write(self, data: bytes) -> object: ...
     def close(self) -> None: ...
 
 
