@@ -14,6 +14,7 @@ from standing_unit import DEG_H, RATE, SITE, recorded, request, samples, sensor
 from planrunner.estimators import method
 from planrunner.estimators.interface import DesignRequest, Estimate, Setup
 from planrunner.estimators.method import designed
+from planrunner.estimators.stated_errors import stated_site
 from planrunner.estimators.strapdown.navigating import StrapdownNavigationParameters
 from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, CEP_SPREAD, stride
 from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation
@@ -21,6 +22,7 @@ from planrunner.physics.earth import Site
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Cycle, Move
+from planrunner.uncertainty.conditions import influences_on
 from planrunner.uncertainty.influences import InputQuantity, Inputs
 
 EARTH = SITE.earth_rate
@@ -144,17 +146,30 @@ def test_uncertainties_cover_the_scatter_of_repetitions() -> None:
 
 
 def test_latitude_is_an_influence() -> None:
-    stated = InputQuantity("latitude", SITE.latitude, "rad", 1e-5)
+    """The error equations against the same samples navigated with the latitude moved: the general way, which a long navigation cannot take.
+    The error equations leave the alignment of 10 min as it is."""
+    inputs = Inputs({"latitude": InputQuantity("latitude", SITE.latitude, "rad", 1e-6)})
     stop, run = (
         recorded("align", samples(600, noise=1e-4), 0.0),
         recorded("navigate", samples(7200, noise=1e-4, seed=1), 600.0),
     )
-    found = StrapdownNavigation().estimate(request(stop, run, setup=Setup(inputs=Inputs({"latitude": stated}))))
-    (influence,) = found.influences
-    # The same samples navigated from a latitude that is wrong by 1e-4 rad, level and azimuth as before.
-    wrong = StrapdownNavigation().estimate(request(stop, run, site=replace(SITE, latitude=SITE.latitude + 1e-4)))
-    change = wrong["north_error"].value - found["north_error"].value
-    assert influence.sensitivities[4, 0] * 1e-4 == pytest.approx(change, abs=0.2 * abs(change) + 1.0)
+
+    def results(site: Site) -> np.ndarray:
+        return np.array(
+            [one.value for one in StrapdownNavigation().estimate(request(stop, run, site=site)).coefficients]
+        )
+
+    (supplied,) = StrapdownNavigation().estimate(request(stop, run, setup=Setup(inputs=inputs))).influences
+    (general,) = influences_on(results, stated_site(inputs, SITE))
+    assert supplied.sensitivities[3:] == pytest.approx(general.sensitivities[3:], rel=0.2)
+    plan = planned(run={"dwell": 7200.0}, noise=1e-4)
+    without, stated = (
+        {one.name: one.standard_uncertainty for one in designed(StrapdownNavigation(), asked).predicted}
+        for asked in (plan, replace(plan, setup=Setup(inputs=inputs)))
+    )
+    for name, row in (("east_error", 3), ("north_error", 4)):
+        added = math.sqrt(stated[name] ** 2 - without[name] ** 2)
+        assert added == pytest.approx(1e-6 * abs(general.sensitivities[row, 0]), rel=0.2)
 
 
 def test_turning_modulates_what_stands_still_does_not() -> None:

@@ -28,7 +28,7 @@ from planrunner.estimators.strapdown.alignment import (
 )
 from planrunner.estimators.strapdown.navigating import StrapdownNavigationParameters, parts
 from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, CEP_SPREAD, HOUR, NAUTICAL_MILE
-from planrunner.estimators.strapdown.uncertainty import NAMES, PERIODS, SCHULER_PERIOD
+from planrunner.estimators.strapdown.uncertainty import NAMES, PERIODS, SCHULER_PERIOD, errors_by_latitude
 from planrunner.navigation import attitude
 from planrunner.navigation.alignment import FineAlignment
 from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
@@ -185,12 +185,14 @@ def _expected(
         np.zeros((SIZE, SIZE)), levelled_out(density) if turning else density, _STEP, len(driven)
     )
     covariances = responses @ start @ responses.transpose(0, 2, 1) + np.array(list(noise))
+    if latitude := request.setup.inputs.get("latitude"):
+        change = errors_by_latitude(equations, request.site, _STEP, len(covariances))
+        covariances[:, :4, :4] += latitude.standard_uncertainty**2 * np.einsum("an,bn->nab", change, change)
     sensitivities = -attitude.angle_sensitivities(rotation)
     angles = sensitivities @ start[TILT, TILT] @ sensitivities.T
     note = (
-        "Expected errors are root mean squares over many such units, from declared white noise and from "
-        "gyro_uncertainty and "
-        "accelerometer_uncertainty as far as they are stated."
+        "Expected errors are root mean squares over many such units, from declared white noise and, as far as they are "
+        "stated, from gyro_uncertainty, accelerometer_uncertainty and the uncertainty of the latitude."
     )
     return _coefficients(rotation, angles, covariances), note
 

@@ -50,7 +50,7 @@ def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Nav
             "cep_rate_nmi_h": values["cep_rate"],
             "duration_s": found.seconds,
         },
-        influences(request, equations, found),
+        influences(request, equations, found, points),
     )
 
 

@@ -19,6 +19,8 @@ from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, CEP_SPR
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
 from planrunner.navigation.wgs84 import radii
+from planrunner.physics.earth import Site
+from planrunner.uncertainty.derivatives import jacobian, length
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 Array = NDArray[np.float64]
@@ -105,9 +107,11 @@ class Spread:
 
 
 def influences(
-    request: EstimateRequest[StrapdownNavigationParameters], equations: ErrorEquations, found: Navigated
+    request: EstimateRequest[StrapdownNavigationParameters], equations: ErrorEquations, found: Navigated, points: Array
 ) -> tuple[Influence, ...]:
-    """Constant sensor errors, for the angles alone, and the latitude, whose error makes the Earth's rate wrong."""
+    """Constant sensor errors, for the angles alone, and the latitude, whose error makes the Earth's rate wrong: for the errors and the
+    figures over time, as the alignment hardly follows it. A navigation takes too long to be repeated with other conditions, so that the
+    error equations give the sensitivities; a test compares them with repeated navigations. points: as `ErrorRecord.points`."""
     parameters = request.parameters
     rotation = found.aligned.alignment.rotation
     turned = np.zeros((INPUTS, INPUTS))
@@ -130,14 +134,36 @@ def influences(
             sensitivities[:3] = angles[:, columns]
             source = f"plan estimates.{request.name}.{key}"
             influences.append(Influence(InputQuantity(name, 0.0, unit, quantity.value, source=source), sensitivities))
-    latitude = request.setup.inputs.get("latitude")
-    if latitude is not None:
-        shift = np.zeros(SIZE)
-        shift[1] = float(radii(found.site.latitude)[0]) + found.site.height
-        change = (equations.step(found.seconds)[0] @ shift - shift)[:4]
-        radial = math.hypot(*found.final[:2])
-        sensitivities = np.zeros((len(NAMES), 1))
-        sensitivities[3:7, 0] = change
-        sensitivities[7, 0] = float(found.final[:2] @ change[:2]) / radial if radial else 0.0
-        influences.append(Influence(latitude, sensitivities))
+    if latitude := request.setup.inputs.get("latitude"):
+        course = np.column_stack([points[:, 1:], [found.seconds, *found.final]])
+        parts = ((float(points[0, -1]) / max(1, points.shape[1] - 1), points.shape[1] - 1), (found.seconds, 1))
+        errors = np.hstack([errors_by_latitude(equations, found.site, *part) for part in parts])
+        change = np.vstack([np.zeros(course.shape[1]), errors])
+        followed = jacobian(lambda by: _figures(course[..., None] + change[..., None] * by[0]), np.zeros(1))
+        influences.append(Influence(latitude, np.concatenate([np.zeros((3, 1)), followed])))
     return tuple(influences)
+
+
+def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count: int) -> Array:
+    """Errors of position [m] and velocity [m/s] per rad by which the latitude is stated too large, (4, count), after each `step` [s]."""
+    shift = np.zeros((SIZE, 1))
+    shift[1] = float(radii(site.latitude)[0]) + site.height
+    found = equations.responses(shift, np.zeros((count, INPUTS, 1)), step) - shift
+    return np.asarray(found[:, :4, 0].T)
+
+
+def _figures(course: Array) -> Array:
+    """Those of `NAMES` after the angles, (m, k), from k courses as `ErrorRecord.points`, (5, n, k), without the first point."""
+    time, radial, speed = course[0].real, length(course[1:3]), length(course[3:5])
+    largest, fastest = radial.real.argmax(axis=0), speed.real.argmax(axis=0)
+    each = np.arange(course.shape[2])
+    rate = np.sum(time * radial, axis=0) / np.sum(time * time, axis=0) * RATE
+    over_time = [
+        radial[largest, each],
+        np.sqrt(np.mean(radial * radial, axis=0)),
+        speed[fastest, each],
+        np.sqrt(np.mean(speed * speed, axis=0)),
+        rate,
+        rate * CEP_SHARE,
+    ]
+    return np.array([*course[1:, -1], radial[-1], *over_time])
