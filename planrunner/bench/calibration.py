@@ -41,12 +41,11 @@ class Calibration(Record):
 
 def check_dates(calibration: Calibration, log: Findings) -> None:
     """Adds errors for dates that do not exist, and for a due date before the calibration."""
-    days = {name: _day(getattr(calibration, name)) for name in ("date", "due")}
-    for name, day in days.items():
-        if day is None and getattr(calibration, name) is not None:
-            message = f"'{getattr(calibration, name)}' is not a calendar date"
+    made, due = _day(calibration.date), _day(calibration.due)
+    for name, stated, day in (("date", calibration.date, made), ("due", calibration.due, due)):
+        if day is None and stated is not None:
+            message = f"'{stated}' is not a calendar date"
             log.error("meaning-date", calibration.at(name), message, "write year-month-day, such as 2026-03-01")
-    made, due = days["date"], days["due"]
     if made is not None and due is not None and due < made:
         message = f"the calibration is due on {due}, before it was made on {made}"
         log.error("meaning-date", calibration.at("due"), message, "look both dates up in the certificate")

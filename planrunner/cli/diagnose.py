@@ -113,7 +113,7 @@ def _recorded(args: argparse.Namespace) -> Recorded:
 
     subject: Path = args.subject
     if subject.is_dir():
-        given = [f"--{name}" for name in ("bench", "recording", "segments") if getattr(args, name) is not None]
+        given = [f"--{name}" for name in ("bench", "recording", "segments") if vars(args)[name] is not None]
         if given:
             message = (
                 f"{' and '.join(given)} cannot be given for a run folder, which contains its plan, bench and samples"

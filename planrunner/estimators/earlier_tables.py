@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 
+from planrunner.base.documents import Json
 from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 
 TERMINAL_TABLES = "terminal_tables"
@@ -22,7 +22,7 @@ _NUMBER = re.compile(
 
 
 def earlier_table(
-    title: str, titles: Sequence[str], rows: tuple[tuple[Cell, ...], ...], settings: Mapping[str, Any]
+    title: str, titles: Sequence[str], rows: tuple[tuple[Cell, ...], ...], settings: Mapping[str, Json]
 ) -> Table:
     """A table of format 1 with the roles that its titles meant. settings: of its estimate."""
     columns = tuple(TableColumn(name, _role(name, [row[k] for row in rows])) for k, name in enumerate(titles))

@@ -18,7 +18,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import field
 from enum import StrEnum
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import Json
 from planrunner.instruments.models import SensorModel, TableModel
 from planrunner.observation.refusals import EstimationError as EstimationError
 from planrunner.observation.refusals import UnfitDataError as UnfitDataError
@@ -133,7 +134,7 @@ class Plot:
     title: str
     x_title: str
     y_title: str
-    x: tuple[Any, ...]
+    x: tuple[float | str, ...]
     series: Mapping[str, tuple[float, ...]]
     uncertainties: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     log: bool = False
@@ -160,13 +161,13 @@ class Estimate:
     coefficients: tuple[Coefficient, ...]
     covariance: Array
     headline: tuple[str, ...] = ()
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Json] = field(default_factory=dict)
     tables: tuple[Table, ...] = ()
     plots: tuple[Plot, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     segments: tuple[str, ...] = ()
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, Json] = field(default_factory=dict)
     influences: tuple[Influence, ...] = ()
     budgets: tuple[Budget, ...] = ()
     data_covariance: Array | None = None
@@ -268,7 +269,7 @@ class Design:
     blocks: tuple[DesignBlock, ...]
     predicted: tuple[Coefficient, ...] = ()
     notes: tuple[str, ...] = ()
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, Json] = field(default_factory=dict)
     remarks: tuple[Remark, ...] = ()
     unpredicted: tuple[Unpredicted, ...] = ()
     expected: tuple[Estimate, ...] = ()

@@ -14,12 +14,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import Json
 from planrunner.base.findings import InputError
 from planrunner.estimators.expected import ASSUMPTIONS, Expected, Known, expected_recording
 from planrunner.estimators.interface import (
@@ -52,7 +53,7 @@ class Quantities:
     coefficients: tuple[Coefficient, ...]
     covariance: Array
     influences: tuple[Influence, ...] = ()
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, Json] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +61,7 @@ class Words:
     """Explanations of an estimate for readers; the fields are those of `interface.Estimate`."""
 
     headline: tuple[str, ...] = ()
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Json] = field(default_factory=dict)
     tables: tuple[Table, ...] = ()
     plots: tuple[Plot, ...] = ()
     notes: tuple[str, ...] = ()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from planrunner.estimators.interface import Plot
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.observation.observations import Observations
@@ -14,7 +12,7 @@ def residual_plot(
     fit: OutputsFit,
     title: str = "Residuals per position",
     x_title: str = "position",
-    x: tuple[Any, ...] = (),
+    x: tuple[float | str, ...] = (),
 ) -> Plot:
     """One series an output, in the first output's unit, over the segments' labels unless `x` is given."""
     series = {name: tuple(map(float, one.residuals)) for name, one in zip(observations.channels, fit.fits, strict=True)}

@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import field, fields
-from typing import Any
 
 import numpy as np
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError, Mark
 from planrunner.estimators.earlier_tables import TERMINAL_TABLES, earlier_table
 from planrunner.estimators.interface import Coefficient, CoefficientRole, Estimate, Plot, Role, Table, TableColumn
@@ -40,13 +40,13 @@ class Results:
     estimates: Mapping[str, Estimate]
     limits: tuple[LimitVerdict, ...] = ()
     failures: Mapping[str, str] = field(default_factory=dict)
-    segments: tuple[Mapping[str, Any], ...] = ()
+    segments: tuple[Mapping[str, Json], ...] = ()
     origin: DataOrigin | None = None
     unfit: tuple[str, ...] = ()
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         """Plain JSON data without NaN or infinities."""
-        found: dict[str, Any] = _plain(
+        found: JsonObject = _plain(
             {
                 "planrunner_results": FORMAT,
                 **({} if self.origin is None else {"origin": self.origin}),
@@ -60,7 +60,7 @@ class Results:
         return found
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Any], file: str = "results.json") -> Results:
+    def from_json(cls, data: Mapping[str, Json], file: str = "results.json") -> Results:
         """The results that `to_json` wrote. Raises `InputError` for another format."""
         if not isinstance(data, Mapping) or data.get("planrunner_results") not in range(1, FORMAT + 1):
             message = "this file contains no results in a format that this version can read"
@@ -84,7 +84,7 @@ class Results:
             raise InputError.at(Mark(file), "results-format", message, "estimate again from the run folder") from None
 
 
-def segment_statistics(recorded: RecordedSegment) -> dict[str, Any]:
+def segment_statistics(recorded: RecordedSegment) -> JsonObject:
     """One recorded segment's statistics as plain data; means and the like by channel, in the channel's unit."""
     statistics = recorded.statistics
     deviation = np.sqrt(np.diag(np.atleast_2d(statistics.covariance)))
@@ -113,7 +113,7 @@ def segment_statistics(recorded: RecordedSegment) -> dict[str, Any]:
     }
 
 
-def _estimate_to(estimate: Estimate) -> dict[str, Any]:
+def _estimate_to(estimate: Estimate) -> JsonObject:
     return {
         "name": estimate.name,
         "estimator": estimate.estimator,
@@ -131,17 +131,17 @@ def _estimate_to(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def _budget_to(budget: Budget) -> dict[str, Any]:
+def _budget_to(budget: Budget) -> JsonObject:
     plain = {item.name: getattr(budget, item.name) for item in fields(budget)}
     return plain | {"lines": [{item.name: getattr(line, item.name) for item in fields(line)} for line in budget.lines]}
 
 
-def _table_to(table: Table) -> dict[str, Any]:
+def _table_to(table: Table) -> JsonObject:
     columns = [{item.name: getattr(one, item.name) for item in fields(one)} for one in table.columns]
     return {item.name: getattr(table, item.name) for item in fields(table)} | {"columns": columns}
 
 
-def _table_from(data: Mapping[str, Any], settings: Mapping[str, Any]) -> Table:
+def _table_from(data: Mapping[str, Json], settings: Mapping[str, Json]) -> Table:
     rows = tuple(map(tuple, data["rows"]))
     if "terminal" not in data:
         return earlier_table(data["title"], data["columns"], rows, settings)
@@ -149,8 +149,8 @@ def _table_from(data: Mapping[str, Any], settings: Mapping[str, Any]) -> Table:
     return Table(data["title"], columns, rows, data["terminal"])
 
 
-def _estimate_from(data: Mapping[str, Any]) -> Estimate:
-    rest: dict[str, Any] = {key: tuple(data[key]) for key in ("headline", "notes", "warnings", "segments")}
+def _estimate_from(data: Mapping[str, Json]) -> Estimate:
+    rest: JsonObject = {key: tuple(data[key]) for key in ("headline", "notes", "warnings", "segments")}
     tables = tuple(_table_from(item, data["settings"]) for item in data["tables"])
     plots = tuple(
         Plot(
@@ -185,7 +185,7 @@ def _estimate_from(data: Mapping[str, Any]) -> Estimate:
     )
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Json) -> Json:
     """Plain JSON data: numpy scalars and arrays, tuples and mappings unpacked; numbers that JSON lacks as texts."""
     if isinstance(value, Mapping):
         return {str(name): _plain(item) for name, item in value.items()}
@@ -202,7 +202,7 @@ def _plain(value: Any) -> Any:
     return str(value)
 
 
-def _numbers(value: Any) -> Any:
+def _numbers(value: Json) -> Json:
     if isinstance(value, dict):
         return {name: _numbers(item) for name, item in value.items()}
     if isinstance(value, list):

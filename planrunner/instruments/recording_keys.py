@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings
@@ -162,9 +161,7 @@ class SegmentColumns(Record):
     @classmethod
     def of(cls, table: str) -> SegmentColumns:
         """Columns by their usual names."""
-        make: Any = cls
-        made: SegmentColumns = make(table=table)
-        return made
+        return cls(table=table)
 
 
 class RecordingParameters(Record):

@@ -10,7 +10,7 @@ import math
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from planrunner.base import plugins
 from planrunner.plan import model, selection
@@ -18,6 +18,7 @@ from planrunner.plan.kinds import (
     Boolean,
     ByShape,
     Choice,
+    Kind,
     ListOf,
     MapOf,
     Number,
@@ -44,7 +45,7 @@ Written from the records that read plans (`python -m planrunner.plan.reference d
 [plan-language.md](plan-language.md) explains the keys with complete examples. A key in **bold** is required.
 """
 
-_SECTIONS: tuple[tuple[str, str, Any], ...] = (
+_SECTIONS: tuple[tuple[str, str, type[Record]], ...] = (
     ("A plan", "The top of the file.", model.Plan),
     ("`sensor`", "", model.Sensor),
     ("`mounting`: each axis", "", model.MountedAxis),
@@ -81,7 +82,7 @@ def keys_reference() -> str:
     return "\n".join(parts)
 
 
-def _section(title: str, about: str, fields: Mapping[str, dataclasses.Field[Any]]) -> str:
+def _section(title: str, about: str, fields: Mapping[str, dataclasses.Field[object]]) -> str:
     if not fields:
         return f"## {title}\n\n{about}\n"
     lines = [f"## {title}", "", about, "", "| key | value | meaning | example |", "|---|---|---|---|"]
@@ -115,7 +116,7 @@ class Described(Protocol):
     what: str
 
 
-def type_words(kind: Any) -> str:
+def type_words(kind: Kind) -> str:
     """Accepted values of a kind, in words."""
     match kind:
         case Text():

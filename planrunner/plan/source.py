@@ -10,11 +10,11 @@ import re
 from dataclasses import field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import yaml
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import Json
 from planrunner.base.findings import MISLEADING, Findings, InputError, Mark
 from planrunner.base.regular_files import RefusedFileError, read_regular
 
@@ -214,7 +214,7 @@ class _Open:
 
     mark: Mark
     anchor: str | None
-    items: list[Any] = field(default_factory=list)
+    items: list[Node] = field(default_factory=list)
     size: int = 1
 
 
@@ -232,7 +232,7 @@ class _Builder:
         self._aliased = 0
         self._documents = 0
 
-    def take(self, event: Any) -> None:
+    def take(self, event: yaml.Event) -> None:
         match event:
             case yaml.ScalarEvent():  # most events are
                 mark = self._mark(event)
@@ -271,13 +271,14 @@ class _Builder:
                     mark = self._mark(event)
                     raise InputError.at(mark, "form-documents", "a second document begins here", "one document a file")
 
-    def _mark(self, event: Any, opened: Mark | None = None) -> Mark:
+    def _mark(self, event: yaml.Event, opened: Mark | None = None) -> Mark:
         """Where an event stands; with `opened`, from there to the end of the event."""
         start, end = event.start_mark, event.end_mark
+        assert start is not None and end is not None  # the parser marks every event
         line, column = (start.line + 1, start.column + 1) if opened is None else (opened.line, opened.column)
         return Mark(self.file, line, column, (end.line + 1, end.column + 1), self.text)
 
-    def _reject_tag(self, event: Any, mark: Mark) -> None:
+    def _reject_tag(self, event: yaml.ScalarEvent | yaml.CollectionStartEvent, mark: Mark) -> None:
         if event.tag and event.tag != "!":
             raise InputError.at(mark, "syntax-tag", f"the tag {event.tag[:60]} is not allowed", "remove the tag")
 
@@ -349,7 +350,7 @@ def _resolve(text: str) -> str | int | float | bool | None:
     return text
 
 
-def plain(node: Node) -> Any:
+def plain(node: Node) -> Json:
     """The node as plain Python data for a JSON Schema validator."""
     if isinstance(node, Scalar):
         return node.value

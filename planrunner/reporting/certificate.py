@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 
 from planrunner.base.documents import JsonObject
 from planrunner.estimators.interface import Coefficient, Estimate
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.reporting import words
 from planrunner.reporting.budgets import freedom, shown_unit, two_digits
-from planrunner.reporting.context import CertificateFacts, ReportContext, Traced
+from planrunner.reporting.context import CertificateFacts, ReportContext
 from planrunner.reporting.rounding import format_pair
 from planrunner.reporting.template_data import Told
 from planrunner.uncertainty.decision import coverage_factor
@@ -41,9 +42,7 @@ def certificate_view(context: ReportContext) -> JsonObject:
         "laboratory": {name: facts.laboratory.get(name, "") for name in _LABORATORY},
         "told": Told(facts.told),
         "corrected": list(facts.corrected.items()),
-        "references": [
-            {name: getattr(item, name) for name in Traced.__dataclass_fields__} for item in facts.references
-        ],
+        "references": [asdict(item) for item in facts.references],
         "conditions": [list(item) for item in facts.conditions],
         "events": [list(item) for item in facts.events],
         "performed": _span(*facts.performed),

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from planrunner.base.documents import Json, JsonObject
 from planrunner.estimators.interface import Plot
 from planrunner.reporting.plots import COLOURS, WIDTH, drawing, plot_svg
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
 
 Data = Mapping[str, Json]
 
@@ -123,7 +127,7 @@ def heat_svg(heat: Data, key: str) -> str:
         return save(key, f"Gap of {len(channels)} channels over {len(segments)} segments", described)
 
 
-def _legend(axes: Any, colours: Any, hottest: float) -> None:
+def _legend(axes: Axes, colours: Colormap, hottest: float) -> None:
     """The legend of the colours, as labelled squares above the map."""
     for step in range(5):
         times = hottest ** (step / 4)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from planrunner.instruments.virtual.courses import Stretch, Value
 
 Array = NDArray[np.float64]
+Numbers = TypeVar("Numbers", float, Array)
+"""A number, or an array of them."""
 TURN = 2 * math.pi
 _KEPT = 10.0  # s for which pieces that are over are kept
 
@@ -31,7 +33,7 @@ class Glide:
     rate: float = 0.0
     acceleration: float = 0.0
 
-    def at(self, times: Any) -> tuple[Any, Any]:
+    def at(self, times: Numbers) -> tuple[Numbers, Numbers]:
         since = times - self.begin
         return self.angle + (self.rate + 0.5 * self.acceleration * since) * since, self.rate + self.acceleration * since
 
@@ -55,7 +57,7 @@ class Swing:
     phase: float
     zero: float
 
-    def at(self, times: Any) -> tuple[Any, Any]:
+    def at(self, times: Numbers) -> tuple[Numbers, Numbers]:
         circular = TURN * self.frequency
         faded = np.clip((times - self.begin) * self.frequency, 0.0, 1.0)
         step = self.amplitude - self.before

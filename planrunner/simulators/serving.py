@@ -8,6 +8,7 @@ import json
 import os
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -201,7 +202,7 @@ class Serving:
                 told["table"]["powered"] = [axis.powered for axis in item.controller.plant.axes]
         if self.line is not None:
             counts = self.line.counts
-            told["line"] = {name: getattr(counts, name) for name in counts.__dataclass_fields__}
+            told["line"] = asdict(counts)
         return told
 
 

@@ -319,8 +319,7 @@ def _check_limit(limit: Limit, designs: Mapping[str, Design], log: Findings) -> 
         log.error("meaning-unknown-quantity", limit.at("quantity"), message, closest(name, known))
         return
     item = known[name]
-    for key in ("within", "at_least", "at_most"):
-        bound = getattr(limit, key)
+    for key, bound in (("within", limit.within), ("at_least", limit.at_least), ("at_most", limit.at_most)):
         if bound is None:
             continue
         try:

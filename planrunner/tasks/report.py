@@ -60,7 +60,9 @@ def report_context(
 def _bench(sound: Sound) -> dict[str, str]:
     """The bench as its file describes it, with the room where it says something of it."""
     bench, room = sound.bench, sound.bench.ambient
-    stated = {} if room is None else {name: getattr(room, name) for name in ("temperature", "pressure", "humidity")}
+    stated = (
+        {} if room is None else {"temperature": room.temperature, "pressure": room.pressure, "humidity": room.humidity}
+    )
     facts = {"name": bench.name, "description": " ".join(bench.description.split())}
     return facts | {f"ambient {name}": str(value) for name, value in stated.items() if value is not None}
 

@@ -61,9 +61,12 @@ def _compare(
 ) -> Iterator[Comparison]:
     estimate, _, name = quantity.partition(".")
     coefficient = results.estimates[estimate][name]
-    for key, shown in (("value", quantity), ("standard_uncertainty", f"u({quantity})")):
+    for key, found, shown in (
+        ("value", coefficient.value, quantity),
+        ("standard_uncertainty", coefficient.standard_uncertainty, f"u({quantity})"),
+    ):
         if key in known:
-            expected, found = float(known[key]), float(getattr(coefficient, key))
+            expected = float(known[key])
             yield Comparison(case, shown, f"{expected:.15g}", f"{found:.15g}", abs(found / expected - 1), allowed)
 
 

@@ -92,8 +92,12 @@ def input_quantity(name: str, stated: Quantity, si: str, source: str, calibrated
 def _site(bench: Bench) -> Iterator[InputQuantity]:
     survey = bench.site.survey
     source = f"bench site, {survey.words}" if survey else "bench site"
-    for name, si in (("latitude", "rad"), ("gravity", "m/s^2"), ("azimuth", "rad")):
-        stated = astronomic_latitude(bench.site) if name == "latitude" else getattr(bench.site, name)
+    site = bench.site
+    for name, stated, si in (
+        ("latitude", astronomic_latitude(site), "rad"),
+        ("gravity", site.gravity, "m/s^2"),
+        ("azimuth", site.azimuth, "rad"),
+    ):
         yield input_quantity(name, stated, si, source, _day(survey))
 
 

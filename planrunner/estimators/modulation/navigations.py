@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import Json
 from planrunner.estimators.interface import Estimate, EstimateRequest, EstimationError
 from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, HOUR, NAUTICAL_MILE
 from planrunner.instruments.models import TableModel
@@ -97,7 +97,7 @@ def compared(request: EstimateRequest[object]) -> list[Navigation]:
 
 
 def _course(name: str, used: Estimate) -> Array:
-    extra: Mapping[str, Any] = used.extra
+    extra: Mapping[str, Json] = used.extra
     if not all(key in extra for key in COURSE):
         raise EstimationError(_NO_NAVIGATION.format(name))
     return np.array([extra[key] for key in COURSE], dtype=float)

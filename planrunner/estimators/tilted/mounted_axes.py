@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.estimators.interface import EstimationError
+from planrunner.plan.model import MountedAxis
 from planrunner.plan.schedule import Segment, Spin
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class MountedAxes:
                 raise EstimationError(f"mounting.{name} states no azimuth, which {why}")
 
 
-def mounted_axes(mounting: Mapping[str, Any], available: Sequence[str], chosen: Sequence[str]) -> MountedAxes:
+def mounted_axes(mounting: Mapping[str, MountedAxis], available: Sequence[str], chosen: Sequence[str]) -> MountedAxes:
     """The axes whose outputs are `chosen` (all of `mounting` without a choice); an output belongs to the axis that its name ends with.
 
     mounting: name → `planrunner.plan.model.MountedAxis`; available: the channels that there are. Raises `EstimationError` for an axis
@@ -72,7 +72,7 @@ def mounted_axes(mounting: Mapping[str, Any], available: Sequence[str], chosen: 
         names,
         outputs,
         np.array([mounting[axis].angle.value for axis in names]),
-        np.array([math.nan if mounting[axis].azimuth is None else mounting[axis].azimuth.value for axis in names]),
+        np.array([math.nan if (about := mounting[axis].azimuth) is None else about.value for axis in names]),
     )
 
 
@@ -118,7 +118,7 @@ def _belongs(output: str, axis: str) -> bool:
     return output == axis or output.endswith(f"_{axis}")
 
 
-def _axis_of(output: str, available: Sequence[str], mounting: Mapping[str, Any]) -> tuple[str, str]:
+def _axis_of(output: str, available: Sequence[str], mounting: Mapping[str, MountedAxis]) -> tuple[str, str]:
     if output not in available:
         raise EstimationError(f"there is no output '{output}': {closest(output, available)}")
     found = [axis for axis in mounting if _belongs(output, axis)]
@@ -131,7 +131,7 @@ def _axis_of(output: str, available: Sequence[str], mounting: Mapping[str, Any])
     return max(found, key=len), output
 
 
-def _outputs_of(mounting: Mapping[str, Any], available: Sequence[str]) -> list[tuple[str, str]]:
+def _outputs_of(mounting: Mapping[str, MountedAxis], available: Sequence[str]) -> list[tuple[str, str]]:
     pairs = []
     for axis in mounting:
         found = [output for output in available if _belongs(output, axis)]

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,10 @@ from planrunner.base.documents import Json
 from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.parameters import QuantityLike
+from planrunner.instruments.virtual.courses import Value
 from planrunner.instruments.virtual.noise import Flicker, Readout, generator
 from planrunner.instruments.virtual.streaming import Sampling
-from planrunner.instruments.virtual.world import World
+from planrunner.instruments.virtual.world import Components, World
 from planrunner.plan.kinds import QuantityOf, Record, RecordOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Segment
@@ -138,7 +138,8 @@ class VirtualFlexureGyro:
             "xi": p.xi.value,
         }
         for axis, drift in (("X", p.drift_x), ("Y", p.drift_y)):
-            nominal |= {f"D_{axis}_{part}": getattr(drift, part).value for part in "FXYZ"}
+            parts = {"F": drift.F, "X": drift.X, "Y": drift.Y, "Z": drift.Z}
+            nominal |= {f"D_{axis}_{part}": term.value for part, term in parts.items()}
         outputs = (*torquers, OutputModel(THERMOMETER, "degC", noise=thermometer))
         return SensorModel("flexure-gyro", outputs, rate, nominal, thermal_lag=p.thermal_lag.value)
 
@@ -207,7 +208,7 @@ class VirtualFlexureGyro:
         p = self.parameters
         return Readout(p.white_noise.value * math.sqrt(rate), p.resolution.value, p.full_scale.value)
 
-    def pulses(self, times: Array) -> tuple[Any, Any]:
+    def pulses(self, times: Array) -> tuple[Value, Value]:
         """Torquer currents i_x, i_y [pulse/s] without noise at `times`: floats at rest, else shape (n,).
 
         The 2×2 balance of the rotor is solved; its right-hand side is linear in what the gyro feels.
@@ -227,6 +228,6 @@ class VirtualFlexureGyro:
         return needed[0, 0] * about_y + needed[0, 1] * about_x, needed[1, 0] * about_y + needed[1, 1] * about_x
 
 
-def _drift(drift: Drift, forces: tuple[Any, Any, Any]) -> Any:
+def _drift(drift: Drift, forces: Components) -> Value:
     """Drift [rad/s] under specific forces [m/s^2]."""
     return drift.F.value + drift.X.value * forces[0] + drift.Y.value * forces[1] + drift.Z.value * forces[2]

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from planrunner.instruments.parameters import QuantityLike
 from planrunner.plan.kinds import Choice, Kind, ListOf, Number, QuantityOf, Record, RecordOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 
-def _each(kind: Kind, description: str, example: str, default: str) -> Any:
-    return key(kind, description, example, default=parse_quantity(default))
+def _each(kind: Kind, description: str, example: str, default: str) -> Quantity:
+    declared: Quantity = key(kind, description, example, default=parse_quantity(default))
+    return declared
 
 
 class Rates(Record):
