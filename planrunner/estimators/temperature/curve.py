@@ -30,7 +30,6 @@ Integers = NDArray[np.int64]
 
 FORMS = ("polynomial", "spline")
 FEWEST = 3  # temperatures from which an order can be chosen
-_BESIDE = 1e-4  # K, of central differences
 RULES = ("one_standard_error", "smallest_error")
 
 
@@ -175,13 +174,12 @@ class CurveFit:
         full, u = self.fullest.predict(temperature)
         return value, np.hypot(u, value - full)
 
-    def slopes(self) -> Array:
-        """By how much each coefficient grows per kelvin by which all temperatures are really higher, (p,)."""
-        if self.curve.form == "polynomial":
-            powers = np.arange(1, self.curve.order + 1)
-            return np.append(powers * self.coefficients[1:], 0.0)
-        beside = [self.curve.columns(self.curve.knots + step) @ self.coefficients for step in (-_BESIDE, _BESIDE)]
-        return np.asarray((beside[1] - beside[0]) / (2 * _BESIDE))
+    def warmer(self, by: float) -> Array:
+        """Coefficients (p,) of the curve at T + by: those that a run gives whose temperatures are really higher by so much [K]."""
+        if self.curve.form == "spline":
+            return np.asarray(self.curve.columns(self.curve.knots + by) @ self.coefficients)
+        moved = np.polynomial.Polynomial(self.coefficients)(np.polynomial.Polynomial([by, 1.0])).coef
+        return np.pad(moved, (0, len(self.coefficients) - len(moved)))
 
 
 def fit_curve(

@@ -32,6 +32,7 @@ from planrunner.estimators.temperature.parameters import TemperatureModelParamet
 from planrunner.estimators.temperature.planning import remarks
 from planrunner.estimators.temperature.points import Points, from_channels, from_estimates, given_by_temperature
 from planrunner.plan.units import ZERO_CELSIUS
+from planrunner.uncertainty.conditions import StatedCondition, influences_on
 from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.influences import Influence
 
@@ -44,10 +45,11 @@ _WIDEST = 150.0  # K; a width written in degC comes out larger
 
 @dataclass(frozen=True, slots=True)
 class Modelled:
-    """One quantity with its curve."""
+    """One quantity with its curve. loop: as `hysteresis` gives it."""
 
     points: Points
     fit: CurveFit
+    loop: tuple[float, float, float] | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,11 +108,11 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
         else:
             found = from_estimates(request.uses, parameters.coefficients)
         models = tuple(_model(points, parameters) for points in found)
-        coefficients, covariance, slopes = _coefficients(models)
+        coefficients, covariance = _coefficients(models)
         return Curves(
             coefficients=coefficients,
             covariance=covariance,
-            influences=_influences(request, slopes),
+            influences=_influences(request, models),
             extra={"curves": {one.points.name: _plain(one) for one in models}},
             models=models,
         )
@@ -193,15 +195,13 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
         )
     except EstimationError as error:
         raise EstimationError(f"'{points.name}': {error}") from None
-    return Modelled(points, fit)
+    return Modelled(points, fit, hysteresis(points))
 
 
-def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], Array, Array]:
-    """All curves' coefficients and what ramps say beside them, with their covariance, curves taken for independent of each other, and by
-    how much each grows per kelvin by which all temperatures are really higher."""
+def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], Array]:
+    """All curves' coefficients and what ramps say beside them, with their covariance, curves taken for independent of each other."""
     rows: list[Coefficient] = []
     blocks: list[Array] = []
-    slopes: list[Array] = []
     for one in models:
         made, name, text = one.fit.curve, one.points.name, one.points.unit
         spread = np.sqrt(np.diag(one.fit.covariance))
@@ -217,25 +217,29 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
                 )
             rows.append(Coefficient(label, float(value), own, float(u), one.fit.degrees_of_freedom, words))
         blocks.append(one.fit.covariance)
-        slopes.append(one.fit.slopes())
-        if (loop := hysteresis(one.points)) is not None:
-            largest, u, celsius = loop
+        if one.loop is not None:
+            largest, u, celsius = one.loop
             words = f"{name}: largest difference between rising and falling temperature, at {celsius:.4g} degC"
             rows.append(
                 Coefficient(f"hysteresis_{name}", largest, text, u, description=words, role=CoefficientRole.MAXIMUM)
             )
             blocks.append(np.array([[u**2]]))
-            slopes.append(np.zeros(1))
-    return tuple(rows), independent(blocks), np.concatenate(slopes)
+    return tuple(rows), independent(blocks)
 
 
-def _influences(request: EstimateRequest[TemperatureModelParameters], slopes: Array) -> tuple[Influence, ...]:
-    """Influences on coefficients with these slopes over temperature (q,): if the chamber is warmer than it indicates, every curve is
-    shifted in temperature. None if the sensor's thermometer is used."""
+def _influences(
+    request: EstimateRequest[TemperatureModelParameters], models: Sequence[Modelled]
+) -> tuple[Influence, ...]:
+    """If the chamber is warmer than it indicates, every curve is shifted in temperature, and the difference of ramps is as before. None if
+    the sensor's thermometer is used."""
     stated = request.setup.inputs.get("temperature")
     if stated is None or request.parameters.temperature_channel is not None:
         return ()
-    return (Influence(stated, slopes[:, None]),)
+
+    def coefficients(warmer: float) -> Array:
+        return np.concatenate([np.append(one.fit.warmer(warmer), [0.0] * (one.loop is not None)) for one in models])
+
+    return influences_on(coefficients, [StatedCondition.single(stated, lambda by: by)])
 
 
 def _label(form: str, name: str, text: str, k: int) -> tuple[str, str]:
