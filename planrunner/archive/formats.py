@@ -87,7 +87,7 @@ def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int
     version = value.get(version_key) if isinstance(value, dict) else None
     if type(version) is int and version > newest:
         raise IntegrityError(
-            f"{path}: format {version}; this version of planrunner reads up to {newest}: use a "
+            f"{path}: its format is {version}, but this version of planrunner reads only formats up to {newest}: use a "
             f"newer version of planrunner"
         )
     fault = _check_of(name)(value)

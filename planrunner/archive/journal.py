@@ -82,7 +82,7 @@ class Journal:
         line = text.encode("utf-8", "backslashreplace")  # a lone surrogate becomes its JSON escape
         if len(line) >= MOST_LINE or size + len(line) >= MOST_BYTES or count >= MOST_EVENTS:
             raise OSError(
-                f"the journal takes lines of {MOST_LINE} bytes, {MOST_BYTES} bytes and {MOST_EVENTS} events at most: "
+                f"the journal is limited to {MOST_LINE} bytes per line, {MOST_BYTES} bytes and {MOST_EVENTS} events: "
                 "record the rest in another run"
             )
         try:
@@ -138,7 +138,7 @@ class JournalScan:
                     raise self._error(f"is beyond the {MOST_EVENTS} events that a journal can have")
                 event = self._event(line)
                 if event.get("previous") != self.head:
-                    raise self._error("does not contain the digest of the line before")
+                    raise self._error("does not contain the digest of the preceding line")
                 if event.get("seq") != self.count + 1:
                     raise self._error("has a number that does not match its position")
                 self.head = hashlib.sha256(line[:-1]).hexdigest()

@@ -145,7 +145,7 @@ def read_state(folder: GuardedFolder, marks: Collection[int] = ()) -> tuple[Jour
         for event in scan:
             fault = formats.event_fault(event)
             if fault is None and (scan.count == 1) != (event["event"] == "created"):
-                fault = "is in the wrong place: only the first event, and always the first, describes the creation of the run"
+                fault = "is in the wrong place: the first event, and no other, describes the creation of the run"
             if fault is not None:
                 raise IntegrityError(
                     f"{path}:{scan.count}: this event {fault}; was it written by a newer version of planrunner?"

@@ -47,7 +47,7 @@ def state_folder() -> Path:
             return _home() / "Library" / "Application Support" / "planrunner"
         return Path(os.environ.get("XDG_STATE_HOME") or _home() / ".local" / "state") / "planrunner"
     except (RuntimeError, OSError):
-        raise OriginUnknownError(f"this user has no home folder; give a folder of your own in {STATE}") from None
+        raise OriginUnknownError(f"this user has no home folder; set {STATE} to a folder that belongs to you") from None
 
 
 def _home() -> Path:
@@ -102,7 +102,7 @@ def _key(make: bool) -> bytes:
         return b""
     except (OSError, UntrustedFolderError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise OriginUnknownError(f"{path}: {why}; give a folder of your own in {STATE}") from None
+        raise OriginUnknownError(f"{path}: {why}; set {STATE} to a folder that belongs to you") from None
 
 
 def _make_key(folder: GuardedFolder) -> None:

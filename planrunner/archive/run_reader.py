@@ -130,14 +130,12 @@ class RunReader:
         for data in chain(() if first is None else (first,), read):
             first = None
             if units is not None and data.units != units:
-                raise IntegrityError(f"{data.path}: its columns differ from those of the segment's first part")
+                raise IntegrityError(f"{data.path}: its columns differ from those of the first part of the segment")
             units = data.units
             for block in data.blocks(channels):
                 if len(block.time):
                     if not block.time[0] > last:
-                        raise IntegrityError(
-                            f"{data.path}: its first time is not later than the end of the part before it"
-                        )
+                        raise IntegrityError(f"{data.path}: its first time is not after the end of the preceding part")
                     last = float(block.time[-1])
                 yield block
 

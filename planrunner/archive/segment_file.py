@@ -365,7 +365,8 @@ class SegmentData:
         version = (schema.metadata or {}).get(b"planrunner_segment", b"").decode("ascii", "replace")
         if version != str(FORMAT):
             raise IntegrityError(
-                f"{self.path}: segment format {version[:40]!r}; this version of planrunner reads {FORMAT}: use a newer version"
+                f"{self.path}: segment format {version[:40]!r}; this version of planrunner reads {FORMAT}: use a newer version of "
+                "planrunner"
             )
 
     def _check_shape(self, part: Part, schema: pa.Schema) -> None:

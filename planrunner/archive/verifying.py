@@ -212,7 +212,7 @@ def _check_given(found: Examined) -> None:
         if name not in (RUN, PLAN, BENCH):
             found.error(
                 "run-changed",
-                f"{found.folder.path / JOURNAL}:1: it names a file that does not belong to the start of a run, {name[:60]!r}",
+                f"{found.folder.path / JOURNAL}:1: it names a file that is not part of the start of a run, {name[:60]!r}",
             )
             continue
         data = _read(found, name, MOST_GIVEN)
@@ -227,7 +227,7 @@ def _check_given(found: Examined) -> None:
         with _collecting(found):
             found.run = formats.parse_json(found.given[RUN], path, "run", "planrunner_run", formats.RUN_FORMAT)
         if found.run and found.run["run"] != found.state.created["run"]:
-            found.error("run-changed", f"{path}: its name of the run differs from the one in the journal")
+            found.error("run-changed", f"{path}: it gives another name of the run than the journal")
 
 
 def _check_seal(found: Examined, standing: RecordedEntries) -> None:
@@ -239,7 +239,7 @@ def _check_seal(found: Examined, standing: RecordedEntries) -> None:
     found.sealed_before = found.sealed_before or any(
         analysis.basis is not None and analysis.basis.seal is not None for analysis in found.analyses
     )
-    torn = found.scan.torn and f"; the last line is not whole: {found.scan.torn} bytes were not acknowledged"
+    torn = found.scan.torn and f"; the last line is incomplete: {found.scan.torn} bytes that were never acknowledged"
     if seals.NAME not in standing and found.sealed_before:
         found.error("run-seal-removed", f"{path / seals.NAME}: the run was sealed, but its seal is missing")
     elif seals.NAME not in standing and found.state.finished and not _written(found):

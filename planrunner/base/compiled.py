@@ -52,8 +52,8 @@ def _cache_folder() -> Path | None:
         return cache_folder(os.environ)
     except UntrustedFolderError as error:
         print(
-            f"note: compiled code is not kept, which costs some seconds: {error}; make the folder your own alone (chmod go-w), or name "
-            "another one in NUMBA_CACHE_DIR",
+            f"note: compiled code cannot be cached, so a run starts some seconds later: {error}; make the folder writable for you alone "
+            "(chmod go-w), or set NUMBA_CACHE_DIR to another folder",
             file=sys.stderr,
         )
         return None

@@ -38,7 +38,7 @@ class ExclusiveFile:
                 break
             self._close()  # removed or replaced before it was locked: the next process would lock a different file
         if self._descriptor is None:
-            raise OSError(errno.EAGAIN, "the lock is removed again and again", str(path))
+            raise OSError(errno.EAGAIN, "another process keeps removing the lock", str(path))
         if note:
             _leave_note(self._descriptor, note)
 

@@ -149,7 +149,7 @@ class GuardedFolder:
         with self.open_file(name, limit) as file:
             data = file.read(limit + 1)
         if len(data) > limit:
-            raise NotOrdinaryError(self.path / name, f"it grew beyond {limit} bytes while it was read")
+            raise NotOrdinaryError(self.path / name, f"it grew beyond {limit} bytes while it was being read")
         return data
 
     def open_existing(self, name: str) -> FileIO:
@@ -226,7 +226,7 @@ class GuardedFolder:
     def _check_place(self) -> None:
         """Without an open folder: checks that the folder at the path is still the same."""
         if self._descriptor is None and _identity(os.stat(self.path)) != self._identity:
-            raise NotOrdinaryError(self.path, "the folder was exchanged meanwhile")
+            raise NotOrdinaryError(self.path, "the folder was replaced by another while it was in use")
 
     def _open(self, name: str, flags: int, limit: int | None) -> int:
         """A descriptor of a regular file with one name, and of at most `limit` bytes."""
@@ -239,7 +239,7 @@ class GuardedFolder:
                 descriptor = os.open(self._at(name), flags | _NEVER, dir_fd=self._descriptor)
             except OSError as error:
                 if error.errno in (errno.ELOOP, errno.EMLINK, errno.ENXIO):
-                    raise NotOrdinaryError(path, "it is a link or a pipe, where a file belongs") from None
+                    raise NotOrdinaryError(path, "it is a link or a pipe, but a file is expected here") from None
                 raise
             try:
                 status = os.fstat(descriptor)
@@ -254,12 +254,12 @@ class GuardedFolder:
                 raise
             os.close(descriptor)
             time.sleep(0.01 * look)
-        raise NotOrdinaryError(path, "the file was exchanged while it was opened")
+        raise NotOrdinaryError(path, "the file was replaced while it was being opened")
 
 
 def _plain(name: str) -> str:
     if name in ("", ".", "..") or any(letter in name for letter in "/\\\0") or (os.name == "nt" and ":" in name):
-        raise ValueError(f"not the name of one file: {name!r}")
+        raise ValueError(f"not a single file name: {name!r}")
     return name
 
 
@@ -283,4 +283,4 @@ def _require(path: Path, status: os.stat_result, limit: int | None) -> None:
     if what != "a file":
         raise NotOrdinaryError(path, f"it is {what}, but a file with a single name is expected here")
     if limit is not None and status.st_size > limit:
-        raise NotOrdinaryError(path, f"it has {status.st_size} bytes; at most {limit} belong there")
+        raise NotOrdinaryError(path, f"it has {status.st_size} bytes; at most {limit} are allowed")

@@ -66,21 +66,21 @@ def read_bounded(file: BinaryIO, limit: int) -> bytes:
     except OSError as error:
         raise _unreadable(error) from None
     if data is None:  # a system file that would make the read wait
-        raise RefusedFileError("special", "this file would have to be waited for", _SAVE)
+        raise RefusedFileError("special", "reading from this file could block forever", _SAVE)
     if len(data) > limit:
         raise _too_large(len(data), limit)
     return data
 
 
-_SAVE = "save what it gives in a file, and name that file"
+_SAVE = "save its content to a file, and give that file"
 
 
 def _hold(known: os.stat_result, limit: int | None) -> None:
     kind = file_kind(known)
     if kind == "a folder":
-        raise RefusedFileError("folder", "this is a folder, not a file", "name a file in it")
+        raise RefusedFileError("folder", "this is a folder, not a file", "give a file in this folder")
     if kind == "a link":
-        raise RefusedFileError("link", "this is a link, not the file itself", "put the file itself there")
+        raise RefusedFileError("link", "this is a link, not the file itself", "replace the link by the file")
     if kind != "a file":
         raise RefusedFileError("special", f"this is {kind}, not a regular file", _SAVE)
     if limit is not None and known.st_size > limit:
@@ -100,5 +100,5 @@ def _unreadable(error: Exception) -> RefusedFileError:
     return RefusedFileError(
         "unreadable",
         f"the file cannot be read: {reason}",
-        "check its permissions, and that no other program has locked it",
+        "check its permissions, and whether another program has locked it",
     )

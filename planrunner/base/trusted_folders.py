@@ -99,7 +99,7 @@ def _known_folder(number: int) -> Path:  # pragma: no cover (Windows)
     room = ctypes.create_unicode_buffer(260)
     shell = ctypes.windll.shell32  # type: ignore[attr-defined,unused-ignore]
     if shell.SHGetFolderPathW(None, number, None, 0, room) != 0 or not room.value:
-        raise OSError(f"the system does not give the path of its folder {number:#x} is")
+        raise OSError(f"the system does not report the path of its folder {number:#x}")
     return Path(room.value)
 
 
@@ -120,7 +120,7 @@ def _components(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
             continue
         links += 1
         if links > _MOST_LINKS:
-            raise UntrustedFolderError(f"{folder} is a chain of links without end")
+            raise UntrustedFolderError(f"{folder} is an endless chain of links")
         if _is_junction(known):
             raise UntrustedFolderError(f"{here / name} is a junction")
         yield here / name, known

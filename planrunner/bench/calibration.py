@@ -47,8 +47,8 @@ def check_dates(calibration: Calibration, log: Findings) -> None:
             message = f"'{stated}' is not a calendar date"
             log.error("meaning-date", calibration.at(name), message, "write year-month-day, such as 2026-03-01")
     if made is not None and due is not None and due < made:
-        message = f"the calibration is due on {due}, before it was made on {made}"
-        log.error("meaning-date", calibration.at("due"), message, "look both dates up in the certificate")
+        message = f"the due date of the calibration, {due}, is before its date, {made}"
+        log.error("meaning-date", calibration.at("due"), message, "compare both dates with the certificate")
 
 
 def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date, seconds: float, log: Findings) -> None:

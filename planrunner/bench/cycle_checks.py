@@ -53,10 +53,10 @@ def check_cycle(
     if abs(cycle.mean_angle) > NOTHING * 2 * math.pi:
         heading = 1e-5 * math.degrees(cycle.mean_angle) * 3600
         message = (
-            f"the cycle stands at {_deg(cycle.mean_angle)} deg on average: 10 ppm of the azimuth gyro's scale factor bias heading by "
-            f"{heading:+.2g} arcsec"
+            f"the mean angle of the cycle is {_deg(cycle.mean_angle)} deg: a scale factor error of 10 ppm in the azimuth gyro makes a mean "
+            f"heading error of {heading:+.2g} arcsec"
         )
-        log.warning("physics-cycle-angle", at("moves"), message, "let the cycle turn equally far to both sides")
+        log.warning("physics-cycle-angle", at("moves"), message, "make the cycle turn equally far to both sides")
     if dwell is None:
         return start, 0.0
     _check_schuler(cycle, dwell, site, at("stop"), log)
@@ -73,9 +73,9 @@ def _check_residual(cycle: RotationCycle, stops: complex, turns: complex, mark: 
     percent = f"{100 * share:.{2 if share < 0.995 else 3}g}"  # 100, not 1e+02
     miles = 0.01 * math.radians(1) * share * MEAN_RADIUS / 1852
     message = (
-        f"every cycle of {cycle.period:.1f} s leaves {seconds_of_error(stops)} of a constant horizontal error over its stops and "
-        f"{seconds_of_error(turns)} over its turns: {percent} % of the error is not modulated, so that a gyro drift of 0.01 deg/h "
-        f"acts like one of {0.01 * share:.2g} deg/h, {miles:.2g} nautical miles an hour"
+        f"in every cycle of {cycle.period:.1f} s, {seconds_of_error(stops)} of a constant horizontal error remain from the stops and "
+        f"{seconds_of_error(turns)} from the turns: {percent} % of the error is not modulated. A gyro drift of 0.01 deg/h then acts like a "
+        f"drift of {0.01 * share:.2g} deg/h ({miles:.2g} nautical miles per hour)"
     )
     log.warning("physics-cycle-residual", mark, message, _DESIGN)
 
@@ -93,7 +93,7 @@ def _check_stops(motion: Cycle, mark: Mark, log: Findings) -> None:
     for angle, seconds in held.items():
         opposite = held.get(round((angle + 180) % 360, 6) % 360, 0.0)
         if seconds > opposite:
-            unlike.append(f"{names[angle]} for {seconds:g} s a cycle, the opposite side for {opposite:g} s")
+            unlike.append(f"{names[angle]} for {seconds:g} s per cycle, the opposite side for {opposite:g} s")
     message = f"the stops do not balance: {'; '.join(unlike)}"
     log.warning("physics-cycle-stops", mark, message, "stop equally long on opposite sides")
 
@@ -105,7 +105,7 @@ def _check_schuler(cycle: RotationCycle, dwell: float, site: Site, mark: Mark, l
     minutes = 2 * math.pi / schuler_rate(site) / 60
     message = (
         f"a cycle of {cycle.period / 60:.1f} min drives the Schuler oscillation of {minutes:.1f} min: within this dwell a constant "
-        f"horizontal gyro drift builds up {drive:.2g} times the oscillation that it makes without rotation"
+        f"horizontal gyro drift builds up {drive:.2g} times the oscillation that it would cause without rotation"
     )
     log.warning(
         "physics-cycle-schuler",
@@ -119,9 +119,7 @@ def _check_whole(cycle: RotationCycle, dwell: float, mark: Mark, log: Findings) 
     count = dwell / cycle.period
     if abs(count - round(count)) * cycle.period < 1e-3:
         return
-    message = (
-        f"the dwell holds {count:.2f} cycles of {cycle.period:.1f} s; the errors of the part left over are not balanced"
-    )
+    message = f"the dwell holds {count:.2f} cycles of {cycle.period:.1f} s; the errors of the incomplete last cycle are not balanced"
     log.note("physics-cycle-part", mark, message, f"write dwell: {{cycles: {max(1, round(count))}}}")
 
 

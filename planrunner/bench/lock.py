@@ -67,7 +67,9 @@ def bench_lock(bench: Bench, shown: str, purpose: str = "a run") -> Iterator[Non
 def watchdog_lock(bench: Bench, shown: str) -> Iterator[None]:
     """Lock the bench's real instruments against every other run while the watchdog of this run lives. Raises `InputError`."""
     with ExitStack() as stack:
-        _hold_all(stack, _names(bench), "watchdog", shown, "the watchdog of a run, which makes it safe")
+        _hold_all(
+            stack, _names(bench), "watchdog", shown, "the watchdog of another run, which is making the bench safe"
+        )
         yield
 
 

@@ -68,7 +68,7 @@ class SiteSpec(Record):
     )
     deviation_of_vertical: DeviationOfVertical | None = key(
         RecordOf(DeviationOfVertical),
-        "Gives the other latitude from the stated one; from a geoid model or a survey.",
+        "Converts the stated latitude to the other kind; take it from a geoid model or a survey.",
         {"north": "3.2 arcsec ± 0.5 arcsec", "east": "-1.5 arcsec"},
         default=None,
     )
@@ -96,7 +96,7 @@ class SiteSpec(Record):
     )
     survey: Calibration | None = key(
         RecordOf(Calibration),
-        "Survey that latitude, gravity and azimuth come from.",
+        "Survey that gives latitude, gravity and azimuth.",
         {"certificate": "site survey 2026-1", "date": "2026-02-10"},
         default=None,
     )
@@ -132,7 +132,7 @@ class AmbientSpec(Record):
 class InstrumentEntry(Record):
     """One instrument of the bench. The driver has additional keys."""
 
-    driver: str = key(Text(NAME, "a driver's name"), "Driver that talks to the instrument.", "virtual_table")
+    driver: str = key(Text(NAME, "a driver's name"), "Driver of the instrument.", "virtual_table")
     asset: str | None = key(
         Text(LINE, "an asset number"),
         "Your own number for the instrument; stored in the run folder.",
@@ -397,7 +397,7 @@ def locate(name_or_path: str, beside: Path | None) -> tuple[Path, str]:
             first = f"did you mean '{near}'? A file" if near else "`planrunner bench list` names them; a file"
             hint = f"{first} must be given with its extension, such as my-bench.yaml"
             raise InputError.at(
-                Mark(name_or_path), "meaning-unknown-bench", f"no bench '{name_or_path}' is shipped", hint
+                Mark(name_or_path), "meaning-unknown-bench", f"there is no shipped bench '{name_or_path}'", hint
             )
         return known[name_or_path], f"plans/benches/{name_or_path}.yaml"
     path = Path(name_or_path)
@@ -412,8 +412,8 @@ def _check(bench: Bench, log: Findings) -> None:
         log.error(
             "meaning-range",
             bench.site.at("latitude"),
-            f"{bench.site.latitude} is not a latitude",
-            "from -90 deg to 90 deg",
+            f"{bench.site.latitude} is not a possible latitude",
+            "give a value from -90 deg to 90 deg",
         )
     if not 9.7 < bench.site.gravity.value < 9.9:
         message = f"{bench.site.gravity} is not the gravity of any place on Earth"

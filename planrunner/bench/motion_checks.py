@@ -69,7 +69,9 @@ def start_motion(
     if isinstance(motion, Rock):
         _check_sampled(motion, hold.sampled, at("rock"), log)
         if models.sensor is not None and models.sensor.records_angle and not about_one_axis(motion):
-            message = f"the sensor records the table's angle about one axis, and {len(motion.phases)} rings are planned to rock"
+            message = (
+                f"the sensor records the table's angle about one axis, but the plan rocks {len(motion.phases)} rings"
+            )
             hint = "rock the outermost ring alone, or write `table_angle: false` in the bench file"
             log.error("physics-table-angle", at("rock"), message, hint)
     if table is None:
@@ -93,7 +95,7 @@ def _complain(excess: Sequence[Excess], mark: Mark, log: Findings) -> None:
     """Adds what the axes cannot do, as errors at the mark."""
     for one in excess:
         if one.kind == "rings":
-            log.error("physics-axes", mark, one.message, "give a phase for each ring at most")
+            log.error("physics-axes", mark, one.message, "give at most one phase for each ring")
         elif one.kind == "rate":
             log.error("physics-rate", mark, one.message, "lower the rate, amplitude or frequency")
         elif one.kind == "acceleration":
@@ -178,7 +180,7 @@ def _whole_turns(
     )
     if worst > WHOLE_TURN_TOLERANCE:
         share = f"up to {worst * 1e6:.0f} ppm of the rate that a tilted axis senses"
-        message = f"{turns:.3g} turns at {_deg(motion.rate)} deg/s leave a part of Earth rate in the mean: {share}"
+        message = f"{turns:.3g} turns at {_deg(motion.rate)} deg/s do not average out the Earth's rotation: the mean contains {share}"
         log.warning("physics-whole-turns", mark, message, "write dwell: {turns: 1, at_least: …}")
 
 

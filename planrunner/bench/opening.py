@@ -191,7 +191,7 @@ def open_bench(
             if not isinstance(error, Exception):
                 raise
             reason = f"{error}" or type(error).__name__
-            left = f" ({', '.join(connected)}: left as found, nothing was commanded)" if connected else ""
+            left = f" ({', '.join(connected)}: left unchanged, no command was sent)" if connected else ""
             raise InstrumentError(f"{name} ({entry.driver}) cannot be connected: {reason}{left}") from error
         opened.add(name, driver.role, instrument)
         surroundings.instruments[driver.role] = instrument

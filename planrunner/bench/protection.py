@@ -31,7 +31,7 @@ class Protection(Record):
     )
     position_error: Quantity | None = key(
         QuantityOf("angle", "positive"),
-        "Following error at which the table, with everything that it carries, is stopped.",
+        "Following error at which the table and all its instruments are stopped.",
         "2 deg",
         default=None,
     )
@@ -43,8 +43,8 @@ class Protection(Record):
     )
     silence: Quantity = key(
         QuantityOf("time", "positive"),
-        "Time without a sign of life from planrunner, from 5 s to 1 h, after which the watchdog makes the bench "
-        "safe, and so does every instrument that can.",
+        "Time without a sign of life from planrunner, from 5 s to 1 h. After this time the watchdog makes the "
+        "bench safe; instruments that have a watchdog stop by themselves too.",
         "60 s",
         default=parse_quantity("60 s"),
     )

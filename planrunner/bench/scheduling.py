@@ -252,7 +252,7 @@ class _Planner:
     def _turns(self, item: StatedSegment, dwell: Turns) -> float | None:
         """A dwell in whole turns of a spin or whole cycles of turns and stops."""
         if (dwell.turns is None) == (dwell.cycles is None):
-            message = f"the dwell of '{item.label}' says {'both turns and cycles' if dwell.turns else 'neither turns nor cycles'}"
+            message = f"the dwell of '{item.label}' has {'both turns and cycles' if dwell.turns else 'neither turns nor cycles'}"
             self._once("meaning-turns", item.marks["dwell"], message, "write for example `dwell: {turns: 1}`")
             return None
         motion = motion_of(item.state, item.marks, None, Findings())
@@ -267,7 +267,7 @@ class _Planner:
         else:
             asked = "turns" if dwell.turns else "cycles"
             does = "spin" if dwell.turns else "have a cycle"
-            message = f"'{item.label}' dwells in {asked}, but does not {does}"
+            message = f"the dwell of '{item.label}' is given in {asked}, but the segment does not {does}"
             hint = "write turns if the motion is a rate, cycles if it is a cycle, or a time"
             self._once("meaning-turns", item.marks["dwell"], message, hint)
             return None

@@ -49,7 +49,7 @@ class Temperatures:
         else:
             message = (
                 f"the setpoint is at {there:g} degC when the dwell of {_minutes(dwell)} ends, but the air follows it "
-                f"{_minutes(self._chamber.lag)} later: it takes {_minutes(seconds)} to be within {self._chamber.tolerance:g} K"
+                f"{_minutes(self._chamber.lag)} later: the air takes {_minutes(seconds)} to come within {self._chamber.tolerance:g} K"
             )
             self._log.warning("physics-ramp", mark, message, f"dwell for {_minutes(seconds)}")
 
@@ -76,7 +76,7 @@ class Temperatures:
             f"{_minutes(waited)} ({waited / self._lag:.2g} time constants) after the chamber is at {self._set - ZERO_CELSIUS:g} degC, "
             f"while the sensor is still {abs(left):.2g} K from it"
         )
-        hint = f"soak for {_minutes(soak + high - now)} at least: the sensor is then within the chamber's tolerance of {tolerance:g} K"
+        hint = f"soak for at least {_minutes(soak + high - now)}: the sensor is then within the chamber's tolerance of {tolerance:g} K"
         with self._log.resting_on(mark):  # a soak that could not be read counts as none
             self._log.warning("physics-soak", mark, message, hint)
 

@@ -29,7 +29,7 @@ ENDING = 120.0
 EVERY = 1.0
 """Seconds between two heartbeats."""
 _GONE = (
-    "the watchdog process has ended, or made the bench safe after a silence: check whether the computer hung or "
+    "the watchdog process has ended, or has made the bench safe after a time without a sign of life: check whether the computer hung or "
     "another user ended the process, then resume the run"
 )
 

@@ -28,7 +28,7 @@ from planrunner.reporting.printable import printable_streams
 COMMANDS = {
     "check": "check plans and benches before anything moves",
     "show": "show a plan's timeline, positions, total time and predicted uncertainties",
-    "design": "find better positions, rates or cycles for a plan, and the bound of what is possible",
+    "design": "find better positions, rates or cycles for a plan, and the theoretical bound",
     "run": "run a plan on a bench, then estimate and report",
     "simulate": "run a plan on a virtual bench with effects of the catalogue added",
     "resume": "continue a run that was cut short or is paused, or record segments of it again",

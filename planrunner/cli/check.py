@@ -67,7 +67,7 @@ def summary(checked: Checked, looked_over: bool = True) -> str:
         return head
     count = len(checked.schedule.segments)
     open_ended = any(segment.dwell is None for segment in checked.schedule.segments)
-    total = "as long as the recording" if open_ended else duration(checked.schedule.total)
+    total = "length of the recording" if open_ended else duration(checked.schedule.total)
     lines = [f"{head}; {_count(count, 'segment')} on bench '{checked.bench.name}', {total}"]
     for name, design in checked.designs.items():
         for judged in checked.judged[name]:

@@ -43,14 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DURATION",
         help="total time of the plan, such as '45 min': distribute the dwell times within it",
     )
-    parser.add_argument(
-        "--output", metavar="NAME", help="design for this output, where the outputs have different terms"
-    )
+    parser.add_argument("--output", metavar="NAME", help="design for this output, if the outputs have different terms")
     parser.add_argument(
         "--orientations",
         choices=("free", "cardinal", "planned"),
         default="free",
-        help="set that is written into the plan (default: free)",
+        help="set to write into the plan (default: free)",
     )
     parser.add_argument("--restarts", type=int, default=8, help="seeded starts of the free search (default: 8)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the search (default: 0)")
@@ -62,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--line-only",
         action="store_true",
-        help="rates: design for the straight line alone, without asymmetry and nonlinearity",
+        help="rates: design only for the straight line, without asymmetry and nonlinearity",
     )
     parser.add_argument("--drop-lowest", action="store_true", help="rates: the design may omit the lowest planned rate")
     parser.add_argument(
@@ -74,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--order",
         choices=("free", "same"),
         default="free",
-        help="cycle that is written into the plan: with a free order of stops, or with the same order (default: free)",
+        help="cycle to write into the plan: with a free order of stops, or with the same order (default: free)",
     )
     parser.add_argument("--write", metavar="FILE", type=Path, help="write the plan with the chosen design")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures before and after")

@@ -34,8 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         type=Path,
         default=[],
-        help="a later run of the same sensor, such as one of a proposed plan, analysed together with it; may be "
-        "repeated",
+        help="a later run of the same sensor, such as a run of a proposed plan, to be analysed together with the "
+        "first; may be repeated",
     )
     parser.add_argument("--json", action="store_true", help="print the diagnosis as JSON")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures")
@@ -49,8 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--nominal",
         metavar="TERM",
         nargs="+",
-        help="terms that the simulation fits (default: those in the plan, or all); a term that is left out is a "
-        "candidate like any effect",
+        help="terms that the simulation fits (default: those in the plan, or all); a term that is left out "
+        "becomes a candidate like any other effect",
     )
     parser.add_argument(
         "--jobs",
@@ -103,7 +103,9 @@ def _options(nominal: list[str] | None) -> DiagnosisOptions | None:
 
     for name in nominal or ():
         if name not in FULL:
-            raise InputError.at(Mark("--nominal"), "gap-nominal", f"'{name}' is no nominal term", closest(name, FULL))
+            raise InputError.at(
+                Mark("--nominal"), "gap-nominal", f"'{name}' is not a nominal term", closest(name, FULL)
+            )
     return None if nominal is None else DiagnosisOptions(nominal=tuple(nominal))
 
 

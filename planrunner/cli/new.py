@@ -94,5 +94,5 @@ def _write_new(path: Path, text: bytes) -> None:
         raise InputError.at(Mark(str(path)), "new-exists", "this file exists already", "choose another name") from None
     except OSError as error:
         message = f"the file cannot be written: {error.strerror or error}"
-        hint = "make room, or name a file in another folder"
+        hint = "make room, or choose a file in another folder"
         raise InputError.at(Mark(str(path)), "file-unwritable", message, hint) from None

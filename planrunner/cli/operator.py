@@ -25,7 +25,7 @@ class TerminalOperator:
         self._reading = False
 
     def ask(self, prompt: str) -> Callable[[], bool]:
-        self.tell(f"{prompt}\nPress Enter when this is done; Ctrl-C ends the run.")
+        self.tell(f"{prompt}\nWhen this is done, press Enter; Ctrl-C ends the run.")
         before = self._answers
         if not self._reading:
             self._reading = True

@@ -24,7 +24,7 @@ def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
     for unsafe in outcome.unsafe:
         print(f"error: NOT IN THE SAFE STATE: {unsafe}; check the instrument now", file=sys.stderr)
     if outcome.untouched:
-        print(f"Never commanded, and left as found: {', '.join(outcome.untouched)}.", file=sys.stderr)
+        print(f"Unchanged, because no command was sent to them: {', '.join(outcome.untouched)}.", file=sys.stderr)
     if not outcome.unsafe:
         which = "Every other instrument is in its" if outcome.untouched else "The instruments are in their"
         print(f"{which} safe state.", file=sys.stderr)

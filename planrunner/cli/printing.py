@@ -157,7 +157,7 @@ def write_file(path: Path, text: str) -> None:
     except OSError as error:
         message = f"the file cannot be written: {error.strerror or error}"
         raise InputError.at(
-            Mark(str(path)), "file-unwritable", message, "make room, or name a file in another folder"
+            Mark(str(path)), "file-unwritable", message, "make room, or choose a file in another folder"
         ) from None
 
 

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="certificate details that the run did not record",
     )
-    parser.add_argument("--info", metavar="FILE", type=Path, help="the same as a YAML file of name: value")
+    parser.add_argument("--info", metavar="FILE", type=Path, help="the same details as a YAML file of `name: value`")
     parser.add_argument("--before", metavar="RUN", type=Path, help="run folder of the same item before its adjustment")
     parser.add_argument(
         "--template", metavar="FILE", type=Path, help="your own template (ending in .html.j2 or .md.j2)"

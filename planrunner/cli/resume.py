@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bench",
         metavar="BENCH",
-        help="use this bench file instead of the one in the folder; it may differ only in the addresses of the instruments",
+        help="use this bench file instead of the bench file in the folder; it may differ only in the addresses of the instruments",
     )
     parser.add_argument(
         "--trust-bench",

@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="run information that the plan asks for"
     )
-    parser.add_argument("--info", metavar="FILE", type=Path, help="run information as a YAML file of name: value")
+    parser.add_argument("--info", metavar="FILE", type=Path, help="run information as a YAML file of `name: value`")
     parser.add_argument("--data", metavar="DIR", type=Path, help="folder that contains the recordings to play back")
     parser.add_argument("--seed", type=seed, help="seed of a simulated bench (default: the bench's own)")
     parser.add_argument(

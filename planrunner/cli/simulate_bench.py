@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--copy",
         metavar="FILE",
         type=Path,
-        help="serve at free addresses, and write the bench file with these addresses to this file",
+        help="serve at free addresses, and write a bench file with these addresses to FILE",
     )
     parser.add_argument(
         "--ready",
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FAULT",
         help="declare a fault to a running simulated bench: '{instrument: table, fault: silent}'",
     )
-    parser.add_argument("--clear", metavar="NUMBER", help="end a fault of a running simulated bench, or `all`")
+    parser.add_argument("--clear", metavar="NUMBER", help="end a fault of a running simulated bench, or `all` faults")
     parser.add_argument("--stop", action="store_true", help="end a running simulated bench")
 
 
@@ -65,7 +65,7 @@ def _speed(text: str) -> float:
 
 def _seed(text: str) -> int:
     if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"a seed is a whole number, not negative: {text!r}")
+        raise argparse.ArgumentTypeError(f"a seed must be a whole number and not negative: {text!r}")
     return int(text)
 
 
@@ -111,7 +111,9 @@ def _token(ready: Path | None, control: str) -> str:
         raise InputError.at(Mark(str(ready)), "simulation-token", "this is not a readiness file", start) from None
     if served != control:
         message = f"this readiness file belongs to the simulated bench at {served}, not to the one at {control}"
-        raise InputError.at(Mark(str(ready)), "simulation-token", message, "give the bench file that it serves")
+        raise InputError.at(
+            Mark(str(ready)), "simulation-token", message, "give the bench file of that simulated bench"
+        )
     return token
 
 

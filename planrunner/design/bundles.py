@@ -38,7 +38,7 @@ def choose(
     Raises ValueError where there are fewer bundles than wanted, or none of the choices gives all terms.
     """
     if count > len(bundles) or len(kept) > count:
-        raise ValueError(f"{count} different ones cannot be chosen out of {len(bundles)}")
+        raise ValueError(f"{count} different choices are not possible from {len(bundles)}")
     random = np.random.default_rng(seed)
     others = np.setdiff1d(np.arange(len(bundles)), kept)
     best, least = None, math.inf

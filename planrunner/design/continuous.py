@@ -82,7 +82,7 @@ def solve(
     if np.linalg.matrix_rank(information(rows) + always) < p:
         raise ValueError("the candidates cannot separate all terms")
     if not 0.0 <= least * count < 1.0:
-        raise ValueError("the least shares add up to all that there is")
+        raise ValueError("the minimum shares add up to the whole")
     free = np.full(count, 1.0 / count) if start is None else np.maximum(start, 1e-6 / count)
     free /= free.sum()
     held, loose = least * information(rows) + always, 1.0 - least * count

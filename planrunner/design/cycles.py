@@ -80,7 +80,7 @@ def same_order(planned: RotationCycle, cable: Cable = Cable()) -> FoundCycle:
     """
     if abs(planned.integral()[0]) > NOTHING * planned.period:
         raise CycleError(
-            "the stops do not balance, and no turns can make up for it: stop equally long on opposite sides"
+            "the stops do not balance, and turns cannot compensate for that: stop equally long on opposite sides"
         )
     most = max(HALF_TURN, *(abs(turn) for turn in planned.turns)) + _ANGLE
     choices = [_ways(turn, most) for turn in planned.turns]
@@ -97,7 +97,7 @@ def same_order(planned: RotationCycle, cable: Cable = Cable()) -> FoundCycle:
         if _centred(best):
             break
     if not rounds:
-        raise CycleError(f"{len(choices)} moves have too many ways round to try them all")
+        raise CycleError(f"{len(choices)} moves can be turned in too many ways to try them all")
     return FoundCycle(best, tuple(rounds))
 
 
@@ -142,7 +142,7 @@ def free_order(
     """
     angles = sorted({round(angle % TURN, 9) % round(TURN, 9): angle % TURN for angle in positions}.values())
     if len(angles) < 2:
-        raise CycleError("there is one position only: add positions opposite each other")
+        raise CycleError("there is only one position: add positions opposite each other")
     if abs(sum(np.exp(1j * np.array(angles)))) > NOTHING * len(angles):
         shown = ", ".join(f"{math.degrees(angle):g}" for angle in angles)
         raise CycleError(f"the positions {shown} deg do not balance: add positions opposite to them")

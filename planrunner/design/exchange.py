@@ -149,7 +149,7 @@ def exchange_all(
 ) -> list[Chosen]:
     """The result of every restart, the best first. The same seed gives the same sets."""
     if not repeats and count > len(rows):
-        raise ValueError(f"{count} different positions cannot be chosen out of {len(rows)}")
+        raise ValueError(f"{count} different positions cannot be chosen from {len(rows)}")
     random = np.random.default_rng(seed)
     found = []
     for turn in range(restarts):

@@ -57,7 +57,7 @@ def identify_block(block: DesignBlock) -> Identifiability:
     information = scaled.T @ scaled
     explanation = rank.explain(sight.null, block.terms)
     if sight.rank < columns and len(scaled) < columns:
-        explanation = f"{len(scaled)} segments cannot give {columns} coefficients; {explanation}"
+        explanation = f"{len(scaled)} segments cannot determine {columns} coefficients; {explanation}"
     determinant = float(np.linalg.det(information)) if sight.rank == columns else 0.0
     names = rank.unidentifiable(sight.null, block.terms)
     return Identifiability(block.output, sight.rank, columns, sight.condition, determinant, names, explanation)

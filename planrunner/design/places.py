@@ -92,7 +92,8 @@ def places(segments: Sequence[Segment], patterns: Sequence[str]) -> tuple[tuple[
         if index not in chosen and _mark(segment) in groups:
             shared = groups[_mark(segment)][0].label
             raise EstimationError(
-                f"segment '{segment.label}' shares its orientation with '{shared}', but not the estimate: give it its own"
+                f"segment '{segment.label}' has the same orientation as '{shared}', but the two belong to different estimates: write a "
+                "separate orientation for it"
             )
     sizes = {len(group) for group in groups.values()}
     if len(sizes) > 1:
@@ -128,14 +129,14 @@ def sight(
     )
     if output is None and len(alike) < len(names):
         raise EstimationError(
-            f"the outputs of '{name}' see different things: choose one of {', '.join(names)} with --output"
+            f"the outputs of '{name}' have different models: choose one of {', '.join(names)} with --output"
         )
     template = found[0].segments[0]
     moved = {segment.label for segment in at_rest}
     stays = np.array([label not in moved for label in block.labels], dtype=bool)
     if stays.all():
         raise EstimationError(
-            f"the segments at rest give '{name}' ({spec.estimator}) no equations that positions change; --rates designs its rates"
+            f"the positions of segments at rest do not affect '{name}' ({spec.estimator}); use --rates to design its rates"
         )
     noise = np.asarray(block.sigma, dtype=float)
     typical = float(np.sqrt(np.mean(noise[~stays] ** 2))) if (~stays).any() else 0.0

@@ -106,7 +106,7 @@ def _value(text: str, parameter: EffectParameter, effect: str, mark: Mark) -> fl
             if quantity.unit.dimension != unit(wanted).dimension:
                 raise ValueError
     except (ValueError, QuantityError, UnknownUnitError):
-        message = f"'{text}' is not a value of '{parameter.name}' of {effect}, which is in {wanted}"
+        message = f"'{text}' is not a value of the parameter '{parameter.name}' of {effect}, whose unit is {wanted}"
         raise InputError.at(mark, "effect-value", message, hint) from None
     if not math.isfinite(value):
         raise InputError.at(mark, "effect-value", f"'{text}' is not a finite number", hint)

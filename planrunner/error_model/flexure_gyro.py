@@ -128,8 +128,8 @@ def _mixing(outputs: Array) -> tuple[Array, Array]:
     sound = np.isfinite(scale) & (scale > 0) & (np.abs(determinant) >= 1e-12 * scale**2)
     if not np.all(sound & (mixing[0, 0] != 0) & (mixing[1, 1] != 0)):
         raise ValueError(
-            "the outputs do not respond to rate as a flexure gyro's do (U1·V2 − U2·V1 is zero): "
-            "check that the two outputs are named in the right order and that neither is dead"
+            "the outputs do not respond to rate like those of a flexure gyro (U1·V2 − "
+            "U2·V1 is zero): check the order of the two outputs, and whether one of them is dead"
         )
     inverse = np.array([[mixing[1, 1], -mixing[0, 1]], [-mixing[1, 0], mixing[0, 0]]]) / determinant
     return mixing, inverse

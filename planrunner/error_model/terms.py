@@ -44,7 +44,7 @@ class Term:
         """The column, shape (n,). Raises `StimulusError` for a product over a moving attitude."""
         if self.degree > 1 and bool(stimulus.moving.any()):
             raise StimulusError(
-                f"the term {self.name} is a product and cannot be taken from means over turning segments"
+                f"the term {self.name} is a product and cannot be computed from means over turning segments"
             )
         return np.asarray(self.of(stimulus), dtype=float)
 

@@ -67,7 +67,7 @@ class AddedEffects:
     def connect(cls, parameters: AddedEffectsParameters, surroundings: Surroundings) -> AddedEffects:
         world = World.of(surroundings)
         if world.added is not None:
-            raise InstrumentError("effects are added twice: put them into one instrument")
+            raise InstrumentError("two instruments add effects: put all effects into one of them")
         made = cls(parameters, world)
         world.added = made
         return made
@@ -151,7 +151,7 @@ class AddedEffects:
 
         segment = moments.segment
         if segment.attitude is None:
-            raise InstrumentError(f"'{segment.label}' has no orientation, without which no effect can be added")
+            raise InstrumentError(f"'{segment.label}' has no orientation; effects cannot be added without one")
         warm = moments.kelvin - ZERO_CELSIUS
         self._note_temperature(segment.index, warm)
         listed = (channel_of(name, one.unit, one.white, 0.0, one.step) for name, one in gives.items())

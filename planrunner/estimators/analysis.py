@@ -102,7 +102,7 @@ def design_of(
         raise EstimationError(f"it uses '{missing[0]}', which has no design")
     chosen = [segments[index] for index in select([segment.label for segment in segments], _patterns(spec))]
     if not chosen:
-        raise EstimationError(f"no segment has a label like {', '.join(_patterns(spec))}")
+        raise EstimationError(f"no segment has a label that matches {', '.join(_patterns(spec))}")
     estimator = estimator_of(spec)
     uses = {used: designs[used] for used in spec.uses}
     detection = _detection(spec, estimator)
@@ -159,7 +159,7 @@ def _estimate(
             raise EstimationError(f"it uses '{used}', which {why}")
     chosen = [recording[index] for index in select([recorded.label for recorded in recording], _patterns(spec))]
     if not chosen:
-        raise EstimationError(f"no recorded segment has a label like {', '.join(_patterns(spec))}")
+        raise EstimationError(f"no recorded segment has a label that matches {', '.join(_patterns(spec))}")
     estimator = estimator_of(spec)
     detection = _detection(spec, estimator)
     uses = {used: made[used] for used in spec.uses}

@@ -74,7 +74,7 @@ MORE_SEGMENTS = "add segments or write `uncertainty: within_segment`"
 
 def no_residual(count: int) -> str:
     """The message that there are only as many segments as coefficients."""
-    return f"{count} segments for {count} coefficients leave no residual that could give an uncertainty"
+    return f"{count} segments for {count} coefficients leave no residuals from which an uncertainty could be estimated"
 
 
 def few_samples(request: DesignRequest[object]) -> tuple[Remark, ...]:
@@ -83,13 +83,13 @@ def few_samples(request: DesignRequest[object]) -> tuple[Remark, ...]:
     if not short:
         return ()
     count, label = min(short, key=lambda one: one[0])
-    others = f", and {len(short) - 1} more are as short" if len(short) > 1 else ""
+    others = f"(and {len(short) - 1} more segments are as short)" if len(short) > 1 else ""
     message = (
         f"'{label}' holds {count} sample{'s' if count > 1 else ''}{others}: the noise within a segment is estimated "
         "from the scatter of "
         f"{BATCHES} batches of samples"
     )
-    return (Remark("physics-few-samples", message, f"dwell for {BATCHES} samples at least, or sample faster"),)
+    return (Remark("physics-few-samples", message, f"dwell for at least {BATCHES} samples, or sample faster"),)
 
 
 def planned_samples(request: DesignRequest[object], segment: Segment) -> int:
@@ -109,8 +109,8 @@ def unlike_outputs(fit: OutputsFit) -> str:
     if 2 * fdtrc(fit.freedom, fit.freedom, ratio) >= SIGNIFICANCE:
         return ""
     return (
-        f"The residuals of {fit.outputs[high]} exceed its noise by more than those of {fit.outputs[low]} do "
-        f"(variance ratio {ratio:.3g}): "
+        f"The residuals of {fit.outputs[high]} exceed its noise by more than the residuals of {fit.outputs[low]} "
+        f"exceed theirs (variance ratio {ratio:.3g}): "
         "write `pool_outputs: false` so that each output's uncertainty rests on its own residuals."
     )
 
@@ -129,8 +129,8 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> tuple[li
             warnings.append(different)
     else:
         notes.append(
-            "Uncertainties are based on the noise within the segments and on the stated inputs; anything else that "
-            "changes from segment to segment is not included."
+            "Uncertainties are based on the noise within the segments and on the stated inputs; other changes "
+            "from segment to segment are not included."
         )
     notes += _weights(fit, channels or fit.outputs)
     for found in compare(fit):
@@ -145,27 +145,26 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> tuple[li
                 else "use the residual basis"
             )
             warnings.append(
-                f"{text} (chance of that: {found.probability:.2g}). Something changes from segment to segment "
-                f"(positions, slow drift, or the model is incomplete): {consequence}."
+                f"{text} (probability by chance: {found.probability:.2g}). Something changes from segment to segment "
+                f"(positions or a slow drift), or the model is incomplete: {consequence}."
             )
         else:
-            notes.append(f"{text}, which can be due to chance (probability {found.probability:.2g}).")
+            notes.append(f"{text}, which may be due to chance (probability {found.probability:.2g}).")
     for output, noise, width, own in zip(fit.outputs, fit.noises, fit.between, fit.spreads, strict=True):
         if width:
             notes.append(
-                f"{output}: {width:.3g} (standard deviation, in the output's unit) is added between segments to "
-                "their own noise for the "
-                "weights, because that noise does not explain the residuals."
+                f"{output}: {width:.3g} (standard deviation, in the output's unit) is added as scatter "
+                "between segments in the weights, because the noise within the segments does not explain the residuals."
             )
         elif noise.weighting == "individual" and not np.ptp(own):
             notes.append(f"{output}: the noise differs between segments, but the plan gives all the same weight.")
         elif noise.weighting == "individual":
-            notes.append(f"{output}: the noise differs between segments, so each is weighted by its own.")
+            notes.append(f"{output}: the noise differs between segments, so each segment is weighted by its own noise.")
     warnings += [_outlying(fit, one, basis) for one in outliers(fit, basis)]
     if alone := unchecked(fit, basis):
         notes.append(
-            f"The other segments hardly check {', '.join(alone)} (less than {100 * LEAST_REDUNDANCY:.0f} % of an error there "
-            "shows in the residuals): repeat these segments to be sure of them."
+            f"The other segments hardly check the segments {', '.join(alone)} (less than {100 * LEAST_REDUNDANCY:.0f} % of an error "
+            "in one of them appears in the residuals): repeat these segments to confirm them."
         )
     return notes, warnings
 
@@ -176,7 +175,7 @@ def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> str:
     moved = float(np.max(np.abs(found.changes) / spreads))
     return (
         f"Segment '{found.label}' does not fit the others: the mean of {found.output} lies {found.error:.3g} "
-        f"{fit.units[k]} from what they lead one to expect ({found.deviations:.3g} standard deviations; chance of that: "
+        f"{fit.units[k]} from the value expected from the others ({found.deviations:.3g} standard deviations; probability by chance: "
         f"{found.probability:.2g}). Without it a coefficient changes by {moved:.2g} standard uncertainties: check its "
         "label, its planned state and its data."
     )

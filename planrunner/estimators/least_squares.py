@@ -72,7 +72,7 @@ def fit_each(
     names = names or [f"coefficient {k + 1}" for k in range(p)]
     if n < p:
         raise EstimationError(
-            f"{n} observations cannot give {p} coefficients ({', '.join(names)}): add segments or leave terms out"
+            f"{n} observations cannot determine {p} coefficients ({', '.join(names)}): add segments or leave terms out"
         )
     scale = (
         np.sqrt(np.einsum("ij,ij->j", matrix, matrix) / n)
@@ -159,6 +159,6 @@ def _positive(sigma: Array) -> Array:
     sigma = np.asarray(sigma, dtype=float)
     if not (np.isfinite(sigma).all() and (sigma > 0).all()):
         raise EstimationError(
-            "a standard uncertainty is zero, negative or not a number: the observations cannot be weighted by it"
+            "a standard uncertainty is zero, negative or not a number, so it cannot be used as a weight"
         )
     return sigma

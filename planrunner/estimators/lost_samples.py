@@ -25,9 +25,11 @@ def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tup
             gaps.append(f"'{recorded.label}' {statistics.largest_gap:.3g} s")
     found = []
     if left_out:
-        found.append(f"Samples that are missing or no number were left out: {_named(left_out)}. Look at the recording.")
+        found.append(
+            f"Samples that are missing or not a number were left out: {_named(left_out)}. Check the recording."
+        )
     if gaps:
-        found.append(f"Samples are missing; the longest gaps: {_named(gaps)}. Look at the recording.")
+        found.append(f"Samples are missing; the longest gaps: {_named(gaps)}. Check the recording.")
     return tuple(found)
 
 

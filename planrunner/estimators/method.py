@@ -178,7 +178,7 @@ def by_expectation(estimator: Estimator[P], request: DesignRequest[P]) -> Foresi
     made = [one for one in tried if one is not None]
     if len(made) < len(tried):
         return Foresight()
-    why = " and ".join(expected.assumed[:2]) or "an estimate that it uses has none"
+    why = " and ".join(expected.assumed[:2]) or "an estimate in `uses` has no prediction"
     if not isinstance(estimator, Method):
         why = "its estimator predicts none"
     predicted, unpredicted = [], []

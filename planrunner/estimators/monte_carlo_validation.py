@@ -122,7 +122,7 @@ def _words(
         )
     if first_order:
         notes.append(
-            "The draws use the sensitivities of this estimate, so they do not test whether these are sufficient."
+            "The draws use the sensitivities of this estimate, so they do not test whether the linear approximation is sufficient."
         )
     if undecided := ", ".join(verdicts["undecided"]):
         notes.append(
@@ -134,6 +134,6 @@ def _words(
         warnings.append(
             f"Monte Carlo does not validate the stated interval of {names}: its ends differ by more than δ. The "
             "table gives both; "
-            "the interval by Monte Carlo is the better one."
+            "use the Monte Carlo interval."
         )
     return notes, warnings

@@ -49,13 +49,13 @@ class RepeatabilityParameters(Record):
 
     coefficients: tuple[str, ...] = key(
         ListOf(Text("", "a coefficient's name or a pattern"), minimum=1, single=True),
-        "Coefficients of the estimates in `uses`, with * and ?; by default all that they have in common.",
+        "Coefficients of the estimates in `uses`, with * and ?; by default all coefficients that they have in common.",
         "K_gyro_*",
         default_factory=tuple,
     )
     channels: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),
-        "Channels whose segment means are compared, without another estimate.",
+        "Channels whose segment means are compared, instead of other estimates.",
         ["gyro_x"],
         default_factory=tuple,
     )
@@ -133,7 +133,7 @@ class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
     """The plug-in."""
 
     name = "repeatability"
-    summary = "Scatter of coefficients or means over repeats, and between days or switch-ons"
+    summary = "Scatter of coefficients or means between repeats, and between days or switch-ons"
     Parameters = RepeatabilityParameters
 
     def design(self, request: DesignRequest[RepeatabilityParameters]) -> Design:
@@ -176,11 +176,13 @@ def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Seq
     if not parameters.channels and not uses:
         raise EstimationError("nothing to compare: name `channels`, or several estimates in `uses`")
     if parameters.coefficients and parameters.channels:
-        raise EstimationError("`coefficients` are those of other estimates: name these in `uses`, or leave it out")
+        raise EstimationError(
+            "`coefficients` selects from other estimates: name these in `uses`, or leave `coefficients` out"
+        )
     items = list(labels) if parameters.channels else list(uses)
     if len(items) < 2:
         what = "segment" if parameters.channels else "estimate"
-        raise EstimationError(f"one {what} gives no repeatability: choose two or more")
+        raise EstimationError(f"one {what} is not enough for repeatability: choose two or more")
     return items
 
 
@@ -206,8 +208,8 @@ def _grouped(names: Sequence[str], groups: Mapping[str, Sequence[str]], labels: 
         raise EstimationError(f"the group '{empty[0]}' is empty: correct its patterns")
     if len(groups) < 2 or len(names) == len(groups):
         raise EstimationError(
-            "give at least two groups, one of them with at least two members, to separate the scatter within groups "
-            "from that between them"
+            "give at least two groups, one of them with at least two members, to separate the scatter within "
+            "groups from the scatter between groups"
         )
     return number
 
@@ -242,10 +244,10 @@ def _coefficients(request: EstimateRequest[RepeatabilityParameters], group: NDAr
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in shared):
             raise EstimationError(
-                f"no coefficient that all estimates have matches '{pattern}': {closest(pattern, shared)}"
+                f"no coefficient common to all estimates matches '{pattern}': {closest(pattern, shared)}"
             )
     if not wanted:
-        raise EstimationError("the estimates in `uses` have no coefficient in common: use estimates of one kind")
+        raise EstimationError("the estimates in `uses` have no coefficient in common: use estimates of the same kind")
     found = []
     for name in wanted:
         units = {own[name].unit for own in each}
@@ -433,19 +435,21 @@ def _notes(one: Repeats, split: Variance) -> list[str]:
     found = []
     if math.isfinite(split.between):
         verdict = (
-            "groups differ" if split.probability < 0.05 else "no difference between the groups exceeds their scatter"
+            "groups differ"
+            if split.probability < 0.05
+            else "the differences between the groups do not exceed the scatter within them"
         )
         found.append(
-            f"{one.name}: variance ratio F = {split.ratio:.3g} between and within groups (chance of one so large: "
+            f"{one.name}: variance ratio F = {split.ratio:.3g} between and within groups (probability of a larger ratio by chance: "
             f"{split.probability:.2g}): {verdict}."
         )
     if np.isfinite(one.own).all() and (one.own > 0).all():
         own = math.sqrt(float(np.mean(one.own**2)))
         found.append(
-            f"{one.name}: the repeats' own standard uncertainties are {own:.3g} {one.unit} (root mean square), "
-            "compared with a scatter of "
-            f"{math.sqrt(split.within):.3g}; influences common to all repeats, such as a fixture's angle, are in the "
-            "former but not in the latter."
+            f"{one.name}: the standard uncertainties of the repeats are {own:.3g} {one.unit} (root mean square), "
+            "and their scatter is "
+            f"{math.sqrt(split.within):.3g}; influences common to all repeats, such as a fixture's angle, contribute to "
+            "the uncertainties but not to the scatter."
         )
     return found
 

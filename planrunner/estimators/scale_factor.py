@@ -59,7 +59,7 @@ class ScaleFactorParameters(Record):
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),
-        "Channels to fit, each with a separate line.",
+        "Channels to fit, each with its own line.",
         ["gyro_z"],
         default_factory=tuple,
     )
@@ -74,8 +74,8 @@ class ScaleFactorParameters(Record):
     )
     weights: str = key(
         Choice(("noise", "equal")),
-        "Weight each rate by the noise within it, so that an unsteady rate has less weight; or give all rates the "
-        "same weight, as in ordinary least squares.",
+        "Weight each rate by the noise of its segment, so that an unsteady rate has less weight; or give "
+        "all rates the same weight, as in ordinary least squares.",
         "noise",
         default="noise",
     )
@@ -153,10 +153,11 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
         warnings += contradictions(_rows(request, found))
         if len(rates) and not (np.any(rates > 0) and np.any(rates < 0)):
             notes.append(
-                "All rates have one sign, so asymmetry cannot be determined, and an offset that depends on the sense of rotation is in F0."
+                "All rates have the same sign, so asymmetry cannot be determined, and F0 includes any offset that depends on the sense of "
+                "rotation."
             )
         if not (found.common or request.setup.inputs.get("table rate")):
-            notes.append("The table's rate counts as exact; state `rate_uncertainty` to include it.")
+            notes.append("The table's rate is treated as exact; state `rate_uncertainty` to include its uncertainty.")
         return Words(
             headline=tuple(item.name for item in found.coefficients),
             settings={

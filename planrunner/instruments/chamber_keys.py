@@ -17,19 +17,19 @@ class ChamberKeys(Record):
     ramp: Quantity = key(QuantityOf("temperature rate", "positive"), "Rate of change of the setpoint.", "3 K/min")
     ambient: Quantity = key(
         QuantityOf("temperature"),
-        "Temperature at the start of a run, and to which the chamber returns at its end.",
+        "Temperature at the start of a run; at the end of the run the chamber returns to it.",
         "25 degC",
         default=parse_quantity("25 degC"),
     )
     lag: Quantity = key(
         QuantityOf("time", "positive"),
-        "Time constant of the air behind the setpoint.",
+        "Time constant with which the air temperature follows the setpoint.",
         "2 min",
         default=parse_quantity("2 min"),
     )
     tolerance: Quantity = key(
         QuantityOf("temperature", "positive"),
-        "Largest difference between air temperature and setpoint at which the setpoint counts as reached.",
+        "The setpoint is reached if the air temperature differs from it by no more than this.",
         "0.5 K",
         default=parse_quantity("0.5 K"),
     )

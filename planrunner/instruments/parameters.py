@@ -26,7 +26,9 @@ class QuantityLike:
             return None
         units = (self.unit, *self.others)
         if all(quantity.unit.dimension != unit(text).dimension for text in units):
-            message = f"'{quantity.unit.text}' does not fit here; a unit such as {' or '.join(units)} is needed"
+            message = (
+                f"'{quantity.unit.text}' is not a possible unit here; a unit such as {' or '.join(units)} is needed"
+            )
             log.error("meaning-dimension", node.mark, message, f"write for example '1 {self.unit}'")
             return None
         if (self.sign == "positive" and quantity.value <= 0) or (self.sign == "not negative" and quantity.value < 0):

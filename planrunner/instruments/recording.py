@@ -1,7 +1,7 @@
 """The recording player: a sensor that plays back a CSV or Parquet file as if it were measured now.
 
 Columns are mapped to channels with units. A table of segments assigns intervals of the recording to labels, or pauses in its time separate
-them; without either the whole recording is one interval. Files must be inside the data root unless they are named on the command line. Rows
+them; without either the whole recording is one interval. Files must be inside the data folder, except files named on the command line. Rows
 are streamed; a long recording is never in memory as a whole.
 """
 
@@ -125,7 +125,7 @@ class RecordingPlayer(PlaysBack):
                 parts = zip(segments, self.parted, strict=True)
                 return [Wanted(one.label, span, one.dwell, Mark(name)) for one, span in parts]
             message = (
-                f"{name} holds {len(self.parted)} stretches separated by pauses, but the plan has {len(labels)} "
+                f"{name} holds {len(self.parted)} stretches, separated by pauses, but the plan has {len(labels)} "
                 "segments"
             )
             hint = "check `pauses` in the bench file and the plan's segments"
@@ -220,8 +220,8 @@ class RecordingPlayer(PlaysBack):
 
     def _too_short(self, segment: Segment, available: float) -> InstrumentError:
         return InstrumentError(
-            f"the recording is shorter than the plan: '{segment.label}' dwells {segment.dwell:g} s, and "
-            f"{self.parameters.file} holds {available:.6g} s of it; shorten the dwell or write `dwell: recorded`"
+            f"the recording is shorter than the plan: '{segment.label}' dwells {segment.dwell:g} s, but "
+            f"{self.parameters.file} holds only {available:.6g} s of it; shorten the dwell or write `dwell: recorded`"
         )
 
 

@@ -1,4 +1,4 @@
-"""Recorded samples in a file: CSV or Parquet, read in batches, inside a data root.
+"""Recorded samples in a file: CSV or Parquet, read in batches, inside a data folder.
 
 Before a sample is read, the resources that the file requires are checked. Samples come in batches, so a recording may have any length. The
 data in memory at one time are limited: the header and the columns of a CSV file; the directory, the columns and the row groups of a Parquet
@@ -119,23 +119,25 @@ ReadRows = Iterator[tuple[Array, dict[str, Array]]]
 
 
 def beneath(root: Path | None, name: str) -> Path:
-    """The file `name` in the data root. Raises `InstrumentError` for a file or link outside it."""
+    """The file `name` in the data folder. Raises `InstrumentError` for a file or link outside it."""
     if root is None:
         raise InstrumentError(f"'{name}' is relative to a data folder, but no data folder is given; add --data FOLDER")
     posix, windows = PurePosixPath(name), PureWindowsPath(name)
     rooted = posix.is_absolute() or windows.is_absolute() or windows.drive or windows.root
     if rooted or ".." in posix.parts or ".." in windows.parts:
-        raise InstrumentError(f"'{name}' leads outside the data root; name it relative to that folder, without '..'")
+        raise InstrumentError(
+            f"'{name}' leads outside the data folder; give its path relative to that folder, without '..'"
+        )
     try:
         top = root.resolve(strict=True)
     except OSError:
-        raise InstrumentError(f"the data root {root} is not there; check --data") from None
+        raise InstrumentError(f"the data folder {root} does not exist; check --data") from None
     try:
         path = (top / name).resolve(strict=True)
     except (OSError, RuntimeError):
-        raise InstrumentError(f"there is no file '{name}' beneath the data root {root}") from None
+        raise InstrumentError(f"there is no file '{name}' in the data folder {root}") from None
     if not path.is_relative_to(top):
-        raise InstrumentError(f"'{name}' is a link that leads outside the data root; replace the link with the file")
+        raise InstrumentError(f"'{name}' is a link that leads outside the data folder; replace the link with the file")
     return path
 
 
@@ -172,7 +174,7 @@ def open_recording(path: Path, name: str, time: str, scale: float, channels: Map
     known = file.columns()
     absent = [column for column in dict.fromkeys((time, *channels.values())) if column not in known]
     if absent:
-        more = f"; nor has it {', '.join(map(repr, absent[1:]))}" if len(absent) > 1 else ""
+        more = f"; it also lacks {', '.join(map(repr, absent[1:]))}" if len(absent) > 1 else ""
         raise InstrumentError(f"{name} has no column '{absent[0]}'{more}; {_column_hint(absent[0], known)}")
     for column in (time, *channels.values()):
         if known.count(column) > 1:
@@ -237,7 +239,7 @@ def _column_hint(column: str, known: list[str]) -> str:
     separators = {";": "semicolons", "\t": "tabs", "|": "bars"}
     for separator, word in separators.items():
         if len(known) == 1 and separator in known[0]:
-            return f"its header is separated by {word}: save it with commas, and with decimal points"
+            return f"its header is separated by {word}: save the file with commas between the columns and with decimal points"
     return closest(column, known)
 
 
@@ -399,7 +401,7 @@ class _Spooled:
                 writer = writer or pq.ParquetWriter(path, table.schema)
                 writer.write_table(table)
         except OSError as error:
-            message = f"{path} cannot be written: {error.strerror}; a long CSV file needs room for a copy"
+            message = f"{path} cannot be written: {error.strerror}; planrunner needs room for a copy of a long CSV file"
             raise InstrumentError(message) from None
         finally:
             if writer is not None:

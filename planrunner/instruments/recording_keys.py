@@ -41,8 +41,8 @@ class TimeColumn(Record):
     unit: str = key(Choice(TIME_UNITS), "Its unit.", "s", default="s")
     power_on: Quantity | None = key(
         QuantityOf("time"),
-        "Time at which the sensor was switched on, in the time of the column; the time of the recording then starts "
-        "there, by default at the first row.",
+        "Time at which the sensor was switched on, as a value of the column; the time of the recording then starts at "
+        "this value. By default it starts at the first row.",
         "0 s",
         default=None,
     )
@@ -52,7 +52,9 @@ class ChannelColumn(Record):
     """The column that a channel is read from."""
 
     column: str = key(Text(COLUMN, "a column's name"), "Name of the column in the file.", "gyro_y_deg_per_s")
-    unit: str = key(UnitText(), "Unit of the channel, that of the numbers in the file unless they are counts.", "deg/s")
+    unit: str = key(
+        UnitText(), "Unit of the channel; also the unit of the numbers in the file, unless they are counts.", "deg/s"
+    )
     sign: int = key(
         Number(-1, 1, integer=True), "-1 if the sensor's axis points in the opposite direction.", -1, default=1
     )
@@ -144,18 +146,18 @@ class ChannelKind:
 class SegmentColumns(Record):
     """The table that says which stretch of the recording belongs to which label."""
 
-    table: str = key(Text(r"[^\x00-\x1f]{1,400}", "a file's path"), "CSV file beneath the data root.", "jig/stops.csv")
+    table: str = key(Text(r"[^\x00-\x1f]{1,400}", "a file's path"), "CSV file in the data folder.", "jig/stops.csv")
     label: str = key(Text(COLUMN, "a column's name"), "Column of the labels.", "label", default="label")
     start: str = key(
         Text(COLUMN, "a column's name"),
-        "Column of the beginnings, in the recording's time.",
+        "Column of the start times, in the time of the recording.",
         "start_s",
         default="start_s",
     )
-    end: str = key(Text(COLUMN, "a column's name"), "Column of the ends.", "end_s", default="end_s")
+    end: str = key(Text(COLUMN, "a column's name"), "Column of the end times.", "end_s", default="end_s")
     unit: str = key(Choice(TIME_UNITS), "Unit of both columns.", "s", default="s")
     trim: Quantity = key(
-        QuantityOf("time", "not negative"), "Time that is left out at both ends of a stretch.", "2 s", default=_NO_TRIM
+        QuantityOf("time", "not negative"), "Time to leave out at both ends of a segment.", "2 s", default=_NO_TRIM
     )
 
     @classmethod
@@ -169,7 +171,7 @@ class RecordingParameters(Record):
 
     file: str = key(
         Text(r"[^\x00-\x1f]{1,400}", "a file's path"),
-        "CSV or Parquet file beneath the data root.",
+        "CSV or Parquet file in the data folder.",
         "jig/staircase.parquet",
     )
     kind: str = key(Text(NAME, "a sensor kind"), "Kind of sensor that was recorded.", "imu")
@@ -187,8 +189,8 @@ class RecordingParameters(Record):
     )
     pauses: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "Instead of a table: steps in time longer than this divide the recording into segments, in the order of the "
-        "plan.",
+        "Instead of a table: divide the recording into segments wherever the time steps by more than this, in the order "
+        "of the plan.",
         "10 s",
         default=None,
     )

@@ -170,7 +170,7 @@ def _on_segment(one: Wanted, seen: _Seen, found: _Pass, name: str, log: Findings
         log.warning("recording-missing", one.mark, message, "leave the segment or the channel out, or record it again")
     lasts = seen.last - seen.first + found.period
     if one.dwell is not None and one.dwell > lasts + found.period / 2:
-        message = f"the recording is shorter than the plan: '{one.label}' dwells {one.dwell:g} s, and {name} holds {lasts:.6g} s of it"
+        message = f"the recording is shorter than the plan: '{one.label}' dwells {one.dwell:g} s, but {name} holds only {lasts:.6g} s of it"
         log.error("recording-short", one.mark, message, "shorten the dwell or write `dwell: recorded`")
 
 
@@ -201,5 +201,5 @@ def _on_overlaps(wanted: Sequence[Wanted], period: float, log: Findings) -> None
         shared = min(one.played.end, other.played.end) - other.played.start
         if shared > ROUNDING * period:
             message = f"'{one.label}' and '{other.label}' share {shared:.4g} s of the recording"
-            hint = "let one end where the other begins: samples that count twice make uncertainties too small"
+            hint = "end one segment where the other begins: samples that are used twice make uncertainties too small"
             log.warning("recording-overlap", other.mark, message, hint)

@@ -83,7 +83,7 @@ def _row(
     if not (math.isfinite(start) and math.isfinite(end)) or times[1] <= times[0]:
         raise InstrumentError(f"{where}: the segment '{label}' does not end after it starts")
     if end <= start:
-        message = f"the segment '{label}' lasts {times[1] - times[0]:g} s, and trimming {trim:g} s at either end leaves nothing"
+        message = f"the segment '{label}' lasts {times[1] - times[0]:g} s, and nothing remains after {trim:g} s are trimmed from both ends"
         raise InstrumentError(f"{where}: {message}")
     return label, Span(start, end)
 

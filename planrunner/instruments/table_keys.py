@@ -26,7 +26,7 @@ class AxisSpec(Record):
     )
     lowest: Quantity | None = key(
         QuantityOf("angle"),
-        "Lower joint limit; without limits the axis is continuous (slip rings).",
+        "Lower joint limit; an axis without limits is continuous (slip rings).",
         "-100 deg",
         default=None,
     )
@@ -59,7 +59,10 @@ class AxesKind:
                 log.error("meaning-axis-limits", spec.at("lowest"), "lowest is not below highest", "exchange them")
             elif spec.axis().lowest > 0 or spec.axis().highest < 0:
                 log.error(
-                    "meaning-axis-limits", spec.origin.mark, "the limits leave out joint angle zero", "include 0 deg"
+                    "meaning-axis-limits",
+                    spec.origin.mark,
+                    "the limits do not include the joint angle zero",
+                    "include 0 deg",
                 )
         names = [spec.name for spec in specs]
         for index, spec in enumerate(specs):

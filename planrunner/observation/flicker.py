@@ -27,9 +27,8 @@ def drift_span() -> Quantity:
     """The key of estimators that report constants."""
     span: Quantity = key(
         QuantityOf("time", "positive"),
-        "Time span for which constants are reported: with a declared bias instability, their uncertainty is that of "
-        "the average "
-        "over this span around the test, or over the test where that is longer.",
+        "Time span for which constants are reported. With a declared bias instability, the uncertainty of a constant is that "
+        "of its average over this span around the test, or over the test itself if the test is longer.",
         "24 h",
         default=SPAN,
     )

@@ -38,10 +38,8 @@ def unknown_orientations(recording: Sequence[RecordedSegment]) -> bool:
     if not unknown:
         return False
     if len(unknown) < len(recording):
-        message = f"the orientation of segment '{unknown[0]}' is unknown, that of others is known"
-        raise ObservationError(
-            f"{message}: choose the ones or the others with `segments` under `diagnosis` in the plan"
-        )
+        message = f"the orientation of segment '{unknown[0]}' is unknown, but other segments have known orientations"
+        raise ObservationError(f"{message}: choose segments of one kind with `segments` under `diagnosis` in the plan")
     moving = [item.label for item in recording if not isinstance(item.segment.motion, Rest)]
     if moving:
         raise ObservationError(
@@ -68,7 +66,7 @@ def poses(
     found = [channel for channel in channels_of(recording[0], sensor, only) if channel.kind == "accel"]
     triad = {channel.axis: channel for channel in found}
     if len(found) != 3 or len(triad) != 3:
-        message = f"orientations are unknown, and of the accelerometers {len(found)} are recorded"
+        message = f"orientations are unknown, and only {len(found)} accelerometers are recorded"
         raise ObservationError(
             f"{message}: a pose gives information only through |f| = g, which needs all of x, y and z"
         )

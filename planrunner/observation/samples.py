@@ -44,7 +44,7 @@ def observed(
     recording = in_time_order(recording)
     channels = channels_of(recording[0], sensor, only)
     if not channels:
-        raise ObservationError("the recording has no channel of angular rate or acceleration with an axis x, y or z")
+        raise ObservationError("the recording has no channel of angular rate or acceleration along an axis x, y or z")
     size = sizes(recording)
     made = [
         _part(item, channels, angle_channel, temperature_channel, power_on, None if size is None else int(size[index]))

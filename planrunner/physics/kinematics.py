@@ -167,7 +167,7 @@ def spin_axis(
         if abs(cosine) > math.cos(ALIGNED):
             return index
     off = [
-        f"'{axis.name}' stands {math.degrees(math.acos(min(1.0, abs(float(c))))):.4g} deg from it"
+        f"'{axis.name}' is {math.degrees(math.acos(min(1.0, abs(float(c))))):.4g} deg from it"
         for axis, c in zip(axes, cosines, strict=True)
     ]
     raise Unreachable("no axis is along that direction now: " + ", ".join(off))
@@ -281,7 +281,7 @@ def _place(axis: TableAxis, angle: float, near: float) -> tuple[float, tuple[flo
     beyond = max(lowest - central, central - highest)
     return nearest, (
         beyond,
-        f"the axis '{axis.name}' would have to stand at {math.degrees(central):.4g} deg; {limits_in_words(axis)}",
+        f"the axis '{axis.name}' would have to be at {math.degrees(central):.4g} deg; {limits_in_words(axis)}",
     )
 
 

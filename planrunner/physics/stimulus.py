@@ -89,7 +89,7 @@ class Poses:
                 rate[row], angle[row] = motion.rate, (turned or 0.0) / 2
             elif not isinstance(motion, Rest):
                 kind = type(motion).__name__.lower()
-                message = f"segment '{segment.label}' moves ({kind}): its mean is no static observation; choose segments at rest"
+                message = f"segment '{segment.label}' moves ({kind}): its mean is not a static observation; choose segments at rest"
                 raise StimulusError(message)
             if kelvin is not None:
                 temperature[row] = kelvin if ramp_to is None else (kelvin + ramp_to) / 2
@@ -129,7 +129,7 @@ def mean_while_turning(axis: Array, turned: float | None) -> Array:
 def _attitude(segment: Segment) -> Array:
     if segment.attitude is None:
         raise StimulusError(
-            f"the orientation of segment '{segment.label}' is unknown, so what the sensor felt is not known; "
+            f"the orientation of segment '{segment.label}' is unknown, so the stimulus of the sensor is unknown; "
             "give its orientation or use an estimator that does not need it"
         )
     return segment.attitude

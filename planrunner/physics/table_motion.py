@@ -77,7 +77,7 @@ def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | Non
     """Requirements beyond the limits of the rings, for rocking about `joints` [rad]; None if these angles are unknown."""
     found: list[Excess] = []
     if len(motion.phases) > len(axes):
-        found.append(Excess("rings", f"{len(motion.phases)} rings are planned to rock, the table has {len(axes)}"))
+        found.append(Excess("rings", f"{len(motion.phases)} rings are planned to rock, but the table has {len(axes)}"))
     circular = 2 * math.pi * motion.frequency
     for index, axis in enumerate(axes[: len(motion.phases)]):
         found += _beyond(axis, "rocking", motion.amplitude * circular, motion.amplitude * circular**2)

@@ -99,7 +99,7 @@ def _check_selections(specs: Sequence[EstimateSpec | DiagnosisSpec], labels: Lab
                 undefined.setdefault(pattern, []).append(holder.at(f"{key}[{index}]"))
             chosen.update(found)
         if not patterns:
-            hint = "leave the key out for all of them, or name some"
+            hint = "leave the key out to choose all segments, or name some"
             log.error("meaning-undefined-label", holder.at(key), "no segment is chosen", hint)
     for pattern, marks in undefined.items():
         message = f"no segment is labelled '{pattern}'{elsewhere(marks, marks[0])}"
@@ -145,13 +145,13 @@ def _check_limit(limit: Limit, log: Findings) -> None:
         log.error("meaning-limit", limit.at("within"), f"'within' cannot be used together with '{given[1]}'", hint)
     if limit.rule == "simple" and "guard_band" in limit.origin.keys:
         hint = "remove it, or write rule: guarded"
-        log.error("meaning-limit", limit.at("guard_band"), "'guard_band' has no meaning for the rule simple", hint)
+        log.error("meaning-limit", limit.at("guard_band"), "'guard_band' has no meaning for the rule 'simple'", hint)
     if limit.prior is not None and not limit.prior.standard_uncertainty:
         hint = "write for example prior: 0.1 deg/h ± 0.2 deg/h"
         log.error(
             "meaning-uncertainty",
             limit.at("prior"),
-            "a prior needs the standard deviation of the quantity over the items",
+            "a prior needs the standard deviation of the quantity among the tested items",
             hint,
         )
     if limit.at_least is not None and limit.at_most is not None:

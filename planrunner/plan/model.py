@@ -74,7 +74,7 @@ class MonteCarloSpec(Record):
 
     digits: int = key(
         Number(1, 2, integer=True),
-        "Digits of the standard uncertainty that are regarded as meaningful: half a unit of the last one is the tolerance.",
+        "Number of significant digits of the standard uncertainty; the tolerance is half a unit of the last digit.",
         1,
         default=1,
     )
@@ -143,7 +143,8 @@ class MountedAxis(Record):
     )
     azimuth: Quantity | None = key(
         QuantityOf("angle", uncertain=True),
-        "Azimuth of the input axis about the rotation axis, at home: from the sensor's x axis, right-handed about z.",
+        "Azimuth of the input axis about the rotation axis with the table at home, measured from the sensor's x axis, right-handed about "
+        "z.",
         "120 deg",
         default=None,
     )
@@ -238,7 +239,7 @@ class Limit(Record):
     )
     prior: Quantity | None = key(
         QuantityOf(None, uncertain=True),
-        "Prior distribution of the quantity over the tested items, as mean ± standard deviation; gives the global "
+        "Prior distribution of the quantity among the tested items, as mean ± standard deviation; gives the global "
         "risks of the rule.",
         "0.1 deg/h ± 0.2 deg/h",
         default=None,
@@ -286,7 +287,7 @@ class Plan(Record):
     )
     bench: str = key(
         Text(r"[^\x00-\x1f]{1,200}", "a bench's name or file"),
-        "Bench to run on: a shipped one by name, or a file.",
+        "Bench to run on: the name of a shipped bench, or a file.",
         "virtual",
         default="virtual",
     )

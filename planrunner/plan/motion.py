@@ -51,7 +51,7 @@ def _stated_motion(
         log.error(
             "meaning-motion",
             marks["motion"],
-            f"a motion is one of rate, rock and cycle; this has {what}",
+            f"a motion has exactly one of the keys rate, rock and cycle; this one has {what}",
             "keep one of them",
         )
         return None
@@ -76,12 +76,15 @@ def _rock(motion: model.MotionSpec, rock: model.RockSpec, dwell: float | None, l
     )
     left = math.inf if dwell is None else dwell - endless.steady
     if left <= 0:
-        message = f"the dwell of {dwell:g} s ends before the rocking has its full amplitude, {endless.steady:g} s after the dwell has begun"
+        message = (
+            f"the dwell of {dwell:g} s ends before the rocking reaches its full amplitude, {endless.steady:g} s after the start of "
+            "the dwell"
+        )
         log.error("meaning-rock", motion.at("after"), message, "shorten `after`, or dwell longer")
         return None
     duration = motion.for_.value if motion.for_ else left
     if duration > left:
-        within = f"the {left:g} s that are left of the dwell" if motion.after else f"the dwell of {dwell:g} s"
+        within = f"the {left:g} s that remain of the dwell" if motion.after else f"the dwell of {dwell:g} s"
         message = f"rocks for {motion.for_}, longer than {within}"
         log.error("meaning-rock", motion.at("for"), message, "shorten it, or dwell longer")
         return None
@@ -131,7 +134,7 @@ def _check_positions(
             if name not in positions:
                 users.setdefault(name, []).append(index)
     for name, found in users.items():
-        others = f", as {len(found) - 1} more do" if found[1:] else ""
+        others = f"({len(found) - 1} more moves use this name too)" if found[1:] else ""
         message = f"move {found[0] + 1} ({motion.moves[found[0]].strip()}) names '{name}', which is not a position of this cycle{others}"
         log.error("meaning-cycle-position", motion.at(f"moves[{found[0]}]"), message, closest(name, positions))
 
@@ -142,8 +145,8 @@ def _check_move(
     if not {move.start, move.end} <= set(positions):
         return
     if not turn:
-        message = f"move {number} ({text}) turns by nothing"
-        log.error("meaning-cycle", mark, message, "leave it out; for a longer rest raise `stop`")
+        message = f"move {number} ({text}) turns by 0 deg"
+        log.error("meaning-cycle", mark, message, "remove this move; for a longer rest, increase `stop`")
         return
     there = positions[move.start] + turn
     if abs(math.remainder(there - positions[move.end], TURN)) > _ANGLE_TOLERANCE:
@@ -159,7 +162,7 @@ def _check_cycle(moves: list[Move], net: float, motion: model.MotionSpec, log: F
         log.error("meaning-cycle-closed", at, message, f"add a move from {moves[-1].end} back to {moves[0].start}")
     elif abs(net) > _ANGLE_TOLERANCE:
         message = f"each cycle winds up the cables by {math.degrees(net):+g} deg"
-        log.error("physics-cable-wrap", motion.at("moves"), message, "let as many degrees go back as forth")
+        log.error("physics-cable-wrap", motion.at("moves"), message, "turn as many degrees back as forward")
 
 
 def _degrees(angle: float) -> str:

@@ -195,7 +195,7 @@ def _read_words(node: Mapping, log: Findings) -> Orientation | None:
         if not perpendicular(given[first], given[second]):
             opposite = tuple(-value for value in given[second])
             what = {given[second]: "point the same way", opposite: "are opposite each other"}
-            shown = what.get(given[first], "do not stand at right angles")
+            shown = what.get(given[first], "are not at right angles")
             words = ", ".join(f"{axis} {_pointing(given[axis])}" for axis in (first, second))
             message = f"{first} and {second} {shown} ({words})"
             at = next(item.mark for key, item in node.entries if key.text == second)
@@ -302,7 +302,7 @@ def _read_quaternion(node: Mapping, log: Findings) -> Orientation | None:
         return None
     norm = math.hypot(*(float(v) for v in values))  # type: ignore[arg-type]
     if not 1e-6 < norm < 1e6:
-        message = "this quaternion has no direction: its length is zero, not finite or out of all proportion"
+        message = "this quaternion has no direction: its length is zero, infinite, or far too large or too small"
         log.error("meaning-quaternion", at, message, "write for example [1, 0, 0, 0]")
         return None
     w, x, y, z = (float(v) / norm for v in values)  # type: ignore[arg-type]

@@ -111,7 +111,7 @@ def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
     own = _unit(width_unit, None) if width_unit else resolved
     if own.dimension != resolved.dimension:
         kinds = dimension_name(own.dimension), dimension_name(resolved.dimension)
-        message = f"'{own.text}' after ± is a unit of {kinds[0]}, the value is one of {kinds[1]}"
+        message = f"'{own.text}' after ± is a unit of {kinds[0]}, but the value is in a unit of {kinds[1]}"
         raise QuantityError("meaning-dimension", message, f"give the uncertainty in {resolved.text}")
     # An uncertainty is a difference, so the offset of degC or degF is not applied.
     uncertainty = _in_range(_float(width) * own.factor, text, dimension)
@@ -228,7 +228,9 @@ def _no_quantity(text: str, dimension: str | None) -> QuantityError:
         return QuantityError("form-unit-missing", f"'{shown}' has no unit", example)
     if _SIGNED.fullmatch(text):
         return QuantityError(
-            "form-quantity", f"'{shown}' has two values; one value is expected here", "both signs belong in for_each"
+            "form-quantity",
+            f"'{shown}' has two values; one value is expected here",
+            "to use both signs, write the value in for_each",
         )
     if re.match(r"\s*[-+−]?[0-9]+,[0-9]", text):
         return QuantityError("form-quantity", f"'{shown}' has a decimal comma", f"write a decimal point; {example}")
@@ -337,7 +339,10 @@ def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity 
             log.error("form-missing-key", node.mark, message, _example(dimension))
     if value is not None and value.standard_uncertainty and len(node.entries) > 1 and value_node is not None:
         log.error(
-            "meaning-uncertainty", value_node.mark, "the uncertainty is stated twice", "leave out what follows ± here"
+            "meaning-uncertainty",
+            value_node.mark,
+            "the uncertainty is stated twice",
+            "remove the ± and the text after it here",
         )
     width, shape = _width(node, dimension, misspelt, log)
     degrees = _degrees(node, log)
@@ -389,7 +394,7 @@ def _degrees(node: Mapping, log: Findings) -> float:
         return math.inf
     value = freedom.value if isinstance(freedom, Scalar) else None
     if isinstance(value, bool) or not isinstance(value, int | float) or value <= 0:
-        log.error("form-type", freedom.mark, "degrees of freedom are a number above zero", "write for example 9")
+        log.error("form-type", freedom.mark, "degrees of freedom must be a number above zero", "write for example 9")
         return math.inf
     if math.isnan(value):
         log.error(

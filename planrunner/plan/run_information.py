@@ -64,7 +64,7 @@ def _read(settings: Sequence[str], file: Path | None, log: Findings) -> dict[str
 def _check(names: Collection[str], hint: str, given: Mapping[str, tuple[str, Mark]], log: Findings) -> None:
     for name, (value, mark) in given.items():
         if name not in names:
-            message = f"'{name[:40]}' is not asked for"
+            message = f"the plan does not ask for '{name[:40]}'"
             log.error("run-info-unknown", mark, message, closest(name, names) or hint)
         elif len(value) > 500 or re.search(r"[\x00-\x1f\x7f]", value):
             log.error("run-info-value", mark, f"'{name}' must be one line of at most 500 characters", "shorten it")

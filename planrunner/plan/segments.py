@@ -37,7 +37,7 @@ class Ramp(Record):
 
     ramp_to: Quantity = key(
         QuantityOf("temperature", elsewhere=TEMPERATURE_UNCERTAINTY),
-        "Set this temperature as recording begins.",
+        "Set this temperature when recording begins.",
         "60 degC",
     )
 
@@ -109,7 +109,7 @@ class State(Record):
             ("recorded",),
             ByShape(QuantityOf("time", "positive"), RecordOf(Turns), what="a time, {turns: …} or {cycles: …}"),
         ),
-        "How long to record: a time, whole turns or cycles, or 'recorded' for as long as a played-back segment lasts.",
+        "How long to record: a time, whole turns or cycles, or 'recorded' for the length of a played-back segment.",
         "2 min",
         default=None,
         traits=StateTraits(swept=True, decisive=True),
@@ -123,7 +123,7 @@ class State(Record):
     )
     mode: str | None = key(
         Text(NAME, "a mode's name"),
-        "Operating mode that the sensor records in, where its driver offers modes (such as caged and navigation).",
+        "Operating mode in which the sensor records, if its driver offers modes (such as caged and navigation).",
         "navigation",
         default=None,
     )
@@ -135,7 +135,7 @@ class State(Record):
     )
     on_break: str | None = key(
         Choice(("retake", "keep")),
-        "What to do with a segment cut short by a crash when the run is resumed.",
+        "When a run is resumed: what to do with a segment that a crash cut short.",
         "keep",
         default=None,
     )
@@ -169,21 +169,21 @@ class SegmentSpec(State):
     )
     prompt: str | None = key(
         Text(r"[^\x00-\x1f]{1,200}", "a line of text"),
-        "Ask the operator before the segment (before the first of its steps); the bench is in its safe state during "
-        "this time.",
+        "Instruction or question that the operator must confirm before the segment begins (before the first of its steps); until then the "
+        "bench is in its safe state.",
         "Turn the fixture to face {orientation}, then leave the table",
         default=None,
     )
     conditioning: bool = key(
         Boolean(),
-        "Whether the segment, with all its steps, only brings the sensor to a state, such as a warm-up or a pause "
-        "without power. It is recorded, and there is no warning if no estimate uses it.",
+        "Marks a segment (with all its steps) that only conditions the sensor, such as a warm-up or a "
+        "pause without power. It is recorded, and no warning is given if no estimate uses it.",
         True,
         default=False,
     )
     for_each: Sweep | None = key(
         ForEachKind(State),
-        "Repeat for every value; several keys multiply, the first changing slowest.",
+        "Repeat for every value. Several keys give all combinations of their values; the first key changes slowest.",
         {"rate": "±300, ±150 deg/s"},
         default=None,
     )
@@ -194,7 +194,12 @@ class SegmentSpec(State):
         default="as_written",
     )
     shuffle_seed: int = key(Number(0, 2**31, integer=True), "Seed of a shuffled order.", 7, default=0)
-    repeat: int = key(Number(1, 10_000, integer=True), "Do all of it this many times.", 3, default=1)
+    repeat: int = key(
+        Number(1, 10_000, integer=True),
+        "Number of times to do the whole segment, including its sweep and steps.",
+        3,
+        default=1,
+    )
     steps: tuple[SegmentSpec, ...] = key(
         ListOf(SegmentKind(), minimum=1),
         "Segments that share this state.",

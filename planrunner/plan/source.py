@@ -166,9 +166,9 @@ def _mark_at(text: str, position: int, file: str) -> Mark:
 
 # Messages of libyaml, and what to show instead to readers who do not know what a token is.
 _PLAIN_WORDS = {
-    "mapping values are not allowed in this context": "a ':' is at a place where no key can be: a text that contains "
+    "mapping values are not allowed in this context": "a ':' is in a place where no key is possible: a text that contains "
     "': ' needs quotes",
-    "did not find expected key": "a key is expected here: this line is indented unlike its neighbours, or a quote or "
+    "did not find expected key": "a key is expected here: this line is not indented like the lines around it, or a quote or "
     "bracket is open",
     "could not find expected ':'": "a ':' is missing after this key",
     "did not find expected ',' or ']'": "a list opened with '[' is not closed: ',' or ']' is missing",
@@ -269,7 +269,9 @@ class _Builder:
                 self._documents += 1
                 if self._documents > 1:
                     mark = self._mark(event)
-                    raise InputError.at(mark, "form-documents", "a second document begins here", "one document a file")
+                    raise InputError.at(
+                        mark, "form-documents", "a second document begins here", "write one document per file"
+                    )
 
     def _mark(self, event: yaml.Event, opened: Mark | None = None) -> Mark:
         """Where an event stands; with `opened`, from there to the end of the event."""

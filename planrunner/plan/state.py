@@ -45,10 +45,13 @@ class StabilitySpec(Tolerated):
     """Waiting until readings have settled: each within its limit, for a while at a stretch."""
 
     for_: Quantity = key(
-        QuantityOf("time", "positive"), "Time for which the readings must stay within their limits.", "30 s", name="for"
+        QuantityOf("time", "positive"),
+        "Time for which the readings must stay within their limits.",
+        "30 s",
+        name="for",
     )
     within: Quantity = key(
-        QuantityOf("time", "positive"), "The run stops when they have not settled after this time.", "10 min"
+        QuantityOf("time", "positive"), "The run stops if they have not settled after this time.", "10 min"
     )
 
 
@@ -90,9 +93,9 @@ def _check_stability(stability: StabilitySpec, log: Findings) -> None:
     _check_difference(stability, log)
     if not stability.stated():
         hint = "add for example `temperature_drift: 0.1 K/min`, or write a time alone"
-        log.error("meaning-stability", stability.origin.mark, "no reading is named that must settle", hint)
+        log.error("meaning-stability", stability.origin.mark, "the reading that must settle is missing", hint)
     if stability.within.value < stability.for_.value:
-        message = f"{stability.within} is shorter than the {stability.for_} for which the readings must stay"
+        message = f"{stability.within} is shorter than the {stability.for_} for which the readings must stay within their limits"
         log.error("meaning-stability", stability.at("within"), message, "make `within` longer")
 
 
@@ -163,7 +166,14 @@ class MotionSpec(Record):
         default=None,
     )
     moves: tuple[str, ...] = key(
-        ListOf(Text(MOVE, "a move such as 'A +180 C'", "write from, turn in degrees, to"), minimum=1),
+        ListOf(
+            Text(
+                MOVE,
+                "a move such as 'A +180 C'",
+                "write the first position, the turn in degrees, and the last position",
+            ),
+            minimum=1,
+        ),
         "Moves of one cycle in order: from, turn in degrees, to.",
         ["A +180 C", "C -180 A"],
         default_factory=tuple,
@@ -176,7 +186,7 @@ class MotionSpec(Record):
     )
     sense: str = key(
         Choice(("counterclockwise", "clockwise")),
-        "Sense of positive angles, seen against the rotation axis.",
+        "Sense of positive angles, seen by an observer whom the rotation axis points to.",
         "clockwise",
         default="counterclockwise",
     )

@@ -150,7 +150,10 @@ class ForEachKind:
     def read(self, node: source.Node, log: Findings) -> Sweep | None:
         if not isinstance(node, source.Mapping) or not node.entries:
             log.error(
-                "form-type", node.mark, "for_each is a mapping of states to values", "write {rate: '±300, ±150 deg/s'}"
+                "form-type",
+                node.mark,
+                "for_each must be a mapping of keys to the values of their sweep",
+                "write {rate: '±300, ±150 deg/s'}",
             )
             return None
         axes = []

@@ -92,7 +92,7 @@ CHANNEL = Text("", "a channel's name")  # a channel of the sensor; such names ar
 
 
 _WORDS_FOR = {
-    r"[A-Za-z][A-Za-z0-9_-]{0,39}": "begin with a letter; then letters, digits, _ and -, at most 40 in all",
+    r"[A-Za-z][A-Za-z0-9_-]{0,39}": "begin with a letter, then use letters, digits, _ and -; at most 40 characters",
     r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}": "letters, digits, '.', _ and -, no folders",
 }
 
@@ -242,7 +242,9 @@ class ListOf:
             if self.single:
                 value = self.item.read(node, log)
                 return None if value is None else (value,)
-            log.error("form-type", node.mark, "a list is expected here", "write [a, b] or one item a line after '- '")
+            log.error(
+                "form-type", node.mark, "a list is expected here", "write [a, b], or one item per line after '- '"
+            )
             return None
         if len(node.items) < self.minimum:
             entries = "entry is" if self.minimum == 1 else "entries are"

@@ -55,12 +55,12 @@ ASKED = (
     CertificateItem("certificate_number", "7.8.2.1 d", "unique identification of the certificate", True),
     CertificateItem("customer", "7.8.2.1 e", "name of the customer", True),
     CertificateItem("customer_contact", "7.8.2.1 e", "contact information of the customer", True),
-    CertificateItem("item_description", "7.8.2.1 g", "what the item is: kind, manufacturer, type", True),
+    CertificateItem("item_description", "7.8.2.1 g", "description of the item: kind, manufacturer, type", True),
     CertificateItem(
         "device_serial", "7.8.2.1 g", "unambiguous identification of the item", True, "item_identification"
     ),
     CertificateItem("date_received", "7.8.2.1 h", "date of receipt of the item", True),
-    CertificateItem("issued_by", "7.8.2.1 o", "the person who authorises the certificate", True),
+    CertificateItem("issued_by", "7.8.2.1 o", "name of the person who authorises the certificate", True),
     CertificateItem(
         "item_identification", "7.8.2.1 g", "an identification instead of, or in addition to, `device_serial`"
     ),
@@ -68,23 +68,19 @@ ASKED = (
     CertificateItem("location", "7.8.2.1 c", "place of the calibration, if it differs from the bench file"),
     CertificateItem("method", "7.8.2.1 f", "a method reference in addition to the plan"),
     CertificateItem("date_issued", "7.8.2.1 j", "date of issue, if not today"),
-    CertificateItem("sampling", "7.8.2.1 k", "sampling plan and method, where the laboratory sampled"),
+    CertificateItem("sampling", "7.8.2.1 k", "sampling plan and method, if the laboratory took samples"),
     CertificateItem("deviations", "7.8.2.1 n", "additions to, deviations or exclusions from the method"),
     CertificateItem(
         "certified_estimates",
         "7.8.2.1 m",
-        "the estimates that the certificate shows, by their names in the plan, if not all",
+        "names (in the plan) of the estimates that the certificate shows, if not all",
     ),
-    CertificateItem("external_provider", "7.8.2.1 p", "who provided results that are not the laboratory's own"),
-    CertificateItem(
-        "external_estimates", "7.8.2.1 p", "the estimates that are these results, by their names in the plan"
-    ),
+    CertificateItem("external_provider", "7.8.2.1 p", "provider of results that were not obtained by the laboratory"),
+    CertificateItem("external_estimates", "7.8.2.1 p", "names (in the plan) of the estimates with these results"),
     CertificateItem("customer_information", "7.8.2.2", "information from the customer that can affect the results"),
     CertificateItem("adjustment", "7.8.4.1 d", "adjustment or repair that was made"),
-    CertificateItem(
-        "agreed_interval", "7.8.4.3", "interval to the next calibration, only where agreed with the customer"
-    ),
-    CertificateItem("specification", "7.8.6.2 b", "the specification that the plan's limits come from"),
+    CertificateItem("agreed_interval", "7.8.4.3", "interval to the next calibration, only if agreed with the customer"),
+    CertificateItem("specification", "7.8.6.2 b", "the specification that is the source of the plan's limits"),
     CertificateItem("opinions", "7.8.7", "opinions and interpretations"),
     CertificateItem("amends", "7.8.8", "number of the certificate that this one replaces"),
     CertificateItem("amendment_reason", "7.8.8.1", "what was changed, and why"),

@@ -16,9 +16,9 @@ from planrunner.reporting.columns import alike
 POINTS = 1500  # of a plotted curve
 ROUNDS = 3  # number of plotted periods of the longest cycle
 FOOTER = (
-    "Not modulated: the share of a constant horizontal error that acts as if the sensor did not turn. Schuler drive: "
-    "the ratio of the free Schuler oscillation that a constant gyro drift builds up within the dwell with this cycle to the one without "
-    "rotation; 0 for cycles much shorter than 84.4 min."
+    "Not modulated: the share of a constant horizontal error that acts as if the sensor did not turn. Schuler "
+    "drive: the free Schuler oscillation that a constant gyro drift builds up within the dwell with this cycle, divided by the oscillation "
+    "without rotation; it is 0 for cycles much shorter than 84.4 min."
 )
 TITLES = {"planned": "as planned", "same order": "same order of stops", "free order": "free order of stops"}
 
@@ -38,7 +38,7 @@ def study(found: FoundCycles, subject: Subject) -> Study:
         FOOTER,
         _data(found, said),
         found.text,
-        f"no cycle with the {found.chosen} of stops can be written: {reason}",
+        f"a cycle with the {found.chosen} of stops cannot be written: {reason}",
         plots(found),
     )
 
@@ -88,7 +88,7 @@ def _rounds(found: FoundCycles) -> Table:
         for name, search in found.searches.items()
         for one in search.rounds
     ]
-    counts = alike(Role.COUNT, "Moves", "Cycles tried", "leave nothing", "of these wind up")
+    counts = alike(Role.COUNT, "Moves", "Cycles tried", "leave nothing", "of these, with cable wind-up")
     columns = (TableColumn("Search"), *counts, TableColumn("Tried"))
     return Table("Search", columns, tuple(rows))
 
@@ -105,9 +105,9 @@ def notes(found: FoundCycles) -> tuple[str, ...]:
     for name, search in found.searches.items():
         title = TITLES[name].capitalize()
         if search.cycle is None:
-            said.append(f"{title}: none of the cycles tried has a zero residual without winding up the cables.")
+            said.append(f"{title}: none of the cycles tried has a zero residual and leaves the cables unwound.")
         said += [
-            f"{title}: with {one.moves} moves there is none; all {one.balanced} with a zero residual wind up the cables."
+            f"{title}: with {one.moves} moves no cycle was found; all {one.balanced} cycles with a zero residual wind up the cables."
             for one in search.rounds
             if one.exhaustive and one.balanced and one.balanced == one.wound
         ]
@@ -117,8 +117,8 @@ def notes(found: FoundCycles) -> tuple[str, ...]:
             f"The Schuler oscillation is driven at least as strongly as without rotation: {', '.join(driven)}. Shorten the stops."
         )
     said.append(
-        "Seconds times a constant horizontal gyro drift or accelerometer bias, oriented as at the first position, is what a cycle adds in "
-        "the navigation frame. The error along the rotation axis is not modulated by any cycle."
+        "In the navigation frame, each cycle adds an error of these seconds times a constant horizontal gyro drift or accelerometer "
+        "bias, oriented as at the first position. No cycle modulates the error along the rotation axis."
     )
     return tuple(said)
 

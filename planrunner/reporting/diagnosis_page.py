@@ -27,7 +27,9 @@ FOOTER = (
     "Probabilities depend on fixed priors and on the noise that the bench declares. An effect is named only "
     "where “none” is less probable than 5 %; effects that this plan cannot separate are named together."
 )
-WHERE = "Where: each factor divides the same gap in a different way, so shares add up within one factor but not across factors"
+WHERE = (
+    "Where: each factor divides the same gap differently, so the shares add up within one factor but not across factors"
+)
 Data = Mapping[str, Json]
 
 
@@ -101,10 +103,10 @@ def _remainder(residue: str | None, named: list[str]) -> str:
         return ""
     if residue in named:
         (first,) = (name for name in named if name != residue)
-        return f" {residue} explains less than 5 % of it: it is present but weak, or form residue of {first}."
+        return f" {residue} explains less than 5 % of it: it is present but weak, or it is a form residue of {first}."
     if residue == "unknown":
-        return " Less than 5 % of it is something that the catalogue does not contain."
-    return f" The contribution of {residue} is below 5 % and counts as form residue."
+        return " Less than 5 % of it comes from something that the catalogue does not contain."
+    return f" The contribution of {residue} is below 5 % and is treated as form residue."
 
 
 def closure_words(found: Data) -> str:
@@ -113,7 +115,7 @@ def closure_words(found: Data) -> str:
     if found["verdict"]["kind"] == "none":
         return "There is no gap to close."
     if not closure["resolvable"] or closure["shrinks_by"] is None:
-        return "How far the gap of withheld segments shrinks cannot be resolved with this recording."
+        return "This recording cannot show how far the gap of withheld segments shrinks."
     text = f"The gap of withheld segments {_change(closure['shrinks_by'])}"
     if closure["interval_90"] is not None:
         text += f" (90 % interval {_interval(*closure['interval_90'])})"
@@ -174,7 +176,7 @@ def _gap(found: Data) -> Table:
         )
         for name, one in found["gap"].items()
     )
-    figures = alike(Role.VALUE, "gap", "of noise alone", "times noise")
+    figures = alike(Role.VALUE, "gap", "for noise alone", "times noise")
     return Table("Gap by channel", (TableColumn("Channel"), *figures, TableColumn("Unit")), rows)
 
 
@@ -235,7 +237,7 @@ def _parameters(found: Data) -> Table:
 
 def _absorbed(found: Data) -> Table:
     rows = tuple((one["effect"], _percent(one["kept_share"])) for one in found["absorbed"])
-    title = "Taken up by the fitted nominal parameters"
+    title = "Absorbed by the fitted nominal parameters"
     return Table(title, (*alike(Role.LABEL, "Effect"), *alike(Role.SHARE, "remaining share of its energy")), rows)
 
 

@@ -55,12 +55,15 @@ def _drawn(found: Data) -> Iterator[tuple[str, str, bool, str]]:
     data: Data = found.get("pictures") or {}
     heat = data.get("heat")
     if heat and heat["segments"] and heat["channels"]:
-        words = "Energy of the residuals of the simulation, relative to that of noise alone: 1 is noise alone."
+        words = "Energy of the residuals of the simulation, relative to the energy of noise alone; 1 means noise alone."
         yield "Gap over segments and channels", words, True, heat_svg(heat, "heat")
     yield "Probability of each explanation", "", False, posterior_svg(ranked(found), "posterior")
     alike = data.get("confusability")
     if alike and len(alike["effects"]) > 1:
-        words = "Share of the row's effect that the column's effect reproduces with this plan, in per cent; at 100 the two are equal."
+        words = (
+            "Share of the row's effect that the column's effect reproduces with this plan, in per cent; at 100 the two effects cannot "
+            "be distinguished."
+        )
         yield "What this plan can confuse", words, False, confusability_svg(alike, "confusability")
     for name, one in _largest(found, data.get("means", {}).get("channels", {})):
         yield (
@@ -189,7 +192,7 @@ def confusability_svg(alike: Data, key: str) -> str:
         axes.tick_params(length=0, labelsize=6.5 if size > 16 else 7.5)
         off = np.where(np.eye(size, dtype=bool), -1.0, np.nan_to_num(shares))
         first, second = divmod(int(np.argmax(off)), size)
-        described = f"Most alike: {names[second]} reproduces {off[first, second]:.0%} of {names[first]}."
+        described = f"Most similar pair: {names[second]} reproduces {off[first, second]:.0%} of {names[first]}."
         return save(key, f"Confusability of {size} effects", described)
 
 

@@ -163,22 +163,22 @@ def notes(found: FoundPositions) -> tuple[str, ...]:
     if len(found.sight.fixed):
         said.append(
             f"{len(found.sight.fixed)} segments of the estimate spin: they stay unchanged and contribute to every set. The "
-            f"bound of the worst variance is then not known."
+            f"bound of the worst variance is therefore not known."
         )
     else:
         said.append(
             "Check of the bound (Kiefer and Wolfowitz): at the continuous D-optimum the largest variance over all "
-            f"reachable orientations is {p}. The value found is {certificate:.6g}; the bound allows for the difference."
+            f"reachable orientations is {p}. The value found is {certificate:.6g}; the bound includes an allowance for the difference."
         )
     share = chosen.of_bound.D
     if share > 0.9999:
         said.append(
-            "The chosen positions reach the bound to within 0.01 %: no other set of the same number of positions on "
-            "this bench is noticeably better by D."
+            "The chosen positions reach the bound to within 0.01 %: on this bench, no other set with the "
+            "same number of positions has a noticeably better determinant."
         )
     if found.dwells:
         said.append(
-            f"Equal dwells would be {_percent(found.dwell_gain)} as efficient as the distributed ones; every "
+            f"Equal dwells have {_percent(found.dwell_gain)} of the efficiency of the distributed dwells; every "
             "position keeps at least a "
             "quarter of an equal share."
         )

@@ -13,9 +13,9 @@ from planrunner.reporting.columns import alike
 
 TITLES = {"planned": "as planned", "best": "best found"}
 FOOTER = (
-    "Rates are evaluated for the estimator’s terms and, unless left out, |rate| and rate³, which determine asymmetry "
-    "and nonlinearity, with the declared noise of the sensor in each "
-    "recording. Efficiencies are by the criterion, per coefficient."
+    "Rates are evaluated for the terms of the estimator and, unless left out, for |rate| and rate³, "
+    "which determine asymmetry and nonlinearity. Each recording has the declared noise of the sensor. Efficiencies refer to the criterion, "
+    "per coefficient."
 )
 
 
@@ -109,7 +109,7 @@ def notes(found: FoundRates) -> tuple[str, ...]:
     said = []
     if len(planned.variance) and len(best.variance):
         said.append(
-            "Compared with the planned rates, the worst variance of a predicted output over the rates becomes "
+            "Compared with the planned rates, the worst variance of a predicted output over the rates is "
             f"{best.variance.max() / planned.variance.max():.3g} times as large, the mean "
             f"{best.variance.mean() / planned.variance.mean():.3g} times."
         )

@@ -77,7 +77,7 @@ def lay_out(name: str, given: Mapping[str, Json], folder: Path | None = None, mo
             pieces.append(piece)
     except jinja2.TemplateNotFound as error:
         known = ", ".join(available(folder))
-        raise ReportError(f"there is no template '{error.name}'; known here: {known}") from None
+        raise ReportError(f"there is no template '{error.name}'; the known templates are {known}") from None
     except jinja2.TemplateSyntaxError as error:
         raise ReportError(f"{error.name or full}:{error.lineno}: {error.message}") from None
     except ReportError:
@@ -141,7 +141,9 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
             for operand in (left, right):
                 number = isinstance(operand, int | float) and abs(operand) <= MAX_OPERAND
                 if not number or operator == "**":
-                    raise SecurityError(f"'{operator}' is for numbers up to {MAX_OPERAND} and not for powers")
+                    raise SecurityError(
+                        f"'{operator}' is allowed only for numbers up to {MAX_OPERAND}, and powers are not allowed"
+                    )
             return super().call_binop(context, operator, left, right)
 
     def escaped(value: Any) -> Any:

@@ -142,9 +142,9 @@ def totals(schedule: Schedule) -> dict[str, str]:
     settling = sum(item.settle + item.soak for item in segments)
     unknown = any(item.dwell is None for item in segments)
     facts = {
-        "total time": words.duration(schedule.total) + (" and as long as the recordings last" if unknown else ""),
+        "total time": words.duration(schedule.total) + (" plus the length of the recordings" if unknown else ""),
         "segments": str(len(segments)),
-        "recording": words.duration(recorded) + (" and as long as the recordings last" if unknown else ""),
+        "recording": words.duration(recorded) + (" plus the length of the recordings" if unknown else ""),
         "soaking and settling": words.duration(settling),
         "moving and changing temperature": words.duration(sum(item.transition for item in segments)),
         "orientations": str(len(orientations(segments))),

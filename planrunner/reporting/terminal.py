@@ -88,7 +88,7 @@ def limits_table(limits: Sequence[LimitVerdict]) -> RenderableType:
         rows.append([*(_text(row[key]) for key in keys), _text(verdict, VERDICT[row["kind"]])])
         if not math.isnan(limit.consumer_risk):
             wrong = f"nonconforming items accepted {row['consumer']}, conforming items rejected {row['producer']}"
-            risks.append(f"{limit.quantity}, over all items that the prior describes: {wrong}")
+            risks.append(f"{limit.quantity}, for all items that the prior describes: {wrong}")
     numeric = ("value", "± U", "k", "P(false)")
     return _Columns("Limits", [(text, text in numeric) for text in titles], rows, "\n".join(risks))
 

@@ -56,16 +56,16 @@ DESCRIPTIONS = (
     _("%(axis)s: scale factor along the axis"),
     _("%(axis)s: offset of the line at zero rate"),
     _("%(axis)s: difference of forward and backward scale factors over their mean"),
-    _("%(axis)s: change of output between the lowest rates over that expected"),
-    _("%(axis)s: standard deviation of K between repeats over K"),
+    _("%(axis)s: change of output between the lowest rates over the expected change"),
+    _("%(axis)s: relative standard deviation of K between repeats"),
     _("%(axis)s: scale factor along the axis at %(temperature)sdegC"),
     _("%(axis)s: offset of the line at zero rate at %(temperature)sdegC"),
     _("%(axis)s: largest residual over the largest output at %(temperature)sdegC"),
     _("%(axis)s: difference of forward and backward scale factors over their mean at %(temperature)sdegC"),
-    _("%(axis)s: change of output between the lowest rates over that expected at %(temperature)sdegC"),
-    _("%(axis)s: standard deviation of K between repeats over K at %(temperature)sdegC"),
-    _("%(axis)s: slope of K over temperature by K at the reference"),
-    _("%(axis)s: largest change of K from the reference by K and distance in temperature"),
+    _("%(axis)s: change of output between the lowest rates over the expected change at %(temperature)sdegC"),
+    _("%(axis)s: relative standard deviation of K between repeats at %(temperature)sdegC"),
+    _("%(axis)s: slope of K over temperature, divided by K at the reference temperature"),
+    _("%(axis)s: largest change of K from the reference temperature, divided by K and by the temperature difference"),
     _("%(axis)s: angle from the fixture's z axis"),
     _("%(axis)s: azimuth about the fixture's z axis, from x"),
     # strapdown_navigation, modulation_residual
@@ -82,7 +82,7 @@ DESCRIPTIONS = (
     _("Largest horizontal velocity error"),
     _("Root mean square of the horizontal velocity error over time"),
     _("Slope of the straight line through the origin fitted to radial error over time"),
-    _("CEP rate that this run gives: √(ln 2) of the radial error rate"),
+    _("CEP rate of this run: √(ln 2) of the radial error rate"),
     _("CEP rate of %(first)s over that of %(second)s"),
     _("Rms radial error of %(first)s over that of %(second)s"),
     _("Amplitude of %(name)s's position error that repeats with its cycle"),
@@ -95,7 +95,7 @@ DESCRIPTIONS = (
     _("Scale factor of the %(axis)s axis, along its own input direction"),
     _("Component of the %(axis)s axis's input direction along %(across)s"),
     _("Component of the %(axis)s axis's input direction along %(across)s times its scale factor"),
-    _("Non-orthogonality of the axes %(first)s and %(second)s: 90° less their angle"),
+    _("Non-orthogonality of the axes %(first)s and %(second)s: 90° minus the angle between them"),
     _("Bias of output %(axis)s"),
     _("Scale factor of output %(axis)s, along its own input axis"),
     _("Component of the input axis %(axis)s along %(across)s"),
@@ -125,18 +125,17 @@ DESCRIPTIONS = (
 WARNINGS = (
     _(
         "%(output)s: residual variance is %(ratio)s times that expected from the noise within the segments and the "
-        "declared inputs (chance of that: %(chance)s). Something changes from segment to segment (positions, slow "
-        "drift, or the model is "
-        "incomplete):"
+        "declared inputs (probability by chance: %(chance)s). Something changes from segment to segment (positions or "
+        "a slow drift), or the model is incomplete:"
         " the within-segment uncertainties are too small."
     ),
     _(
         "%(output)s: residual variance is %(ratio)s times that expected from the noise within the segments and the "
-        "declared inputs (chance of that: %(chance)s). Something changes from segment to segment (positions, slow "
-        "drift, or the model is incomplete): use the residual basis."
+        "declared inputs (probability by chance: %(chance)s). Something changes from segment to segment (positions or a "
+        "slow drift), or the model is incomplete: use the residual basis."
     ),
     _(
-        "The residuals of %(first)s exceed its noise by more than those of %(second)s do (variance ratio %(ratio)s): "
+        "The residuals of %(first)s exceed its noise by more than the residuals of %(second)s exceed theirs (variance ratio %(ratio)s): "
         "write "
         "`pool_outputs: false` so that each output's uncertainty rests on its own residuals."
     ),
@@ -160,25 +159,24 @@ WARNINGS = (
     _("Series %(series)s has no start zero and no rates: it is left out."),
     _("Series %(series)s has no end zero and no rates: it is left out."),
     _(
-        "%(axis)s: at the lowest rate the output changes by %(share)s of what the scale factor leads one to expect, "
-        "less than "
-        "half: it is within threshold or dead zone (IEEE Std 528)."
+        "%(axis)s: at the lowest rate the output changes by %(share)s of the change expected from the scale factor. "
+        "This is "
+        "less than half, so the rate is within the threshold or dead zone (IEEE Std 528)."
     ),
     _(
-        "During '%(segment)s' velocity departs from rest %(factor)s times as far as noise explains (vibration, a "
-        "base that "
-        "sways); the uncertainties of the alignment are widened by that."
+        "During '%(segment)s' the velocity deviates from zero by %(factor)s times the amount that noise explains (vibration "
+        "or a swaying base); the uncertainties of the alignment are widened by this factor."
     ),
-    _("%(count)s missing samples were filled by linear interpolation; the errors of navigation may grow by that."),
+    _("%(count)s missing samples were filled by linear interpolation; this may increase the navigation errors."),
     _("Without the gimbal-angle method: the recording has no channel '%(channel)s'."),
     _("Without the gimbal-angle method: the bench has no table with readable rings."),
-    _("Without the gimbal-angle method: the table has %(axes)s axes, `rings` names %(rings)s."),
+    _("Without the gimbal-angle method: the table has %(axes)s axes, but `rings` names %(rings)s channels."),
     _("%(name)s: the highest order that was tried is chosen; raise `highest_order` or add temperatures."),
     _(
         "Monte Carlo does not validate the stated interval of %(names)s: its ends differ by more than δ. The table "
         "gives both; "
-        "the interval by Monte Carlo is the better one."
+        "use the Monte Carlo interval."
     ),
-    _("Samples that are missing or no number were left out: %(places)s. Look at the recording."),
-    _("Samples are missing; the longest gaps: %(places)s. Look at the recording."),
+    _("Samples that are missing or not a number were left out: %(places)s. Check the recording."),
+    _("Samples are missing; the longest gaps: %(places)s. Check the recording."),
 )

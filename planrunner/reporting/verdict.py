@@ -31,7 +31,7 @@ def headline(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnin
         return Headline("fail", _and("Incomplete", beside, "not everything could be estimated"), whys)
     if not total:
         text = f"No limits were set{f', {beside}' if beside else ''}"
-        return Headline("none", text, "The plan asks for values, not for a verdict.")
+        return Headline("none", text, "The plan requires values, not a verdict.")
     if failed:
         are = "limit is" if total == 1 else f"of {total} limits are" if len(failed) > 1 else f"of {total} limits is"
         text = _and("Failed", beside, f"{len(failed)} {are} not met")

@@ -55,10 +55,10 @@ class Control:
         try:
             request = json.loads(line)
             if not isinstance(request, dict):
-                raise ValueError("a request is a mapping")
+                raise ValueError("a request must be a mapping")
             token = request.pop("token", "")
             if set(request) != {"ask"} and not self._knows(token):
-                raise ValueError("a request that changes something carries the `token` of the readiness file")
+                raise ValueError("a request that changes something must contain the `token` of the readiness file")
             return self.handle(request)
         except (ValueError, RecursionError) as error:
             return {"error": str(error)}

@@ -22,23 +22,23 @@ from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.simulators.frames import Bytes
 
 WORDS = {
-    "late": "each reply comes `delay` later",
-    "partial": "half of each reply comes, and no more",
-    "garbage": "each reply is other bytes",
+    "late": "each reply arrives `delay` later",
+    "partial": "only half of each reply arrives",
+    "garbage": "each reply consists of wrong bytes",
     "silent": "nothing comes",
     "drop link": "the connection is closed in place of a reply",
-    "refuse": "the port is closed, and connections with it",
-    "wrong model": "its identification is that of another instrument",
+    "refuse": "the port is closed, with all its connections",
+    "wrong model": "the instrument identifies itself as another one",
 }
 LINE = {
     "silent": WORDS["silent"],
     "corrupt": "a `share` of the frames has a wrong byte",
     "lose": "a `share` of the frames is missing",
-    "duplicate": "a `share` of the frames comes twice",
-    "reorder": "a `share` of the frames comes after the next one",
-    "unplug": "the line disappears, and returns afterwards",
-    "wrong baud": "every byte is what another baud rate makes of it",
-    "wrong model": "another instrument sends its lines there",
+    "duplicate": "a `share` of the frames arrives twice",
+    "reorder": "a `share` of the frames arrives after the next frame",
+    "unplug": "the line disappears, and returns after the fault",
+    "wrong baud": "every byte arrives as if at another baud rate",
+    "wrong model": "another instrument sends its lines on this port",
     "overload": "its status reports an axis beyond its range",
     "self-test": "its status reports a failed self-test",
 }
@@ -46,13 +46,13 @@ AILMENTS = frozenset({"overload", "self-test"})
 """Faults that the status of a sensor reports."""
 TABLE = {
     "interlock open": "a door or a button opens the interlock chain",
-    "over-rate": "an axis trips on its rate",
-    "tracking error": "an axis trips on its following error",
+    "over-rate": "an axis trips because of its rate",
+    "tracking error": "an axis trips because of its following error",
     "axis fault": "an axis fails",
 }
 CHAMBER = {
-    "stuck": "the air stays where it is",
-    "overshoot": "the air goes `overshoot` beyond every setpoint",
+    "stuck": "the air temperature stays constant",
+    "overshoot": "the air temperature goes beyond every setpoint by `overshoot`",
     "alarm": "the chamber alarms and stops",
 }
 OF_ROLE: Mapping[str, Mapping[str, str]] = {
@@ -67,45 +67,45 @@ _ALL = tuple(dict.fromkeys([*WORDS, *LINE, *TABLE, *CHAMBER]))
 class Fault(Record):
     """One thing that goes wrong."""
 
-    instrument: str = key(Text(), "Instrument of the bench that misbehaves.", "table")
-    fault: str = key(Choice(_ALL), "What goes wrong.", "late")
+    instrument: str = key(Text(), "Instrument of the bench that has the fault.", "table")
+    fault: str = key(Choice(_ALL), "Kind of fault.", "late")
     begins: Quantity = key(
         QuantityOf("time", "not negative"),
-        "When it begins, on the bench's clock: after the simulated bench starts, or after the injection.",
+        "Time at which the fault begins, on the bench's clock, counted from the start of the simulated bench or from the injection.",
         "20 s",
         default=parse_quantity("0 s"),
         name="at",
     )
     lasts: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "How long, on the bench's clock; for ever without it.",
+        "Duration on the bench's clock; by default the fault does not end.",
         "5 s",
         default=None,
         name="for",
     )
     count: int | None = key(
-        Number(1, 10**9, integer=True), "How many replies it takes; then it is over.", 1, default=None
+        Number(1, 10**9, integer=True), "Number of replies that the fault affects before it ends.", 1, default=None
     )
     message: str | None = key(Text(), "Only replies to messages that contain this text.", "PVAL", default=None)
     delay: Quantity = key(
         QuantityOf("time", "positive"),
-        "Of `late`: by how much, on the wall's clock.",
+        "For `late`: the delay, in real time.",
         "3 s",
         default=parse_quantity("3 s"),
     )
     share: Quantity = key(
         QuantityOf("ratio", "positive"),
-        "Of faults of frames: the share of them.",
+        "For faults of frames: the share of the frames that are affected.",
         "1 %",
         default=parse_quantity("100 %"),
     )
     overshoot: Quantity = key(
         QuantityOf("temperature"),
-        "Of `overshoot`: how far beyond the setpoint.",
+        "For `overshoot`: the temperature difference beyond the setpoint.",
         "15 K",
         default=parse_quantity("15 K"),
     )
-    axis: int = key(Number(1, 3, integer=True), "Of an axis's fault: which, from 1.", 1, default=1)
+    axis: int = key(Number(1, 3, integer=True), "For faults of an axis: the number of the axis, from 1.", 1, default=1)
 
 
 class FaultScript(Record):

@@ -97,7 +97,7 @@ def simulated(bench: Bench, path: str, clock: Clock, seed: int | None = None) ->
         if not issubclass(driver, Addressed):
             continue  # simulated within the run itself
         if role not in virtual:
-            message = f"the bench '{simulation.bench}' has no {role} to stand behind '{name}'"
+            message = f"the bench '{simulation.bench}' has no {role} that could simulate '{name}'"
             raise InputError.at(entry.origin.mark, "meaning-simulation", message, "name another virtual bench")
         address = Address.of(driver.address(entry.parameters))
         if role == "sensor":
@@ -130,7 +130,7 @@ def _spoken(name: str, role: str, entry: InstrumentEntry, live: LiveWorld, addre
     if live.table is not None and isinstance(entry.parameters, DeclaresAxes):
         axes, own = len(live.table.axes), len(entry.parameters.axes)
         if axes != own:
-            message = f"'{name}' has {own} axes, the virtual table behind it {axes}"
+            message = f"'{name}' has {own} axes, but the virtual table behind it has {axes}"
             hint = "declare the axes of the virtual table"
             raise InputError.at(entry.origin.mark, "meaning-simulation", message, hint)
     made = simulator(entry.parameters, live)
@@ -151,8 +151,8 @@ def _streamed(name: str, entry: InstrumentEntry, live: LiveWorld, virtual: Instr
         raise InputError.at(entry.origin.mark, "meaning-simulation", message, "declare both in its Parameters")
     rate, fastest = keys.sample_rate.value, virtual.parameters.sample_rate.value
     if rate > fastest * (1 + 1e-9):
-        message = f"'{name}' is said to give {rate:g} Hz; the virtual sensor behind it gives {fastest:g} Hz at most"
-        raise InputError.at(entry.parameters.at("sample_rate"), "meaning-simulation", message, "make it slower")
+        message = f"the bench file declares that '{name}' gives {rate:g} Hz; the virtual sensor behind it gives {fastest:g} Hz at most"
+        raise InputError.at(entry.parameters.at("sample_rate"), "meaning-simulation", message, "declare a lower rate")
     feed = SensorFeed(live, virtual, rate)
     return Streamed(name, simulator(entry.parameters, live, feed), feed, address, float(keys.baud))
 

@@ -38,7 +38,7 @@ class RunningClock:
 
     def sleep(self, seconds: float) -> None:
         """Does not sleep: the bench is queried at its current time."""
-        raise AssertionError("a simulated instrument does not wait")
+        raise AssertionError("a simulated instrument cannot wait")
 
 
 class SampledAtRate(Protocol):

@@ -189,7 +189,7 @@ class Address:
         for form, between in ((_VISA_SOCKET, "::"), (_URL, ":")):
             if found := form.fullmatch(text):
                 if found[2].lower() not in _HERE:
-                    message = f"{text} is on another computer; a simulated bench is on loopback"
+                    message = f"{text} is on another computer, but a simulated bench serves only loopback addresses"
                     raise PortError(f"{message}: write 127.0.0.1 in place of {found[2]}")
                 return cls(found[1] + found[2] + between, found[4], found[2], int(found[3]))
         if re.match(r"(GPIB|USB|TCPIP|VXI|PXI)\d*::", text, re.IGNORECASE):

@@ -181,7 +181,7 @@ class Serving:
         if request.get("stop"):
             self.ended.set()
             return {"stopping": True}
-        raise ValueError("a request is one of ask, inject, clear and stop")
+        raise ValueError("a request must be one of ask, inject, clear and stop")
 
     def state(self) -> Mapping[str, Json]:
         """What is true now, for whoever judges a run: joint angles and rates [rad, rad/s], air, its target, set point [K], faults, the

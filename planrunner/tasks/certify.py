@@ -161,10 +161,10 @@ def _check_dates(shown: CertificateFacts, mark: Mark, log: Findings) -> None:
             return
     first, last = shown.performed
     if days.get("date_received", first) > first:
-        message = f"the item was received on {days['date_received']}, after the calibration began on {first}"
+        message = f"the date of receipt, {days['date_received']}, is after the beginning of the calibration on {first}"
         log.error("report-certificate-date", mark, message, "correct date_received")
     if shown.issued < (last or first):
-        message = f"the date of issue is {shown.issued}, before the calibration ended on {last or first}"
+        message = f"the date of issue, {shown.issued}, is before the end of the calibration on {last or first}"
         log.error("report-certificate-date", mark, message, "correct date_issued")
 
 
@@ -173,7 +173,7 @@ def _check_who(sound: Sound, shown: CertificateFacts, mark: Mark, log: Findings)
     who = shown.told.get("issued_by", "")
     if may and who and not any(one in who for one in may):
         message = f"'{who[:80]}' may not authorise certificates of this laboratory"
-        log.error("report-certificate-authority", mark, message, f"issued_by names one of: {', '.join(may)}")
+        log.error("report-certificate-authority", mark, message, f"set issued_by to one of: {', '.join(may)}")
 
 
 def _check_estimates(sound: Sound, shown: CertificateFacts, mark: Mark, log: Findings) -> None:
@@ -202,7 +202,7 @@ def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log
         message = f"'{str(own)[:40]}' is the number of a certificate that has already been issued"
         log.error("report-certificate-amendment", mark, message, "give a new certificate_number")
     elif amends and amends not in numbers and None not in numbers:
-        message = f"no certificate '{amends[:40]}' of this run was issued"
+        message = f"no certificate '{amends[:40]}' has been issued for this run"
         hint = (
             f"issued so far: {', '.join(map(str, numbers))}"
             if numbers
@@ -235,7 +235,7 @@ def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader)
     for name in ("device_serial", "item_identification"):
         now = shown.told.get(name)
         if now and earlier.get(name) and earlier[name] != now:
-            message = f"its {name} is '{earlier[name][:40]}', that of this run '{now[:40]}'"
+            message = f"its {name} is '{earlier[name][:40]}', but the {name} of this run is '{now[:40]}'"
             hint = "give the run of the same item before its adjustment"
             return [Finding(Mark(str(reader.path)), "report-certificate-before", "error", message, hint)]
     return []

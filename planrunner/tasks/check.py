@@ -301,7 +301,7 @@ def _report(name: str, alike: Sequence[Identifiability], mark: Mark, log: Findin
         where = f"condition {judged.condition:.3g}, {outputs}"
         message = f"'{name}' is ill-conditioned on the planned segments ({where}){_because(judged)}"
         add = log.error if judged.condition > HOPELESS else log.warning
-        add("physics-condition", mark, message, "spread the segments' states further")
+        add("physics-condition", mark, message, "use segments whose states differ more")
 
 
 def _because(judged: Identifiability) -> str:
@@ -338,9 +338,15 @@ def _check_limit(limit: Limit, designs: Mapping[str, Design], log: Findings) -> 
 def _other_dimension(limit: Limit, key: str, given: str, wanted: str, log: Findings) -> None:
     what = "prior" if key == "prior" else "limit"
     if wanted == "1":
-        message, hint = f"{limit.quantity} is a pure number; {given} does not fit", f"write the {what} without a unit"
+        message, hint = (
+            f"{limit.quantity} is a pure number, so {given} cannot be compared with it",
+            f"write the {what} without a unit",
+        )
     else:
-        message, hint = f"{limit.quantity} is in {wanted}; {given} does not fit", f"write the {what} in {wanted}"
+        message, hint = (
+            f"{limit.quantity} is in {wanted}, so {given} cannot be compared with it",
+            f"write the {what} in {wanted}",
+        )
     log.error("meaning-dimension", limit.at(key), message, hint)
 
 

@@ -54,5 +54,5 @@ def _try_estimates(sound: Sound, player: RecordingPlayer) -> None:
         return
     results = analyse(estimates, (), recording, sound.models.site, sound.sensor, sound.setup)
     for name, message in results.failures.items():
-        hint = "choose other segments or parameters, or record what is missing"
+        hint = "choose other segments or parameters, or record the missing data"
         sound.findings.error("recording-estimate", estimates[name].origin.mark, f"'{name}': {message}", hint)

@@ -72,8 +72,8 @@ class _Designer:
         self.fixed = self.sight.fixed.T @ self.sight.fixed if len(self.sight.fixed) else None
         if self.fixed is None and self.count < self.terms:
             raise EstimationError(
-                f"'{self.sight.name}' has {self.terms} terms and {self.count} positions: add positions to the plan "
-                "first"
+                f"'{self.sight.name}' has {self.terms} terms but only {self.count} positions: add positions to "
+                "the plan first"
             )
 
     def _find(self) -> tuple[tuple[Place, ...], Sight]:
@@ -117,8 +117,8 @@ class _Designer:
             how.append(f"cardinal: {tried} of {self.count} out of {len(kept)} orientations")
         elif self.asked.orientations == "cardinal":
             raise EstimationError(
-                f"no {self.count} cardinal orientations separate all terms "
-                f"(rank {np.linalg.matrix_rank(cardinal_rows)} of {self.terms} with all of them): design free ones"
+                f"no set of {self.count} cardinal orientations separates "
+                f"all terms (rank {np.linalg.matrix_rank(cardinal_rows)} of {self.terms} with all of them): use --set free"
             )
         starts = [self._settings(planned)]
         free = optimal.search(
@@ -157,7 +157,7 @@ class _Designer:
         recorded = [segment for place in self.places for segment in place.segments]
         if any(segment.dwell is None for segment in recorded):
             raise EstimationError(
-                "the dwell of the positions is the length of a recording, so dwell times cannot be distributed"
+                "the positions dwell for the length of their recording, so dwell times cannot be distributed"
             )
         designed = {segment.index for segment in recorded}
         others = sum(segment.dwell or 0.0 for segment in self.schedule.segments if segment.index not in designed)
@@ -220,7 +220,7 @@ class _Designer:
         try:
             return [attitudes[index] for index in positions.quick_order(self.axes, attitudes, self.azimuth)]
         except Unreachable as error:
-            raise EstimationError(f"a position, rounded as written, is outside the table's reach: {error}") from None
+            raise EstimationError(f"a position is outside the table's reach after rounding: {error}") from None
 
     def _merit(self, rows: Array) -> Merit:
         return merit(rows, self.region_rows, fixed=self.sight.fixed)

@@ -65,7 +65,7 @@ def design_rates(checked: Checked, asked: Asked, bench: str | None = None) -> Fo
     if checked.findings.errors or checked.schedule is None:
         raise InputError(checked.findings)
     if asked.criterion not in ("D", "A"):
-        raise EstimationError(f"rates are designed by D or A, not by {asked.criterion}")
+        raise EstimationError(f"rates can be designed by D or A, not by {asked.criterion}")
     return _RateDesigner(checked, asked, bench).study()
 
 
@@ -82,7 +82,7 @@ class _Sweep:
 _ONE_SWEEP = (
     "only one sweep can be designed at a time: copy the plan with a single sweep over both signs, such as `rate: "
     "'±400, ±200, ±100 deg/s'`, "
-    "design that plan, and write the rates found into the sweeps of this plan"
+    "design that plan, and copy the rates found to the sweeps of this plan"
 )
 
 
@@ -222,7 +222,7 @@ class _RateDesigner:
             least = 0 if stated.at_least is None else math.ceil(stated.at_least.value / period - 1e-9)
             return max(stated.turns or 1, least) * period
         if self.pattern[0].dwell is None:
-            raise EstimationError("the dwell of the rates is the length of a recording, so they cannot be designed")
+            raise EstimationError("the rates dwell for the length of their recording, so they cannot be designed")
         return self.pattern[0].dwell
 
     def _overhead(self, rate: float) -> float:
@@ -306,7 +306,7 @@ class _RateDesigner:
         if available < sum(turn):
             needed = self.asked.time + (sum(turn) - available) * runs
             raise EstimationError(
-                f"one turn at every rate takes {needed:.0f} s in all, more than {self.asked.time:.0f} s"
+                f"one turn at every rate takes a total of {needed:.0f} s, more than {self.asked.time:.0f} s"
             )
         least = [one * max(1, math.floor(LEAST_SHARE * available / len(rates) / one)) for one in turn]
         left = max(0.0, available - sum(least))

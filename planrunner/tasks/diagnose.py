@@ -279,10 +279,10 @@ def _parameters(bench: Bench, plan: str) -> RecordingParameters:
         if isinstance(entry.parameters, RecordingParameters):
             return entry.parameters
     message = (
-        f"the bench '{bench.name}' has no sensor with `driver: recording`, so it does not assign the columns of a "
-        "file to channels"
+        f"the bench '{bench.name}' has no sensor with `driver: recording`, so it cannot assign the columns of "
+        "a file to channels"
     )
-    hint = "name a bench that maps the recording's columns with --bench"
+    hint = "use --bench to name a bench that maps the columns of the recording to channels"
     raise InputError.at(Mark(plan), "recording-no-mapping", message, hint)
 
 
@@ -309,9 +309,9 @@ def joined(first: Recorded, runs: Sequence[Path]) -> Recorded:
     for run in runs:
         further = recorded_run(run)
         if dict(further.segments[0].units) != dict(first.segments[0].units):
-            message = "its channels differ from those of the recording before it"
+            message = "its channels differ from those of the preceding recording"
             raise InputError.at(
-                Mark(str(run)), "gap-other-sensor", message, "join only runs of one sensor on one bench"
+                Mark(str(run)), "gap-other-sensor", message, "join only runs of the same sensor on the same bench"
             )
         made = further.created
         later = 0.0 if made is None or origin is None else (made - origin).total_seconds()

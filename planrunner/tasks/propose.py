@@ -78,9 +78,8 @@ def words(found: SegmentProposal, planned: bool) -> str:
     rivals = f"{', '.join(names[:-1])} and {names[-1]}"
     if planned:
         said = (
-            f"{len(found.segments)} segments in {_duration(found.seconds)} would separate {rivals}: the true one is "
-            "expected to have "
-            f"P = {found.probability:.2f} among them, now {found.now:.2f}."
+            f"{len(found.segments)} segments in {_duration(found.seconds)} would separate {rivals}: the true "
+            f"one is then expected to have P = {found.probability:.2f} among them; at present it has {found.now:.2f}."
         )
         hours, reached = found.repeating
         said += f" Repeating the recorded segments takes {_duration(hours)} for P = {reached:.2f}."
@@ -90,8 +89,8 @@ def words(found: SegmentProposal, planned: bool) -> str:
         return f"{said} {found.sensor[0].upper()}{found.sensor[1:]} would."
     if not planned:
         return (
-            f"{said} Nor would an autocollimator, a level, accelerometers or a second triad of gyros next to the "
-            "sensor."
+            f"{said} An autocollimator, a level, accelerometers or a second triad of gyros next to the sensor would "
+            "not separate them either."
         )
     return said
 
@@ -145,7 +144,7 @@ class _Options:
     def __init__(self, recording: Sequence[RecordedSegment], models: BenchModels, frame: Frame):
         self.models = models
         entries = menu([item.segment for item in recording], models)
-        stated = _stated(plan_text(frame, entries, "Everything that the bench may be able to do."))
+        stated = _stated(plan_text(frame, entries, "Everything that the bench can probably do."))
         schedule = build_schedule(stated, models, Findings())
         by_label = {item.label: (item, entry) for item, entry in zip(stated, entries, strict=True)}
         self.segments = schedule.segments
@@ -193,7 +192,7 @@ def _stated(text: str) -> list[StatedSegment]:
     stated = [] if plan is None or log.errors else expand(plan, log)
     if log.errors:
         message = f"no executable plan can be proposed: {log.errors[0].message}"
-        hint = "the diagnosis is valid; check title, sensor and bench of the plan that was run, which a proposed plan inherits"
+        hint = "the diagnosis is valid; a proposed plan inherits title, sensor and bench from the plan of the run: check these"
         raise InputError.at(Mark("<proposal>"), "gap-next-unsound", message, hint)
     return stated
 

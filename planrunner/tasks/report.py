@@ -135,7 +135,7 @@ def _of_the_run(reader: RunReader, planned: int) -> list[str]:
             warnings.append(f"Segment {item.label} is shorter than planned: {item.reason or 'cut short'}.")
     for other in reader.rejected():
         reason = other.reason or "no reason given"
-        warnings.append(f"Segment {other.label}, attempt {other.attempt}, was recorded but is not used: {reason}.")
+        warnings.append(f"Segment {other.label}, attempt {other.attempt}, was recorded, but it is not used: {reason}.")
     return warnings
 
 

@@ -196,21 +196,24 @@ def _stand_in(reader: RunReader, bench: str) -> Document:
     if other:
         more = f" and {len(other) - 5} more" if len(other) > 5 else ""
         message = f"this bench differs from the one with which the run began: {', '.join(other[:5])}{more} differ"
-        hint = f"only {', '.join(REACHED_BY)} of the instruments may differ: copy bench.yaml from the run folder, and change these keys"
+        hint = (
+            f"only the keys {', '.join(REACHED_BY)} of the instruments may differ: copy bench.yaml from the run folder, and "
+            "change only these keys"
+        )
         raise InputError.at(Mark(shown), "run-other-bench", message, hint)
     return Document(data, shown)
 
 
 def _require_made_here(reader: RunReader, sound: Sound) -> None:
     """Raises `InputError` for a folder of unknown origin: its bench file says what would be connected to and commanded."""
-    why = "this run folder was not made on this computer by you"
+    why = "you did not make this run folder on this computer"
     try:
         if made_here(reader.folder, reader.first):
             return
     except OriginUnknownError as error:
-        why = f"it cannot be determined whether this run folder was made on this computer: {error}"
+        why = f"planrunner cannot determine whether this run folder was made on this computer: {error}"
     reached = ", ".join(f"{name} at {address}" for name, address in addresses(sound.bench).items())
-    message = f"{why}; its bench file {f'connects to {reached}' if reached else 'connects to no address'}"
+    message = f"{why}; its bench file {f'connects to {reached}' if reached else 'does not connect to any address'}"
     hint = "read it, then add --trust-bench; or give your own bench file with --bench"
     raise InputError.at(Mark(str(reader.path / "bench.yaml")), "run-not-made-here", message, hint)
 

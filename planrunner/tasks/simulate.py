@@ -68,7 +68,7 @@ def stated(item: Addition) -> dict[str, str]:
 def _check_virtual(sound: Sound) -> None:
     hint = "choose a virtual bench with --bench; `planrunner bench` lists the shipped ones"
     if sound.models.replays or not runs_on_virtual_clock(sound.bench):
-        what = "plays back recordings" if sound.models.replays else "is a real one"
+        what = "plays back recordings" if sound.models.replays else "has real instruments"
         raise InputError.at(
             Mark(sound.file), "simulate-bench", f"the bench '{sound.bench.name}' {what}: nothing is simulated", hint
         )
@@ -87,7 +87,7 @@ def _additions(sound: Sound, effects: Sequence[str]) -> tuple[Addition, ...]:
         raise InputError.at(Mark(sound.file), "simulate-sensor", message, hint)
     if any(issubclass(driver_of(entry), AddedEffects) for entry in sound.bench.instruments.values()):
         message = f"the bench '{sound.bench.name}' already has added effects"
-        raise InputError.at(Mark(sound.file), "simulate-twice", message, "add to them in the bench file")
+        raise InputError.at(Mark(sound.file), "simulate-twice", message, "add the effects in the bench file instead")
     observed = scheduled(sound.schedule.segments, sound.models.site, channels, sound.sensor.sample_rate)
     found: dict[str, Addition] = {}
     for text in effects:

@@ -255,7 +255,7 @@ def test_a_folder_that_is_exchanged_meanwhile(tmp_path: Path, ways: str) -> None
     if ways == "relative":
         assert guarded.read("file", 100) == b"own"
     else:
-        with pytest.raises(NotOrdinaryError, match="exchanged"):
+        with pytest.raises(NotOrdinaryError, match="replaced"):
             guarded.read("file", 100)
 
 
@@ -263,7 +263,7 @@ def test_a_folder_that_is_exchanged_meanwhile(tmp_path: Path, ways: str) -> None
 def test_a_name_is_one_component(tmp_path: Path, name: str) -> None:
     guarded = GuardedFolder.open(tmp_path)
     for attempt in (guarded.entry, guarded.open_new, guarded.remove, guarded.folder, guarded.open_existing):
-        with pytest.raises(ValueError, match="not the name of one file"):
+        with pytest.raises(ValueError, match="not a single file name"):
             attempt(name)
 
 
@@ -316,7 +316,7 @@ def test_a_journal_without_an_end_of_line_is_not_read_whole(cut: Path, monkeypat
 def test_the_writer_keeps_to_what_the_reader_takes(cut: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with RunWriter.reopen(cut) as writer:
         monkeypatch.setattr(journal, "MOST_LINE", 200)
-        with pytest.raises(OSError, match="at most"):
+        with pytest.raises(OSError, match="is limited to"):
             writer.note("noticed", instrument="table", text="x" * 300)
     monkeypatch.undo()
     RunReader.open(cut)

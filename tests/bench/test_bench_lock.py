@@ -111,7 +111,7 @@ def test_a_watchdog_is_waited_for_and_reported() -> None:
     began = time.monotonic()
     with (
         watchdog_lock(bench(WIRED), "first.yaml"),
-        pytest.raises(InputError, match="the watchdog of a run, which makes it safe, process"),
+        pytest.raises(InputError, match="the watchdog of another run, which is making the bench safe, process"),
         bench_lock(bench(WIRED), "second.yaml"),
     ):
         pass

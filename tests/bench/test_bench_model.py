@@ -146,7 +146,11 @@ def test_every_finding_comes_in_one_run(tmp_path):
         ),
         (HEAD + "safe_order: [table, tabel]\ninstruments:" + TABLE, "meaning-safe-order", "did you mean 'table'"),
         (HEAD + "safe_order: [table, table]\ninstruments:" + TABLE, "meaning-safe-order", "named twice"),
-        (HEAD.replace("40 deg", "91 deg") + "instruments:" + TABLE, "meaning-range", "91 deg is not a latitude"),
+        (
+            HEAD.replace("40 deg", "91 deg") + "instruments:" + TABLE,
+            "meaning-range",
+            "91 deg is not a possible latitude",
+        ),
         (HEAD + "instruments:" + TABLE.replace("up,", "nroth,"), "form-choice", "did you mean 'north'"),
         (HEAD + "instruments:" + TABLE.replace("100 deg/s", "100 deg"), "meaning-dimension", "angular rate is needed"),
         (HEAD + "instruments:" + TABLE.replace("axes", "axis"), "form-unknown-key", "did you mean 'axes'"),

@@ -83,7 +83,12 @@ def test_the_printed_cycle_is_warned_of_where_it_stands(tmp_path: Path) -> None:
     checked = check(tmp_path, PRINTED)
     finding = only(checked)
     assert (finding.code, finding.severity, finding.mark.line) == ("physics-cycle-residual", "warning", MOVES_LINE)
-    for words in ("1564.0 s", "0 s of a constant horizontal error over its stops", "-23.03 s over its turns", "1.5 %"):
+    for words in (
+        "1564.0 s",
+        "0 s of a constant horizontal error remain from the stops",
+        "-23.03 s from the turns",
+        "1.5 %",
+    ):
         assert words in finding.message
     assert "0.00015 deg/h" in finding.message and "0.0088 nautical miles" in finding.message
     assert "planrunner design" in finding.hint
@@ -101,13 +106,13 @@ def test_stops_that_do_not_balance_are_named(tmp_path: Path) -> None:
     found = {finding.code: finding for finding in check(tmp_path, (90, 90, -90, -90)).findings}
     assert set(found) == {"physics-cycle-residual", "physics-cycle-stops", "physics-cycle-angle"}
     # Stops at A, B, C, B: B twice, D never. 360 s across the error are left over them.
-    assert "B for 360 s a cycle, the opposite side for 0 s" in found["physics-cycle-stops"].message
+    assert "B for 360 s per cycle, the opposite side for 0 s" in found["physics-cycle-stops"].message
     assert (
-        "leaves +360.00 s across of a constant horizontal error over its stops"
+        "+360.00 s across of a constant horizontal error remain from the stops"
         in found["physics-cycle-residual"].message
     )
     # Symmetric about 90 deg, so that is the mean: 10 ppm of 90 deg are 3.24 arcsec.
-    assert "stands at 90 deg" in found["physics-cycle-angle"].message
+    assert "is 90 deg" in found["physics-cycle-angle"].message
     assert "+3.2 arcsec" in found["physics-cycle-angle"].message
 
 
@@ -115,7 +120,7 @@ def test_periodic_reversal_is_a_cycle_without_stops(tmp_path: Path) -> None:
     plan = PLAN.replace("[MOVES]", "[A +360 A, A -360 A, A -360 A, A +360 A]")
     finding = only(check(tmp_path, EIGHT, stop="0 s", plan=plan))
     assert finding.code == "physics-cycle-residual"  # the axis is slow where it reverses
-    assert "0 s of a constant horizontal error over its stops" in finding.message
+    assert "0 s of a constant horizontal error remain from the stops" in finding.message
     one_sided = PLAN.replace("[MOVES]", "[A +360 A, A -360 A]")
     assert "physics-cycle-angle" in [f.code for f in check(tmp_path, EIGHT, stop="0 s", plan=one_sided).findings]
 
@@ -124,7 +129,7 @@ def test_a_cycle_that_neither_stops_nor_turns_is_refused_at_its_move(tmp_path: P
     plan = PLAN.replace("[MOVES]", "[A 0 A]")
     finding = only(check(tmp_path, EIGHT, dwell="1 h", stop="0 s", plan=plan))
     assert (finding.code, finding.severity) == ("meaning-cycle", "error")
-    assert "turns by nothing" in finding.message
+    assert "turns by 0 deg" in finding.message
 
 
 def test_a_cycle_that_drives_the_schuler_oscillation(tmp_path: Path) -> None:
@@ -153,8 +158,8 @@ def test_dwell_in_whole_cycles(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("dwell", "motion", "words"),
     [
-        ("{turns: 2}", None, "dwells in turns, but does not spin"),
-        ("{cycles: 2}", "    rate: 10 deg/s\n", "dwells in cycles, but does not have a cycle"),
+        ("{turns: 2}", None, "is given in turns, but the segment does not spin"),
+        ("{cycles: 2}", "    rate: 10 deg/s\n", "is given in cycles, but the segment does not have a cycle"),
         ("{cycles: 2, turns: 2}", None, "both turns and cycles"),
         ("{at_least: 2 h}", None, "neither turns nor cycles"),
     ],

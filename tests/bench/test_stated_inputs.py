@@ -168,7 +168,7 @@ def test_at_the_end_of_the_calendar_a_calibration_is_judged_as_ever() -> None:
     ("wrong", "message", "column"),
     [
         ("2026-02-30", "'2026-02-30' is not a calendar date", "date"),
-        ("2028-03-01", "the calibration is due on 2027-03-01, before it was made on 2028-03-01", "due"),
+        ("2028-03-01", "the due date of the calibration, 2027-03-01, is before its date, 2028-03-01", "due"),
     ],
 )
 def test_dates_that_cannot_be_are_errors_where_they_stand(wrong: str, message: str, column: str) -> None:

@@ -120,7 +120,7 @@ REFUSED: dict[str, tuple[bytes, str]] = {
     "empty": (b"", "r.csv cannot be read: Empty CSV file"),
     "only a header": (b"t,gx\n", "r.csv holds no samples"),
     "missing column": (text(header="t,gy"), "no column 'gx'; known here: gy, t"),
-    "semicolons": (text().replace(b",", b";"), "separated by semicolons: save it with commas"),
+    "semicolons": (text().replace(b",", b";"), "separated by semicolons: save the file with commas"),
     "tabs": (text().replace(b",", b"\t"), "separated by tabs"),
     "not UTF-8": (
         text(header="t,gx").replace(b"gx", b"gx\xb0", 1),
@@ -184,7 +184,7 @@ def test_two_columns_of_one_name(play: Callable[..., Ended]) -> None:
 def test_samples_left_out_are_reported(play: Callable[..., Ended], rate: np.ndarray, lost: str) -> None:
     code, out, _ = play(text(rate=rate))
     assert code == 0
-    assert f"warning: Samples that are missing or no number were left out: {lost}." in out
+    assert f"warning: Samples that are missing or not a number were left out: {lost}." in out
 
 
 def test_a_segment_without_a_number_cannot_be_used(play: Callable[..., Ended]) -> None:
@@ -201,11 +201,11 @@ def test_a_gap_is_reported_and_is_no_dwell(play: Callable[..., Ended]) -> None:
     assert "warning: Samples are missing; the longest gaps: 'R+10' 3.01 s." in out
     code, _, err = play(data, dwell="5 s")
     assert code == 2
-    assert "'R+10' dwells 5 s, and r.csv holds 3 s of it" in err
+    assert "'R+10' dwells 5 s, but r.csv holds only 3 s of it" in err
 
 
 TABLES: dict[str, tuple[str | None, str]] = {
-    "missing": (None, "there is no file 'seg.csv' beneath the data root"),
+    "missing": (None, "there is no file 'seg.csv' in the data folder"),
     "no rows": ("label,start_s,end_s\n", "seg.csv contains no segments"),
     "other labels": (TABLE.replace("R+20", "R+200"), "seg.csv has no segment 'R+20'; did you mean 'R+200'?"),
     "labels without signs": (TABLE.replace("+", ""), "seg.csv has no segment 'R+10'; did you mean 'R10'?"),
@@ -235,7 +235,7 @@ def test_nothing_outside_the_data_root_is_read(play: Callable[..., Ended], tmp_p
     outside = tmp_path / "outside.csv"
     outside.write_bytes(text())
     for name in ("../outside.csv", str(outside)):
-        assert "leads outside the data root" in play(None, file=name)[2]
+        assert "leads outside the data folder" in play(None, file=name)[2]
     (tmp_path / "data" / "link.csv").symlink_to(outside)
     assert "is a link that leads outside" in play(None, file="link.csv")[2]
     (tmp_path / "data" / "folder.csv").mkdir()
@@ -244,4 +244,4 @@ def test_nothing_outside_the_data_root_is_read(play: Callable[..., Ended], tmp_p
         assert f"{name}: this is {what}" in play(None, file=name)[2]
     assert "there is no file 'absent.csv'" in play(None, file="absent.csv")[2]
     assert "add --data FOLDER" in play(text(), root=None)[2]
-    assert "the data root elsewhere is not there" in play(text(), root="elsewhere")[2]
+    assert "the data folder elsewhere does not exist" in play(text(), root="elsewhere")[2]

@@ -50,12 +50,12 @@ def test_too_few_segments_are_refused(diagnosed: Callable[..., Ended], count: in
 def test_what_is_no_number_is_left_out_and_reported(diagnosed: Callable[..., Ended], value: float) -> None:
     code, out, err = diagnosed(gyro_x_deg_per_s=set_at(10, 12, value))
     assert code == DONE and "No effect is named" in out
-    assert "warning[gap-missing-numbers]: 2 rows with a missing number are left out" in err
+    assert "warning[gap-missing-numbers]: 2 rows with a missing number were left out" in err
 
 
 MISFITS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
     "wrong sign": (lambda v: -v, "it shows -1 of x"),
-    "deaf": (lambda v: DRAW.normal(0, 0.01, len(v)), "of the angular rate applied, it shows"),
+    "deaf": (lambda v: DRAW.normal(0, 0.01, len(v)), "of the applied angular rate"),
     "wrong unit": (np.radians, "it shows 0.0175 of x"),
 }
 
@@ -85,4 +85,4 @@ def test_exchanged_columns_are_refused(
 def test_noise_far_from_what_is_declared_is_reported(diagnosed: Callable[..., Ended]) -> None:
     code, _, err = diagnosed(6, gyro_x_deg_per_s=lambda v: v + DRAW.normal(0, 0.2, len(v)))
     assert code == DONE
-    assert "warning[gap-noise]: 'gyro_x' has noise at rest of 0.2" in err and "the declared noise is 0.01" in err
+    assert "warning[gap-noise]: 'gyro_x' has a noise at rest of 0.2" in err and "the declared noise is 0.01" in err

@@ -93,7 +93,7 @@ def test_squares_and_bias_cannot_be_separated() -> None:
 def test_too_few_positions_are_said_to_be() -> None:
     found = identify_block(block(OPTIMAL[:5]))
     assert found.rank == 5
-    assert found.explanation.startswith("5 segments cannot give 6 coefficients")
+    assert found.explanation.startswith("5 segments cannot determine 6 coefficients")
     empty = block(OPTIMAL)
     none = DesignBlock(empty.output, empty.terms, np.empty((0, 6)), empty.magnitudes, np.empty(0), ())
     assert identify_block(none).explanation == "no segments are chosen"

@@ -196,4 +196,4 @@ def test_an_estimate_whose_positions_change_nothing_is_said_to_be_one(capsys: py
     """Of a scale factor from rates the segments at rest give the zeros alone, and those are no rows of its design matrix."""
     assert main(["design", str(FLAGSHIP.with_name("fixture_angles.yaml")), "--quiet"]) == 2
     said = capsys.readouterr().err
-    assert "give 'scale' (scale_factor_tilted) no equations that positions change; --rates designs its rates" in said
+    assert "do not affect 'scale' (scale_factor_tilted); use --rates to design its rates" in said

@@ -38,7 +38,7 @@ def test_without_spins_the_rates_cannot_be_determined() -> None:
     """Earth rate alone: an accelerometer sees no spin, and its design has no fixed rows."""
     study = design_positions(check_plan(PLANS / "imu_multi_position.yaml"), Asked(output="accel_z", restarts=1))
     assert not len(study.sight.fixed)
-    with pytest.raises(EstimationError, match="see different things"):
+    with pytest.raises(EstimationError, match="have different models"):
         design_positions(check_plan(PLANS / "imu_multi_position.yaml"), Asked(restarts=1))
 
 

@@ -127,7 +127,7 @@ def test_the_study_as_data(plan: Path, capsys: pytest.CaptureFixture[str]) -> No
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--criterion", "G"], "rates are designed by D or A"),
+        (["--criterion", "G"], "rates can be designed by D or A"),
         (["--time", "1 min"], "one turn at every rate takes"),
         (["--rates", "--estimate", "lost"], "the plan has no estimate 'lost'"),
     ],

@@ -114,7 +114,7 @@ def test_magnitude_covariance_against_simulated_experiments() -> None:
 
 def test_magnitude_refuses_what_it_cannot_determine() -> None:
     up = np.array([matrix[:, 2] for matrix in attitudes(22)])
-    with pytest.raises(EstimationError, match="8 poses cannot give 9"):
+    with pytest.raises(EstimationError, match="8 poses cannot determine 9"):
         fit_magnitude(up[:8] * 9.8, 9.8)
     flat = up.copy()
     flat[:, 2] = 0.0

@@ -130,7 +130,7 @@ def test_other_refusals() -> None:
         run(record(white(300)), record(white(300), np.arange(300) * 0.7, "b", rows=1000))
     with pytest.raises(EstimationError, match="no recorded segments"):
         run()
-    with pytest.raises(EstimationError, match="every averaging time in `taus` needs more"):
+    with pytest.raises(EstimationError, match="every averaging time in `taus` needs a longer stretch"):
         run(record(white(300)), taus=(parse_quantity("1 h"),))
 
 
@@ -151,7 +151,7 @@ def test_a_record_too_long_for_memory_is_thinned(monkeypatch: pytest.MonkeyPatch
     x = np.concatenate([[0.0], np.cumsum(values - values.mean())])
     assert thinned.runs[0] == pytest.approx(x[::4] / 4, abs=1e-9)
     found = run(record(values))
-    assert any("every 4. phase point" in note for note in found.notes)
+    assert any("one in 4 phase points" in note for note in found.notes)
     assert found["N_gyro"].value == pytest.approx(math.sqrt(0.5), abs=4 * found["N_gyro"].standard_uncertainty)
 
 

@@ -72,8 +72,8 @@ def test_volts_become_an_acceleration() -> None:
 @pytest.mark.parametrize(
     ("scale", "uses", "words"),
     [
-        (parse_quantity("3 K"), {}, "neither a rate nor an acceleration"),
-        (parse_quantity("0 (deg/h)/(pulse/s)"), {}, "cannot be used as a scale factor"),
+        (parse_quantity("3 K"), {}, "to a rate or an acceleration"),
+        (parse_quantity("0 (deg/h)/(pulse/s)"), {}, "cannot be a scale factor"),
         ("drift.SF_Y", {}, "uses: drift"),
         ("drift.SF_Z", {"drift": DRIFT}, "did you mean 'SF_Y'"),
     ],

@@ -155,7 +155,7 @@ def test_one_failure_leaves_the_others() -> None:
     wrong = [Limit(quantity="drift.SF_X", within="±1 deg/h")]
     found = analyse(estimates, [*missing, *wrong], recording(), SITE, sensor(*CHANNELS))
     assert list(found.estimates) == ["drift"]
-    assert "no recorded segment has a label like X*" in found.failures["old"]
+    assert "no recorded segment has a label that matches X*" in found.failures["old"]
     assert "uses 'old', which could not be made" in found.failures["residual"]
     assert "flexure_gyro_statics" in found.failures["typo"]
     assert "failed unexpectedly (AttributeError" in found.failures["broken"]
@@ -278,7 +278,7 @@ def test_design_of_each_estimate_from_the_schedule() -> None:
         designs[name] = design
     assert [block.output for block in designs["drift"].blocks] == list(CHANNELS)
     lost = spec("flexure_gyro_static", ("X*",), FlexureGyroStaticParameters())
-    with pytest.raises(EstimationError, match=r"no segment has a label like X\*"):
+    with pytest.raises(EstimationError, match=r"no segment has a label that matches X\*"):
         design_of("lost", lost, segments, SITE, sensor(*CHANNELS), {})
     with pytest.raises(EstimationError, match="it uses 'drift', which has no design"):
         design_of("residual", ESTIMATES["residual"], segments, SITE, sensor(*CHANNELS), {})

@@ -210,7 +210,7 @@ def test_refusals_speak_of_what_to_do() -> None:
         estimate(error=0.01, positions=dict(list(OPTIMAL.items())[:6]))
     with pytest.raises(EstimationError, match=r"do not vary.*uncertainty: residual"):
         estimate(uncertainty="within_segment")
-    with pytest.raises(EstimationError, match="5 observations cannot give 6"):
+    with pytest.raises(EstimationError, match="5 observations cannot determine 6"):
         estimate(positions=dict(list(OPTIMAL.items())[:5]))
     with pytest.raises(EstimationError, match="did you mean 'torquer_x'"):
         estimate(outputs=("torqer_x", "torquer_y"))

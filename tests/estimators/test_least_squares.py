@@ -86,9 +86,9 @@ def test_what_cannot_be_determined_is_named() -> None:
 
 
 def test_refusals() -> None:
-    with pytest.raises(EstimationError, match="2 observations cannot give 3"):
+    with pytest.raises(EstimationError, match="2 observations cannot determine 3"):
         fit(np.ones((2, 3)), np.ones(2))
     with pytest.raises(EstimationError, match="not a finite number"):
         fit(np.array([[1.0, 2], [1, 3], [1, 5]]), np.array([1.0, np.nan, 2]))
-    with pytest.raises(EstimationError, match="cannot be weighted"):
+    with pytest.raises(EstimationError, match="cannot be used as a weight"):
         fit(np.array([[1.0, 2], [1, 3], [1, 5]]), np.ones(3), np.array([1.0, 0.0, 1.0]))

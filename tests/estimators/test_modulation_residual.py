@@ -266,7 +266,10 @@ def test_short_records_are_compared_without_the_part_that_repeats() -> None:
         ((navigated("turned", 0.1), navigated("other", 0.1)), "none of the estimates used is without rotation"),
         ((navigated("still", 0.1),), "one of the estimates used is without rotation"),
         ((navigated("still", 0.1), replace(navigated("turned", 0.1), extra={})), "'turned' is not a navigation"),
-        ((navigated("still", 0.1), navigated("elsewhere", 0.1)), "`segments` lacks the one that 'elsewhere' navigates"),
+        (
+            (navigated("still", 0.1), navigated("elsewhere", 0.1)),
+            "`segments` lacks the segment that 'elsewhere' navigates",
+        ),
         ((navigated("still", 0.0), navigated("turned", 0.1)), "'still' has no position error"),
         ((navigated("still", 0.1), navigated("turned", 0.0)), "'turned' has no position error"),
         ((navigated("still", 0.1, hours=0.01), navigated("turned", 0.1)), "fewer than three points"),
@@ -293,12 +296,12 @@ def test_design_says_what_cycles_leave_and_what_is_missing() -> None:
         asked, uses=both, parameters=ModulationResidualParameters(gyro_errors=(declared[1], declared[1], declared[0]))
     )
     assert all(
-        "make 0 m rms" in note for note in designed(ModulationResidual(), upright).notes
+        "cause 0 m rms" in note for note in designed(ModulationResidual(), upright).notes
     )  # about the vertical alone
     level = replace(
         asked, uses=both, parameters=ModulationResidualParameters(gyro_errors=(declared[0], declared[1], declared[1]))
     )
-    assert not any("make 0 m rms" in note for note in designed(ModulationResidual(), level).notes)
+    assert not any("cause 0 m rms" in note for note in designed(ModulationResidual(), level).notes)
 
 
 @pytest.mark.parametrize(

@@ -122,7 +122,7 @@ def test_an_interval_that_k_times_u_misjudges_is_named() -> None:
     assert row[-1] == "no"
     assert row[5] == pytest.approx(1 + 0.95 * 3**0.5 * 0.95, abs=0.01)
     assert "does not validate the stated interval of c" in found.warnings[-1]
-    assert any("do not test whether these are sufficient" in note for note in found.notes)
+    assert any("do not test whether the linear approximation is sufficient" in note for note in found.notes)
 
 
 def test_too_few_draws_leave_it_undecided() -> None:

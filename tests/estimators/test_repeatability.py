@@ -146,7 +146,7 @@ def test_means_of_segments_by_group() -> None:
 def test_groups_that_do_not_differ_say_so() -> None:
     found = of_values({"a1": 1, "a2": 3, "b1": 1.2, "b2": 3.1}, groups={"a": ("a*",), "b": ("b*",)})
     assert found["s_between_K"].value == 0 and found["s_between_K"].standard_uncertainty > 0
-    assert any("no difference between the groups" in note for note in found.notes)
+    assert any("the differences between the groups do not" in note for note in found.notes)
 
 
 # -- what cannot be done ---------------------------------------------------------------------------------------------
@@ -155,10 +155,10 @@ def test_groups_that_do_not_differ_say_so() -> None:
 @pytest.mark.parametrize(
     ("names", "keys", "words"),
     [
-        (("r1",), {}, "one estimate gives no repeatability"),
+        (("r1",), {}, "one estimate is not enough for repeatability"),
         ((), {}, "nothing to compare"),
         (("r1", "r2"), {"channels": ("gyro",)}, "both `channels` and `uses`"),
-        (("r1", "r2"), {"coefficients": ("Q",)}, "no coefficient that all estimates have matches 'Q'"),
+        (("r1", "r2"), {"coefficients": ("Q",)}, "no coefficient common to all estimates matches 'Q'"),
         (("a1", "a2", "d1"), {"groups": DAYS}, "'d1' belongs to no group"),
         (("a1", "a2", "b1"), {"groups": DAYS}, "the group 'c' is empty"),
         (("a1", "a2", "b1"), {"groups": {"a": ("a*",), "b": ("*",)}}, "'a1' belongs to a and b"),
@@ -184,7 +184,7 @@ def test_bad_recordings() -> None:
     one = from_means(segment("r1"), {"gyro": 1.0}, "deg/h", 0.1)
     other = from_means(segment("r2"), {"gyro": 1.0}, "deg/s", 0.1)
     for recorded, channel, words in (
-        ((one,), "gyro", "one segment gives no repeatability"),
+        ((one,), "gyro", "one segment is not enough for repeatability"),
         ((one, one), "gyrq", "has no channel 'gyrq'"),
         ((one, other), "gyro", "different units"),
         ((one, from_means(segment("r3"), {"gyro": math.nan}, "deg/h", count=0)), "gyro", "no usable samples"),
@@ -198,7 +198,7 @@ def test_a_plan_without_repeats_is_refused_before_the_run() -> None:
     request = DesignRequest(
         "again", (segment("r1"),), RepeatabilityParameters(channels=("gyro",)), SITE, sensor("gyro")
     )
-    with pytest.raises(EstimationError, match="one segment gives no repeatability"):
+    with pytest.raises(EstimationError, match="one segment is not enough for repeatability"):
         designed(Repeatability(), request)
 
 

@@ -66,18 +66,18 @@ def also(key: str) -> list[tuple[str, str]]:
         ("duration", WARNING, [(FOR, "for: 9 min")], "rocks for 9 min"),
         ("phases", WARNING, [("45 deg, 90 deg", "45 deg, 80 deg")], "unequal amounts (0, 45, 80 deg)"),
         ("phases", WARNING, [("45 deg, 90 deg", "60 deg, 120 deg")], "more than 45 deg"),
-        ("timing", ERROR, [("{label: static-2}", "{label: static-2, dwell: 9 min}")], "another timing than 'r1/vertical/static-1'"),
+        ("timing", ERROR, [("{label: static-2}", "{label: static-2, dwell: 9 min}")], "a different timing from 'r1/vertical/static-1'"),
         ("timing", ERROR, [("dynamic-2, motion: *rocking", f"dynamic-2, motion: {OTHERWISE}")], "rocks differently"),
-        ("pattern", ERROR, [("      - {label: static-2}\n", "")], "static, dynamic, dynamic, static"),
+        ("pattern", ERROR, [("      - {label: static-2}\n", "")], "must have the same orientation"),
         ("caging", ERROR, [("      - {label: cage-2, mode: caged, dwell: 10 s}\n", "")], "before 'r1/vertical/dynamic-1' and 5 more"),
         ("caging", WARNING, [('segments: "*"', "segments: [static-*, dynamic-*]")], "cannot be determined"),
         ("dwell", ERROR, also("second_window: 599 s"), "the second window ends at 601 s, after the record of 600 s"),
         ("end", ERROR, also("second_window: 400 s"), "still rocks when its second window begins at 400 s"),
         ("axes", WARNING, [HORIZONTAL, LIMIT_Y], "y is vertical in every state"),
-        ("filter", WARNING, also("cutoff: 0.2 Hz"), "lets 50 % of the rocking at 0.2 Hz through"),
-        ("filter", ERROR, also("cutoff: 1e-12 Hz"), "averages over 1e+12 s, and 536 s separate the windows"),
+        ("filter", WARNING, also("cutoff: 0.2 Hz"), "passes 50 % of the rocking at 0.2 Hz"),
+        ("filter", ERROR, also("cutoff: 1e-12 Hz"), "averages over 1e+12 s, but the windows are only 536 s apart"),
         ("encoders", ERROR, also("gimbal_axes: [x, x, x]"), "turn about one axis (x, x, x)"),
-        ("encoders", ERROR, also("rings: [table_outer, table_middle]"), "`rings` names 2, the table has 3"),
+        ("encoders", ERROR, also("rings: [table_outer, table_middle]"), "`rings` names 2 channels, but the table has 3"),
         ("resolution", WARNING, also("smallest_drift: 0.0004 deg/h"), "takes 615 s at 0.0004 deg/h, and 538 s lie"),
     ],
 )  # fmt: skip
@@ -102,7 +102,7 @@ def test_the_coarse_range_is_reported(tmp_path):
 def test_a_cutoff_that_the_sampling_is_too_slow_for_is_refused(tmp_path):
     found = rocking(checked(tmp_path, *also("cutoff: 26 Hz")))
     assert [words for _, severity, words in found if severity == ERROR] == [
-        "'rocking': a cutoff of 26 Hz needs 104 samples a second, and 100 are planned"
+        "'rocking': a cutoff of 26 Hz needs 104 samples per second, but the plan has 100"
     ]
 
 

@@ -77,7 +77,7 @@ def test_metrics_by_hand() -> None:
 def test_rates_of_one_sign_have_no_asymmetry() -> None:
     found = line(np.array([1.0, 2.0, 3.0]), np.array([1.1, 2.0, 3.1]))
     assert "asymmetry_gyro" not in [item.name for item in found.coefficients]
-    assert any("one sign" in note for note in found.notes)
+    assert any("the same sign" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("deg/s", 1.0), ("rad/s", 180 / math.pi), ("deg/h", 1 / 3600)])
@@ -117,7 +117,7 @@ def test_part_between_segments_makes_chi_square_one() -> None:
     found, equal = line(rates, outputs, error=errors), line(rates, outputs, error=errors, weights="equal")
     assert found["K_gyro"].value == pytest.approx(equal["K_gyro"].value, abs=0.1 * equal["K_gyro"].standard_uncertainty)
     assert found["K_gyro"].standard_uncertainty == pytest.approx(equal["K_gyro"].standard_uncertainty, rel=0.05)
-    assert any("added between segments" in note for note in found.notes)
+    assert any("added as scatter between segments" in note for note in found.notes)
 
 
 def test_an_output_that_never_changes_has_no_asymmetry() -> None:
@@ -217,7 +217,7 @@ def test_budget_of_a_scale_factor_by_hand() -> None:
         "plan estimates.scale.rate_uncertainty",
         "ppm",
     )
-    assert not any("counts as exact" in note for note in found.notes)
+    assert not any("treated as exact" in note for note in found.notes)
 
 
 def test_check_foresees_the_rates_errors() -> None:

@@ -44,7 +44,7 @@ def changed(item, time=None, **channels):
 
 def test_segments() -> None:
     refused("none of the segments is for alignment", run(), run())
-    refused("nothing comes after 'align'", stop())
+    refused("no segment follows 'align'", stop())
     refused("'align' and 'align' are both for alignment", stop(), stop(), run())
     refused("too short for alignment: it has samples for 20 s", stop(20), run())
     refused("turns continuously", stop(motion=Spin(0.1)), run())
@@ -92,7 +92,7 @@ def test_gaps_and_clock() -> None:
     refused("samples are missing for 10.1 s after 350.", stop(), changed(run(), time=gap))
     refused("the clock goes from", stop(), changed(run(), time=back))
     refused("the clock goes from", stop(), changed(run(), time=twice))
-    refused("has a sample every 0.2 s where the plan and the bench say 0.1 s", stop(), changed(run(), time=slow))
+    refused("has a sample every 0.2 s, but the plan and the bench give 0.1 s", stop(), changed(run(), time=slow))
     refused("different sample rates", stop(), run(rate=20.0))
 
 
@@ -102,7 +102,7 @@ def test_pause_between_alignment_and_navigation() -> None:
     assert any("100 s without samples" in note for note in found.notes)
     refused("does not begin in the orientation", stop(), run(start=400.0, attitude=np.eye(3)[[1, 2, 0]]))
     moving = changed_reference(run(start=400.0), 5.0)
-    refused("the carrier can have turned", stop(), moving)
+    refused("the carrier may have turned", stop(), moving)
 
 
 def changed_reference(item, speed):

@@ -247,7 +247,7 @@ def test_vacuum_chamber_gyro() -> None:
     ("keys", "words"),
     [
         ({}, "nothing to model"),
-        ({"channels": ("gyro",), "coefficients": ("K",)}, "`coefficients` are those of other estimates"),
+        ({"channels": ("gyro",), "coefficients": ("K",)}, "`coefficients` selects from other estimates"),
         ({"channels": ("gyrq",)}, "has no channel 'gyrq'"),
         ({"channels": ("gyro",)}, "has no planned temperature"),
         ({"channels": ("gyro",), "temperature_channel": "gyro"}, "not a unit of temperature"),
@@ -269,12 +269,12 @@ def test_bad_plans_for_channels(keys: dict[str, Any], words: str) -> None:
     [
         ([given([0, 10, 20], [1, 2, 3])], {"channels": ("gyro",)}, "both `channels` and `uses`"),
         ([given([0, 10, 20], [1, 2, 3])], {"coefficients": ("Q*",)}, "no coefficient matches 'Q"),
-        ([given([0, 10, 20], [1, 2, 3])], {"temperature_channel": "inside"}, "belongs to `channels`"),
+        ([given([0, 10, 20], [1, 2, 3])], {"temperature_channel": "inside"}, "is only for `channels`"),
         ([replace(given([0], [1]), extra={})], {}, "gives no coefficients over temperature"),
         ([given([0], [1]), given([10], [1], unit="deg/h")], {}, "different units"),
         ([given([0, 10], [1, 2])], {}, "too few to choose an order"),
         ([given([0, 10], [1, 2])], {"order": 2}, "cannot determine a polynomial of order 2"),
-        ([given([0, 10], [1, 2])], {"order": 1}, "leave no residual"),
+        ([given([0, 10], [1, 2])], {"order": 1}, "leave no residuals"),
         ([given([0, 10], [1, math.nan])], {"order": 1}, "not a finite number"),
         ([given([0, 10, 20], [1, 2, 3])], {"uncertainty": "propagated"}, "does not have an uncertainty"),
     ],

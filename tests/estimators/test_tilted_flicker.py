@@ -93,7 +93,7 @@ def test_within_segments_flicker_acts_through_all_means() -> None:
         assert flicker.contribution == pytest.approx(B * math.sqrt(own @ covariance @ own), rel=1e-3)
         assert data.contribution == pytest.approx(math.sqrt(white_left() * own @ own), rel=1e-6)
         assert line(found, name, "zero drift gyro_x") is None
-    assert any("that flicker seen once" in text for text in found.notes)
+    assert any("one sample of that flicker" in text for text in found.notes)
 
 
 def test_what_is_planned_is_expected_with_flicker() -> None:
@@ -201,14 +201,14 @@ def test_zeros_that_move_further_than_declared_are_reported_and_added() -> None:
     """A drift of 20·B from zero to zero; half of it less the noise of both zeros."""
     drift = 20 * B
     found = estimate(recording(2, drift=drift), AXIS, DECLARED, earth_rate="averaged", uncertainty="within_segment")
-    (text,) = [one for one in found.warnings if "changed more" in one]
+    (text,) = [one for one in found.warnings if "changed by more than" in one]
     assert "gyro_x" in text and "bias instability" in text
     moved, flicker = line(found, "F0_x", "zero drift gyro_x"), line(found, "F0_x", NAME)
     assert moved is not None and moved.added and flicker is not None and flicker.added
     expected = math.sqrt(drift**2 - 2 * white_left()) / 2 / math.sqrt(3)
     assert moved.standard_uncertainty == pytest.approx(expected, rel=1e-6)
     repeats = estimate(recording(2, drift=drift), AXIS, DECLARED, uncertainty="repeats")
-    assert not [one for one in repeats.warnings if "changed more" in one]
+    assert not [one for one in repeats.warnings if "changed by more than" in one]
     assert line(repeats, "F0_x", NAME) is None
 
 

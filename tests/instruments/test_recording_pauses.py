@@ -57,7 +57,7 @@ def test_each_burst_is_the_segment_of_its_place(tmp_path):
 
 
 def test_another_number_of_segments_is_an_error(tmp_path):
-    with pytest.raises(InstrumentError, match="holds 3 stretches separated by pauses, but the plan has 2 segments"):
+    with pytest.raises(InstrumentError, match="holds 3 stretches, separated by pauses, but the plan has 2 segments"):
         player(tmp_path).foresee([segment(0), segment(1)])
 
 

@@ -198,7 +198,7 @@ def test_time_that_does_not_increase_is_an_error_with_its_row(tmp_path, name, ro
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"file": "r.parqet"}, "no file 'r.parqet' beneath the data root"),
+        ({"file": "r.parqet"}, "no file 'r.parqet' in the data folder"),
         ({"time": "{column: tt}"}, "no column 'tt'; did you mean 't'"),
         ({"channels": "{x: {column: X, unit: deg/s}}"}, "no column 'X'"),
         ({"file": "folder"}, "this is a folder"),
@@ -235,7 +235,7 @@ def test_what_is_wrong_with_a_recording_is_said_before_anything_moves(tmp_path, 
         ("label,start_s,end_s\nA,2,1\n", "line 2: the segment 'A' does not end after it starts"),
         ("label,start_s,end_s\nA,nan,1\n", "does not end after it starts"),
         ("label,start_s,end_s\n,1,2\n", "line 2: the label is empty"),
-        ("label,start_s,end_s\nA,1,1.5\n", "lasts 0.5 s, and trimming 0.25 s at either end leaves nothing"),
+        ("label,start_s,end_s\nA,1,1.5\n", "lasts 0.5 s, and nothing remains after 0.25 s are trimmed from both ends"),
         ('label,start_s,end_s\n"A,1,2\n', "not readable as CSV"),
     ],
 )
@@ -251,9 +251,9 @@ def test_what_is_wrong_with_a_segment_table_is_said(tmp_path, text, words):
     ("label", "dwell", "words"),
     [
         ("C", None, "no segment 'C'"),
-        ("A", 2.5, "shorter than the plan: 'A' dwells 2.5 s, and r.* holds 2 s of it"),
+        ("A", 2.5, "shorter than the plan: 'A' dwells 2.5 s, but r.* holds only 2 s of it"),
         ("late", None, "no samples between 20 s and 21 s for 'late'"),
-        ("end", 3.0, "shorter than the plan: 'end' dwells 3 s, and r.* holds 1 s of it"),
+        ("end", 3.0, "shorter than the plan: 'end' dwells 3 s, but r.* holds only 1 s of it"),
     ],
 )
 def test_a_segment_that_the_recording_does_not_hold_is_an_error(tmp_path, name, label, dwell, words):
@@ -266,7 +266,7 @@ def test_a_segment_that_the_recording_does_not_hold_is_an_error(tmp_path, name, 
 def test_a_recording_shorter_than_a_single_dwell_is_an_error(tmp_path):
     write(tmp_path)
     assert play(player(tmp_path), dwell=10.0)[0].size == 100
-    with pytest.raises(InstrumentError, match=r"dwells 11 s, and r.parquet holds 10 s"):
+    with pytest.raises(InstrumentError, match=r"dwells 11 s, but r.parquet holds only 10 s"):
         play(player(tmp_path), dwell=11.0)
 
 
@@ -299,10 +299,10 @@ def test_paths_that_lead_outside_are_refused(tmp_path, name):
     root = tmp_path / "root"
     root.mkdir()
     write(tmp_path)
-    with pytest.raises(InstrumentError, match="leads outside the data root"):
+    with pytest.raises(InstrumentError, match="leads outside the data folder"):
         player(root, file=f"'{name}'")
     write(root)
-    with pytest.raises(InstrumentError, match="leads outside the data root"):
+    with pytest.raises(InstrumentError, match="leads outside the data folder"):
         player(root, segments="{table: '" + name + "'}")
 
 

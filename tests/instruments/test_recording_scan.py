@@ -154,7 +154,7 @@ def test_check_tries_the_estimates_on_the_recording(tmp_path, monkeypatch, capsy
     assert main(["check", "plan.yaml", "--data", "."]) == 2
     error = capsys.readouterr().err
     assert "plan.yaml:8:5: error[recording-estimate]" in error
-    assert "6 poses cannot give 9 parameters" in error
+    assert "6 poses cannot determine 9 parameters" in error
     assert main(["check", "plan.yaml", "--data", "elsewhere"]) == 2
     assert "bench.yaml:7:5: error[recording-unfit]" in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()

@@ -314,7 +314,7 @@ def test_a_slower_rate_scatters_less_a_sample():
 @pytest.mark.parametrize(
     ("piece", "words"),
     [
-        (Segment(0, "S", LEVEL, "", Rest(), None), "only a recording has this length"),
+        (Segment(0, "S", LEVEL, "", Rest(), None), "only possible with a recording"),
         (Segment(0, "S", LEVEL, "", Rest(), 1.0, sample_rate=1000.0), "100 Hz at most"),
     ],
 )

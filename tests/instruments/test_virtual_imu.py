@@ -338,7 +338,7 @@ def test_a_sensor_has_axes():
             "meaning-input-axis",
             "is placed twice",
         ),
-        ("gyros: {axes: {x: {towards: {x: 1 arcsec}}}}", "meaning-input-axis", "cannot lean towards x"),
+        ("gyros: {axes: {x: {towards: {x: 1 arcsec}}}}", "meaning-input-axis", "cannot be tilted towards x"),
         ("gyros: {axes: {x: {towards: {y: 30 deg}}}}", "meaning-input-axis", "not a small angle"),
         ("gyros: {axes: {x: {bias: 1 ug}}}", "meaning-dimension", "a unit of angular rate is needed"),
         ("gyros: {axes: {x: {resolution: 1 V}}}", "meaning-dimension", "a unit such as arcsec or deg/s is needed"),

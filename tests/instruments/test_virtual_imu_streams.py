@@ -91,7 +91,7 @@ def test_reference_channels_say_where_the_bench_is():
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        ({"dwell": None}, "only a recording has this length"),
+        ({"dwell": None}, "only possible with a recording"),
         ({"dwell": 1.0, "rate": 1000.0}, "the sensor gives 100 Hz at most"),
     ],
 )

@@ -298,10 +298,10 @@ def test_what_cannot_be_is_reported():
         platform.set_mode("north")
     with pytest.raises(InstrumentError, match="gives 50 Hz at most"):
         list(platform.stream(Segment(0, "fast", VERTICAL, "", Rest(), 1.0, sample_rate=100.0)))
-    with pytest.raises(InstrumentError, match="only a recording has this length"):
+    with pytest.raises(InstrumentError, match="only possible with a recording"):
         list(platform.stream(Segment(0, "open", VERTICAL, "", Rest(), None)))
     _, two, _ = bench(rings="2")
-    with pytest.raises(InstrumentError, match="2 rings, the table has 3"):
+    with pytest.raises(InstrumentError, match="2 rings for the platform, but the table has 3"):
         two.channels()
 
 

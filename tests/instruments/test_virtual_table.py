@@ -85,7 +85,7 @@ def test_the_trapezoid_is_the_integral_of_its_rate():
 
 
 def test_an_orientation_beyond_its_limits_is_refused():
-    # y up: the middle axis would have to stand at ±90 deg, whichever way the others turn.
+    # y up: the middle axis would have to be at ±90 deg, whichever way the others turn.
     limited, _ = table(limit=45)
     with pytest.raises(
         InstrumentError, match=r"cannot take this orientation: the axis 'middle' .* 90 deg; .* -45 to 45 deg"
@@ -109,7 +109,7 @@ def test_a_spin_about_a_direction_without_an_axis_is_refused():
             Rock(0.2 * DEG, 1.0, (0.0,), 10.0),
             r"rocking needs .* deg/s\^2; the outer axis gives 5 deg/s\^2",
         ),
-        (Rock(0.1 * DEG, 0.1, (0.0,) * 4, 10.0), "4 rings are planned to rock, the table has 3"),
+        (Rock(0.1 * DEG, 0.1, (0.0,) * 4, 10.0), "4 rings are planned to rock, but the table has 3"),
         (
             Rock(101 * DEG, 0.001, (0.0, 0.0), 10.0),
             "rocking carries the middle axis from -101 to 101 deg; it turns from -100 to 100 deg",

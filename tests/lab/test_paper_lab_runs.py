@@ -246,7 +246,7 @@ def test_a_run_that_is_refused_an_instrument_leaves_the_others_as_they_are(
     run = planrunner("run", "plan.yaml", "--quiet", "--flushed")
     _, err = run.communicate(timeout=60)
     assert run.returncode == 3 and "sensor (paper_sensor) cannot be connected: somebody else holds its port" in err
-    assert "(table, chamber: left as found, nothing was commanded)" in err
+    assert "(table, chamber: left unchanged, no command was sent)" in err
     table = state(tmp_path, "table")
     assert table["closed"] and table["rate"] == 5.0 and not table["safe"] and table["by"] == run.pid
     assert "safe" not in state(tmp_path, "chamber") and not (tmp_path / "runs").exists()

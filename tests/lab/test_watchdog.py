@@ -106,7 +106,9 @@ def test_nobody_gets_the_bench_while_it_lives(bench: bytes, tmp_path: Path, monk
     read = read_bench(str(tmp_path / "paper.yaml"))[0]
     guard = Watchdog(bench, "lab.yaml", None, 60.0)
     with (
-        pytest.raises(InputError, match=f"the watchdog of a run, which makes it safe, process {guard.pid} of"),
+        pytest.raises(
+            InputError, match=f"the watchdog of another run, which is making the bench safe, process {guard.pid} of"
+        ),
         bench_lock(read, "lab.yaml"),
     ):
         pass

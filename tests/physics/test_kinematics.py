@@ -127,7 +127,7 @@ def test_an_angle_at_the_very_limit_counts_as_within():
 
 def test_what_limits_forbid_is_explained_with_axis_angle_and_limit():
     axes = (axis("outer", UP), axis("tilt", EAST, 45 * DEG), axis("inner", NORTH, 45 * DEG))
-    with pytest.raises(Unreachable, match=r"'tilt' would have to stand at 90 deg; it turns from -45 to 45 deg"):
+    with pytest.raises(Unreachable, match=r"'tilt' would have to be at 90 deg; it turns from -45 to 45 deg"):
         joint_angles(axes, attitude(THREE, [0, 90 * DEG, 0]), [0, 0, 0])
 
 
@@ -175,7 +175,7 @@ def test_which_directions_can_be_spun_about():
     assert spin_axis(THREE, [90 * DEG, 0.0, 0.0], NORTH) == 1
     # With the middle axis at 90 deg the inner axis points up as well; the outer carries it and is taken.
     assert spin_axis(THREE, [0.0, 90 * DEG, 0.0], UP) == 0
-    with pytest.raises(Unreachable, match="'inner' stands 30 deg from it"):
+    with pytest.raises(Unreachable, match="'inner' is 30 deg from it"):
         spin_axis(THREE, [30 * DEG, 0.0, 0.0], NORTH)
 
 

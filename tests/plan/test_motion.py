@@ -69,7 +69,7 @@ def test_the_cycle_of_eight_moves_without_residual() -> None:
         ({2: "D +170 B"}, "meaning-cycle-landing", 13, ["ends at 80 deg"]),
         ({3: "C -90 B"}, "meaning-cycle-start", 14, ["starts at C", "ends at B"]),
         ({4: "A +180 E"}, "meaning-cycle-position", 15, ["'E'"]),
-        ({4: "A +0 A"}, "meaning-cycle", 15, ["move 5", "turns by nothing"]),
+        ({4: "A +0 A"}, "meaning-cycle", 15, ["move 5", "turns by 0 deg"]),
         ({7: None}, "meaning-cycle-closed", 17, ["starts at A and ends at D"]),
         ({2: "D +180 B"}, "physics-cable-wrap", 11, ["+360 deg"]),
         ({0: "A -180 C"}, "physics-cable-wrap", 11, ["-360 deg"]),

@@ -79,7 +79,7 @@ def test_noise_alone_is_not_said_to_be_sure_where_it_is_only_possible():
 def test_an_effect_of_its_form_is_named_beside_it():
     found = diagnosis(verdict={"kind": "effect", "effects": ["lever_arm"], "class": [], "form_residue": "time_latency"})
     check(found)
-    assert "The contribution of time_latency is below 5 % and counts as form residue." in verdict(found)
+    assert "The contribution of time_latency is below 5 % and is treated as form residue." in verdict(found)
 
 
 def test_the_weaker_of_two_is_said_to_be_form_residue_perhaps():
@@ -88,7 +88,7 @@ def test_the_weaker_of_two_is_said_to_be_form_residue_perhaps():
     check(found)
     assert verdict(found) == (
         "lever_arm and time_latency together explain the gap (P = 0.98). time_latency explains less than 5 % of it: "
-        "it is present but weak, or form residue "
+        "it is present but weak, or it is a form residue "
         "of lever_arm."
     )
 
@@ -97,7 +97,7 @@ def test_a_remainder_beside_what_the_nominal_model_lacks_is_said_to_be():
     said = {"kind": "pair", "effects": ["gyro_bias", "gyro_scale_factor"], "class": [], "form_residue": "unknown"}
     found = diagnosis(verdict=said, posterior={"none": 0.0, "unknown": 1.0})
     check(found)
-    rest = " Less than 5 % of it is something that the catalogue does not contain."
+    rest = " Less than 5 % of it comes from something that the catalogue does not contain."
     assert verdict(found) == "gyro_bias and gyro_scale_factor together explain nearly all of the gap." + rest
     found["verdict"] = said | {
         "kind": "indistinguishable",
@@ -138,7 +138,7 @@ def test_the_closure_with_its_interval_or_not_resolvable():
         assert text in said
         assert "-" not in said
     cannot = {"before": None, "after": None, "shrinks_by": None, "interval_90": None, "resolvable": False}
-    assert "cannot be resolved" in closure_words(diagnosis(closure=cannot))
+    assert "cannot show how far" in closure_words(diagnosis(closure=cannot))
     assert closure_words(diagnosis("none")) == "There is no gap to close."
 
 

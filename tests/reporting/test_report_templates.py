@@ -108,7 +108,9 @@ def test_a_report_does_not_grow_without_end(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_unknown_template_and_folder(tmp_path: Path) -> None:
-    with pytest.raises(ReportError, match=r"no template 'certificat\.html\.j2'; known here: .*report\.html"):
+    with pytest.raises(
+        ReportError, match=r"no template 'certificat\.html\.j2'; the known templates are .*report\.html"
+    ):
         lay_out("certificat.html", {})
     with pytest.raises(ReportError, match="is not a folder"):
         lay_out("report.html", {}, tmp_path / "missing")

@@ -219,7 +219,7 @@ def test_a_second_certificate_is_an_amendment(run: Path) -> None:
 
 def test_what_was_never_issued_cannot_be_amended(run: Path) -> None:
     amended = {**GIVEN, "certificate_number": "2026-0118", "amends": "2026-0117", "amendment_reason": "x"}
-    with pytest.raises(InputError, match="no certificate '2026-0117' of this run was issued"):
+    with pytest.raises(InputError, match="no certificate '2026-0117' has been issued for this run"):
         analyse_run(run, Issue(PAGE, amended))
 
 

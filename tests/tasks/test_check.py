@@ -257,5 +257,5 @@ def test_pure_numbers_have_no_unit_in_findings(tmp_path: Path) -> None:
     text = (ROOT / "plans" / "imu_multi_position.yaml").read_text(encoding="utf-8")
     path.write_text(text.replace("at_least: 0.99, at_most: 1.01", "at_least: 0.99 deg"), encoding="utf-8")
     (finding,) = check_plan(path).findings.errors
-    assert finding.message == "imu.gyro_scale_x is a pure number; deg does not fit"
+    assert finding.message == "imu.gyro_scale_x is a pure number, so deg cannot be compared with it"
     assert finding.hint == "write the limit without a unit"

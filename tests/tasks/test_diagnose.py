@@ -137,7 +137,7 @@ def test_missing_numbers_are_left_out_and_remarked(tmp_path):
     laboratory(tmp_path)
     change(tmp_path, gyro_x_deg_per_s=set_at(10, 13, np.nan))
     (said,) = look(tmp_path)
-    assert "warning[gap-missing-numbers]: 3 rows with a missing number are left out" in said
+    assert "warning[gap-missing-numbers]: 3 rows with a missing number were left out" in said
 
 
 def test_a_segment_without_a_complete_row_is_refused(tmp_path):
@@ -183,7 +183,7 @@ def test_full_scale_is_remarked(tmp_path):
 def test_a_channel_that_stands_still_is_refused(tmp_path):
     laboratory(tmp_path)
     change(tmp_path, accel_y_m_per_s2=lambda values: 0 * values + 1.5)
-    assert "error[gap-dead-channel]: 'accel_y' stands at 1.5 m/s^2 in every segment" in refused(tmp_path)
+    assert "error[gap-dead-channel]: 'accel_y' stays at 1.5 m/s^2 in every segment" in refused(tmp_path)
 
 
 def test_a_channel_stuck_in_some_segments_is_remarked(tmp_path):
@@ -247,7 +247,7 @@ def test_some_orientations_unknown_and_others_not_is_refused(tmp_path):
         "{label: P1, orientation: {x: up, y: north, z: west}}",
         "{label: P1, orientation: unknown}",
     )
-    assert "the orientation of segment 'P1' is unknown, that of others is known" in refused(tmp_path)
+    assert "the orientation of segment 'P1' is unknown, but other segments have known orientations" in refused(tmp_path)
 
 
 @pytest.mark.parametrize("count", [4, 5, 6, 7])
@@ -293,7 +293,7 @@ def test_a_channel_that_the_plan_does_not_use_may_stand_still(tmp_path):
 def test_too_few_segments_to_hold_any_out_are_remarked(tmp_path):
     laboratory(tmp_path, listed()[:3])
     said = look(tmp_path)
-    assert any("warning[gap-no-held-out]: 3 segments are too few to withhold any with" in text for text in said)
+    assert any("warning[gap-no-held-out]: 3 segments are too few: with" in text for text in said)
 
 
 def test_a_nominal_model_that_does_not_fit_at_all_is_refused(tmp_path):
@@ -344,7 +344,7 @@ def test_an_unknown_nominal_term_is_refused(tmp_path, capsys):
     laboratory(tmp_path)
     given = [str(tmp_path / "plan.yaml"), "--recording", str(tmp_path / "recording.parquet")]
     assert main(["diagnose", *given, "--nominal", "gyro_bias", "gyro_scale"]) == WRONG_INPUT
-    assert "error[gap-nominal]: 'gyro_scale' is no nominal term" in capsys.readouterr().err
+    assert "error[gap-nominal]: 'gyro_scale' is not a nominal term" in capsys.readouterr().err
 
 
 def test_a_plan_alone_and_a_run_with_a_recording_are_wrong_arguments(tmp_path, capsys):

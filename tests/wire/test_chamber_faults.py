@@ -104,7 +104,7 @@ def test_what_is_measured_decides_whether_the_air_is_there() -> None:
 def test_limits_of_the_bench_go_to_the_controller_that_has_them() -> None:
     with p300() as (answers, chamber):
         told = chamber.limit(OwnLimits(coldest=-20 + ZERO_CELSIUS, hottest=70 + ZERO_CELSIUS))
-        assert told == ["the chamber alarms below -20.0 and above 70.0 degC"]
+        assert told == ["the chamber gives an alarm below -20.0 and above 70.0 degC"]
         chamber.set_temperature(WARM)
         assert [item for item in answers.heard if item.startswith(("TEMP,H", "TEMP,L"))] == [
             "TEMP,H70.0",
@@ -191,11 +191,11 @@ def test_refusals_are_reported_with_their_reason() -> None:
         ):
             chamber.set_temperature(WARM)
         answers.says[":SOURCE:CLOOP1:PVALUE?"] = "-----"
-        with pytest.raises(InstrumentError, match=r"with '-----' where a number is expected"):
+        with pytest.raises(InstrumentError, match=r"with '-----', but a number is expected"):
             chamber.read()
     with f4t() as (answers, chamber):
         answers.says[":UNIT:TEMPERATURE?"] = "F"
-        with pytest.raises(InstrumentError, match=r"keeps the unit 'F' instead of C"):
+        with pytest.raises(InstrumentError, match=r"stays at the unit 'F' instead of C"):
             chamber.set_temperature(WARM)
 
 

@@ -104,7 +104,7 @@ def test_after_an_answer_that_was_no_number_nothing_late_is_taken_for_the_next()
             connection.sendall(b"70\n" if message == "ANGLE?" else b"0\n")
 
     with Listener(talk) as server, link_to(server.address) as link:
-        with pytest.raises(InstrumentError, match="'done' where a number is expected"):
+        with pytest.raises(InstrumentError, match="'done', but a number is expected"):
             number(link, "ANGLE?")
         assert number(link, "RATE?") == 0
 
@@ -139,7 +139,7 @@ def test_a_flood_before_the_question_is_reported() -> None:
             connection.sendall(echo(message))
 
     with Listener(talk) as server, link_to(server.address) as link:
-        fails(link, r"sends (without being asked|continuously)|stopped in the middle")
+        fails(link, r"sends (data without a request|continuously)|stopped in the middle")
 
 
 @pytest.mark.parametrize("garbage", [b"\xff\xfe\x00\x9a\n", b"\x00\x01\n"])
@@ -165,7 +165,7 @@ def test_what_comes_unasked_is_dropped_and_reported() -> None:
         assert link.query("A?") == "A? heard"
         time.sleep(0.02)
         assert link.query("B?") == "B? heard"
-        assert link.remarks() == [f"{server.address} sent '77\\n' unasked, which was dropped"]
+        assert link.remarks() == [f"{server.address} sent '77\\n' without a request; this text was discarded"]
         assert link.remarks() == []
 
 
@@ -181,7 +181,7 @@ def test_a_question_is_asked_again_once_and_that_is_reported() -> None:
     with answering(answer) as server, link_to(server.address, tries=2) as link:
         assert link.query("A?") == "A? heard"
         (remark,) = link.remarks()
-        assert remark.endswith("'A?' is asked again")
+        assert remark.endswith("'A?' is sent again")
 
 
 def test_what_changes_the_instrument_is_not_sent_again() -> None:
@@ -294,9 +294,9 @@ def test_numbers_out_of_replies() -> None:
     with answering(lambda message: replies[message]) as server, link_to(server.address) as link:
         assert numbers(link, "GOOD?", 3) == [1.5, -2.0, 30.0]
         for question in ("WORDS?", "NAN?", "INF?"):
-            with pytest.raises(InstrumentError, match=r"where a number is expected: check that it is the instrument"):
+            with pytest.raises(InstrumentError, match=r"but a number is expected: check that it is the instrument"):
                 number(link, question)
-        with pytest.raises(InstrumentError, match=r"answers 'FEW\?' with '1' where 2 numbers are expected"):
+        with pytest.raises(InstrumentError, match=r"answers 'FEW\?' with '1', but 2 numbers are expected"):
             numbers(link, "FEW?", 2)
 
 

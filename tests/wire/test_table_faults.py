@@ -109,7 +109,7 @@ def test_the_wrong_instrument_is_reported_before_anything_is_set() -> None:
     with answering(watlow) as server:
         with pytest.raises(
             InstrumentError,
-            match=r"says that it is .WATLOW,F4T,1,4.0., which does not contain .ACUT.",
+            match=r"identifies itself as .WATLOW,F4T,1,4.0., which does not contain .ACUT.",
         ):
             Acutrol.connect(parameters(AcutrolParameters, server.address, ONE), surroundings())
         assert heard == ["*IDN?"]
@@ -133,7 +133,7 @@ def test_two_axes_move_in_one_message_each_as_its_controller_counts() -> None:
 def test_limits_of_the_bench_narrow_those_of_the_axes() -> None:
     with bench() as (controller, table, _):
         told = table.limit(OwnLimits(rate=math.radians(60), position_error=math.radians(0.25)))
-        assert told == ["axis 1: at most 60 deg/s and 200 deg/s^2; trips at 66 deg/s, 0.25 deg of tracking error"]
+        assert told == ["axis 1: at most 60 deg/s and 200 deg/s^2; it trips at 66 deg/s, 0.25 deg of tracking error"]
         table.orient(turned(10.0))
         assert controller.heard.count(":lim:rate pos,1,60") == 1  # not set again with the first move
         assert ":lim:rate pos,1,100" not in controller.heard
@@ -151,7 +151,7 @@ def test_a_table_that_reaches_less_than_the_bench_file_says() -> None:
 def test_a_limit_that_is_not_kept() -> None:
     with bench() as (controller, table, _):
         controller.say[":limit:rate? rate,1"] = "1000"
-        with pytest.raises(InstrumentError, match=r"keeps 1000 as its rate limit instead of 100"):
+        with pytest.raises(InstrumentError, match=r"keeps 1000 as its rate limit instead of the commanded 100"):
             table.limit(OwnLimits())
 
 
@@ -159,7 +159,9 @@ def test_a_command_that_is_not_taken() -> None:
     with bench() as (controller, table, _):
         table.orient(turned(0.0))
         controller.say[":status:stb?"] = "72"
-        with pytest.raises(InstrumentError, match=r"does not take one of: :dem:rate 1,0, :mode:rate 1, :dem:rate 1,10"):
+        with pytest.raises(
+            InstrumentError, match=r"rejects one of these commands: :dem:rate 1,0, :mode:rate 1, :dem:rate 1,10"
+        ):
             table.begin_motion(Spin(math.radians(10)), 1.0)
 
 
@@ -328,7 +330,7 @@ def test_what_it_cannot_do_is_foreseen() -> None:
                 Cycle({"A": 0.0, "C": math.pi}, (Move("A", math.pi, "C"), Move("C", -math.pi, "A")), 2.0, 1.0),
                 "'S1': turning needs 114.592 deg/s; the table axis reaches 100 deg/s",
             ),
-            (Rock(0.01, 0.2, (0.0, 0.0), 1.0), "'S1': 2 rings are planned to rock, the table has 1"),
+            (Rock(0.01, 0.2, (0.0, 0.0), 1.0), "'S1': 2 rings are planned to rock, but the table has 1"),
             (Rock(1.0, 1.0, (0.0,), 1.0), "'S1': rocking needs 360 deg/s; the table axis reaches"),
         ):
             with pytest.raises(InstrumentError, match=re.escape(why)):

@@ -85,10 +85,10 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
 def _no_spans(detection: Detection | None) -> None:
     if detection is not None:
         raise EstimationError(
-            "the attitudes of spans found in the data are unknown: write `reference: gravity_magnitude`"
+            "the attitudes of still spans found in the data are unknown: write `reference: gravity_magnitude`"
         )
 
 
 def _three(outputs: tuple[str, ...]) -> None:
     if len(outputs) != 3 or len(set(outputs)) != 3:
-        raise EstimationError(f"a triad has three channels, of x, y and z; `outputs` names {', '.join(outputs)}")
+        raise EstimationError(f"a triad has three channels, for x, y and z, but `outputs` names {', '.join(outputs)}")

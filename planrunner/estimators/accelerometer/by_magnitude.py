@@ -49,7 +49,7 @@ Array = NDArray[np.float64]
 _WORDS = {
     "bias": "Bias of the {} axis",
     "scale": "Scale factor of the {} axis",
-    "gamma": "Non-orthogonality of the axes {} and {}: 90° less their angle",
+    "gamma": "Non-orthogonality of the axes {} and {}: 90° minus the angle between them",
 }
 _UNITS = ("mg",) * 3 + ("1",) * 3 + ("mrad",) * 3
 _SCALE = np.array([1 / unit(text).factor for text in _UNITS])
@@ -96,7 +96,7 @@ def foresee(
         seen = general()
         if seen.known:
             return seen
-    why = "the attitudes of the poses are not planned"
+    why = "the plan does not give the attitudes of the poses"
     rows = zip(NAMES, _UNITS, strict=True)
     return Foresight(unpredicted=tuple(Unpredicted(name, text, why, _describe(name)) for name, text in rows))
 
@@ -269,7 +269,7 @@ def _factors_of(units: Mapping[str, str]) -> Array:
     """units: by channel. Raises `EstimationError` for one that is no acceleration."""
     for name, text in units.items():
         if unit(text).dimension != DIMENSIONS["acceleration"]:
-            raise EstimationError(f"channel '{name}' is recorded in {text}, but an acceleration is needed")
+            raise EstimationError(f"channel '{name}' is recorded in {text}, which is not a unit of acceleration")
     return np.array([unit(text).factor for text in units.values()])
 
 
@@ -293,7 +293,9 @@ def _gives_pose(segment: Segment, detection: Detection | None, sample_rate: floa
 def _at_rest(segments: Sequence[Segment]) -> None:
     moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
     if moving:
-        raise EstimationError(f"segment '{moving[0]}' moves: an accelerometer is compared with gravity at rest")
+        raise EstimationError(
+            f"segment '{moving[0]}' moves: an accelerometer can be compared with gravity only at rest"
+        )
 
 
 def _describe(name: str) -> str:

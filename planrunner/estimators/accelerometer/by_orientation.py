@@ -47,7 +47,7 @@ _AXES = ("x", "y", "z")
 
 def design_of(terms: Sequence[str], segments: Sequence[Segment], site: Site) -> PositionsDesign:
     """Of each axis at positions at rest. Raises `EstimationError`."""
-    model, needed = error_model(terms), "an accelerometer is compared with gravity at rest"
+    model, needed = error_model(terms), "an accelerometer can be compared with gravity only at rest"
     matrix = matrix_at_rest(model, segments, site, needed, " (for example `reference: gravity_magnitude`)")
     return PositionsDesign(model, tuple(segments), matrix, model.magnitudes)
 
@@ -104,7 +104,7 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
     warnings += contradictions([_row(axis, found) for axis in range(3)])
     left_out = [name for name in TERMS if name not in found.model.names]
     if left_out:
-        notes.append(f"Left out of the model by the plan: {', '.join(left_out)}.")
+        notes.append(f"Terms that the plan leaves out of the model: {', '.join(left_out)}.")
     for axis, name in enumerate(observations.channels):
         rms = np.sqrt(np.sum(fit.fits[axis].residuals ** 2) / max(1, fit.freedom)) * found.units[axis].factor
         notes.append(f"{name}: residuals of {rms / unit('mg').factor:.3g} mg rms, corrected for degrees of freedom.")
@@ -141,7 +141,7 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported,
     seen = _excited(model)
     if axis in seen and not fit.coefficients[axis, list(seen.values())].any():
         raise UnfitDataError(
-            f"channel '{fit.outputs[axis]}' does not respond to gravity at all: check that it is connected"
+            f"channel '{fit.outputs[axis]}' does not respond to gravity at all: check whether it is connected"
         )
     found: list[tuple[Reported, RowFormula]] = []
     misalignments: list[tuple[Reported, RowFormula]] = []

@@ -65,7 +65,7 @@ def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
 
 def too_few(count: int) -> str:
     """That so many poses are fewer than the parameters."""
-    return f"{count} poses cannot give {len(NAMES)} parameters"
+    return f"{count} poses cannot determine {len(NAMES)} parameters"
 
 
 def _too_alike(sight: rank.MatrixRank, readings: Array) -> str:

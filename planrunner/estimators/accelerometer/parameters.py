@@ -15,7 +15,7 @@ class AccelerometerMultiPositionParameters(Record):
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=3),
-        "The three accelerometer channels, of x, y and z.",
+        "The three accelerometer channels, for x, y and z.",
         ["accel_x", "accel_y", "accel_z"],
         default=("accel_x", "accel_y", "accel_z"),
     )

@@ -117,7 +117,10 @@ class AllanDeviation:
         parameters = request.parameters
         names = parameters.outputs or tuple(output.name for output in request.sensor.outputs)
         moving = [segment.label for segment in request.segments if not isinstance(segment.motion, Rest)]
-        notes = [f"'{label}' moves: the effect of the motion on the outputs counts as noise." for label in moving]
+        notes = [
+            f"'{label}' moves: its outputs include the effect of the motion, which is treated as noise."
+            for label in moving
+        ]
         _known_scale_factors(parameters, names)
         for name in names:
             output = request.sensor.output(name)
@@ -224,8 +227,8 @@ def _output(request: EstimateRequest[AllanDeviationParameters], name: str) -> _R
 
 def _never_changes(name: str) -> str:
     return (
-        f"'{name}' never changes in the chosen segments: check whether it is connected, and whether its resolution is "
-        "coarser than its noise"
+        f"'{name}' never changes in the chosen segments: check whether it is connected and whether its resolution "
+        "is finer than its noise"
     )
 
 
@@ -233,7 +236,7 @@ def _known_scale_factors(parameters: AllanDeviationParameters, names: Sequence[s
     for name in parameters.scale_factors:
         if name not in names:
             raise EstimationError(
-                f"`scale_factors` names '{name}', which is not an output here: {closest(name, names)}"
+                f"`scale_factors` names '{name}', which is not one of the outputs of this estimate: {closest(name, names)}"
             )
 
 
@@ -258,7 +261,9 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
     for dropped in ("K", "Q", "B", "N"):
         if len(terms) > max(1, len(chosen) - 1) and dropped in terms and len(terms) > 1:
             terms.remove(dropped)
-            result.notes.append(f"{result.name}: too few averaging times to fit {dropped}; it is left out.")
+            result.notes.append(
+                f"{result.name}: there are too few averaging times to fit {dropped}, so it is left out."
+            )
     try:
         require_averaging_times(result.name, len(chosen))
     except EstimationError as error:
@@ -370,16 +375,16 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
     if phase.gaps or phase.bridged:
         share = 100 * phase.lost / max(1, phase.samples)
         result.notes.append(
-            f"{result.name}: {phase.missing} samples are missing; {phase.bridged} were filled by linear interpolation, "
-            f"{phase.gaps} gaps split "
+            f"{result.name}: {phase.missing} samples are missing; {phase.bridged} of them were filled by linear "
+            f"interpolation, and {phase.gaps} gaps split "
             f"the record into {len(phase.runs)} usable stretches ({share:.2g} % of the samples are in stretches that "
             "are too short). "
             "No difference spans a gap."
         )
     if phase.decimation > 1:
         result.notes.append(
-            f"{result.name}: of more than {LONGEST} samples every {phase.decimation}. phase point is kept; the "
-            "shortest averaging time is "
+            f"{result.name}: the record has more than {LONGEST} samples, so only one in {phase.decimation} phase points "
+            "is kept; the shortest averaging time is "
             f"{phase.interval:.4g} s."
         )
 
@@ -419,7 +424,7 @@ def _foreseen(
                 Coefficient(label, value * scale, text, u * scale, description=words, role=CoefficientRole.SCALE)
             )
             continue
-        why = f"the bench declares no such noise of '{name}'"
+        why = f"the bench declares no noise of this kind for '{name}'"
         if declared.get(term):
             why = "the planned record is too short, or its length is not known"
         without.append(Unpredicted(label, text, why, words, CoefficientRole.SCALE))

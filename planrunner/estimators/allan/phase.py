@@ -146,7 +146,7 @@ class _Stretches:
             self.interval = own
         elif forward.size > 100 and abs(own / self.interval - 1) > 0.01:
             raise EstimationError(
-                f"segment '{label}' is sampled every {own:.4g} s, others every {self.interval:.4g} s: choose "
+                f"segment '{label}' is sampled every {own:.4g} s, but others every {self.interval:.4g} s: choose "
                 f"`segments` with one sample rate"
             )
 

@@ -1,6 +1,6 @@
 """Which averaging times a record gives, recorded or planned: how many averages it holds of each, and whether these are enough to fit.
 
-The record that is planned is judged by the rules that the recorded one is refused by.
+The same rules check a planned record and refuse a recorded one.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: flo
     if not usable.size:
         longest = (int(lengths.max()) - 1) * interval
         raise EstimationError(
-            f"'{name}': every averaging time in `taus` needs more than the {longest:.4g} s without a gap"
+            f"'{name}': every averaging time in `taus` needs a longer stretch without a gap than the {longest:.4g} s of the plan"
         )
     return usable
 
@@ -96,13 +96,21 @@ def planned_averaging(
             f"`fit_up_to` is {fit_up_to}, but the longest dwell of {whole:.4g} s gives averaging times up to {longest:.4g} s that are "
             "known well enough to fit"
         )
-        hint = f"dwell for {_twice(fit_up_to)} at least, or lower `fit_up_to`"
+        hint = f"dwell for at least {_twice(fit_up_to)}, or lower `fit_up_to`"
         found.append(Remark("physics-averaging", message, hint, "fit_up_to"))
     beyond = [tau for tau in taus if 2 * max(1, round(tau.value / interval)) + 1 > lengths.max()]
     if beyond:
-        message = f"the averaging time {beyond[0]} needs twice its length, and the longest dwell is {whole:.4g} s: it is left out"
+        message = (
+            f"the averaging time {beyond[0]} needs a dwell of twice its length, but the longest dwell is {whole:.4g} s: this "
+            "averaging time is left out"
+        )
         found.append(
-            Remark("physics-averaging", message, f"dwell for {_twice(beyond[0])} at least, or leave it out", "taus")
+            Remark(
+                "physics-averaging",
+                message,
+                f"dwell for at least {_twice(beyond[0])}, or remove it from `taus`",
+                "taus",
+            )
         )
     for output in (output for output in request.sensor.outputs if output.name in names and output.noise.white > 0):
         if output.noise.chance_of_no_change(whole, 1 / interval) > _NEGLIGIBLE:

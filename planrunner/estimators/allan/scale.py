@@ -69,7 +69,7 @@ def sensed_by(
         freedom, shape = found.degrees_of_freedom, "t"
         said_by = f"estimate {stated}"
     if not (math.isfinite(value) and value != 0):
-        raise EstimationError(f"the scale factor of '{name}' is {value:g}: it cannot be used as a scale factor")
+        raise EstimationError(f"the scale factor of '{name}' is {value:g}: this cannot be a scale factor")
     recorded = _unit(output)
     for power in (1, -1):
         named = named_units(_product(recorded, own, power))
@@ -80,7 +80,7 @@ def sensed_by(
                 units, power, InputQuantity(f"scale factor {name}", value, own.text, u, freedom, shape, said_by)
             )
     raise EstimationError(
-        f"a scale factor in {own.text} makes neither a rate nor an acceleration of '{name}', which is recorded in {output}; "
+        f"a scale factor in {own.text} does not convert '{name}', which is recorded in {output}, to a rate or an acceleration; "
         f"write for example 0.2 (deg/h)/({output})"
     )
 

@@ -58,9 +58,9 @@ _DEG_H = unit("deg/h").factor
 _NO_SET = "'{}' is not a set of the twelve static coefficients: `uses` names flexure_gyro_static estimates without product terms"
 _SUMS = "Residual sums of squares, measured and expected"
 _CLAIM = (
-    "The method's source claims 4 to 8 for the traditional over the optimal positions. Equal noise in all positions "
-    "predicts the "
-    "figures given here; single experiments with few verification positions scatter widely about them."
+    "The source of this method claims a ratio of 4 to 8 between the traditional and the optimal positions. "
+    "The ratios given here are predicted from equal noise in all positions; single experiments with few verification positions scatter "
+    "widely about them."
 )
 
 
@@ -228,8 +228,8 @@ def _assemble(
     ratio_columns = (TableColumn("sets"), *(TableColumn(title, Role.VALUE) for title in titles))
     outside = [str(row[0]) for row in rows if not row[4] <= row[1] <= row[5]]
     notes = [
-        f"The measured ratio of {pair} is outside its expected range of 5 to 95 %; this happens by chance in one of "
-        "ten experiments."
+        f"The measured ratio of {pair} is outside its expected range of 5 to 95 %; by chance alone this happens "
+        "in one of ten experiments."
         for pair in outside
     ]
     return Estimate(

@@ -50,7 +50,7 @@ class FlexureGyroStaticParameters(Record):
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=2),
-        "The two torquer outputs: of the x axis, then of the y axis.",
+        "The two torquer outputs: first the x axis, then the y axis.",
         ["torquer_x", "torquer_y"],
         default=("torquer_x", "torquer_y"),
     )
@@ -207,7 +207,9 @@ def reported(
     """
     i_x, i_y = units_of_outputs
     if i_x != i_y:
-        raise EstimationError(f"the two outputs are recorded in different units ({i_x} and {i_y}): record both in one")
+        raise EstimationError(
+            f"the two outputs are recorded in different units ({i_x} and {i_y}): record both in the same unit"
+        )
     arcmin, rate, g = unit("arcmin").factor, unit("deg/h").factor, unit("g").factor
     drifts = [("deg/h", rate), *[("deg/h/g", rate / g)] * 3, *[("deg/h/g^2", rate / g**2)] * len(products)]
     per = {
@@ -241,7 +243,7 @@ def static_coefficients(fit: OutputsFit, units: Sequence[str], model: ErrorModel
 
 def _two(outputs: tuple[str, ...]) -> tuple[str, ...]:
     if len(outputs) != 2 or outputs[0] == outputs[1]:
-        raise EstimationError(f"a flexure gyro has two outputs, of x and of y; `outputs` names {', '.join(outputs)}")
+        raise EstimationError(f"a flexure gyro has two outputs, x and y, but `outputs` names {', '.join(outputs)}")
     return outputs
 
 

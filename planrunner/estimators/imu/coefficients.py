@@ -154,7 +154,7 @@ def _must_turn(responses: Sequence[Response]) -> None:
         others = [name for name in one.model.names if name not in known]
         if others:
             raise EstimationError(
-                f"the term {others[0]} cannot be turned into another frame: write `misalignment: full`"
+                f"the term {others[0]} cannot be transformed to another frame: write `misalignment: full`"
             )
         if len(one.sensed) < 3 or any(len(places) not in (0, 3) for places in (rates, forces)):
             raise EstimationError(
@@ -199,7 +199,7 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
         )
     if axis in sensed and not one.values[axis, list(sensed.values())].any():
         raise UnfitDataError(
-            f"output {letter} of the {PLURAL[one.kind]} does not respond at all: check that it is connected"
+            f"output {letter} of the {PLURAL[one.kind]} does not respond at all: check whether it is connected"
         )
     per = "1" if direct else f"({own.text})/({_PER[one.kind]})"
     for direction, part in scale_and_misalignments(sensed, axis).items():

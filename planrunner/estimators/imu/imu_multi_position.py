@@ -58,19 +58,19 @@ class ImuMultiPositionParameters(Record):
 
     gyros: tuple[str, ...] = key(
         ListOf(CHANNEL),
-        "The three gyro channels, of x, y and z.",
+        "The three gyro channels, for x, y and z.",
         ["gyro_x", "gyro_y", "gyro_z"],
         default_factory=tuple,
     )
     accelerometers: tuple[str, ...] = key(
         ListOf(CHANNEL),
-        "The three accelerometer channels, of x, y and z.",
+        "The three accelerometer channels, for x, y and z.",
         ["accel_x", "accel_y", "accel_z"],
         default_factory=tuple,
     )
     gyro_terms: tuple[str, ...] = key(
         ListOf(term_names(), minimum=1),
-        "Terms of each gyro: installed ones, by name. Specific force is its g-sensitivity.",
+        "Terms of each gyro, by name. The terms of specific force are its g-sensitivity.",
         ["bias", *_RATES],
         default=("bias", *_RATES, *_FORCES),
     )
@@ -79,10 +79,9 @@ class ImuMultiPositionParameters(Record):
     )
     misalignment: str = key(
         Choice(("full", "lower_triangular")),
-        "full: all six in the axes of the planned orientations. lower_triangular: in the accelerometers' own frame "
-        "(the gyros' where there "
-        "are none), x along the first input axis and y in the plane of the first two, with the rotation between the "
-        "two frames.",
+        "full: all six misalignments, in the axes of the planned orientations. lower_triangular: three of them, in the frame of the "
+        "accelerometers (of the gyros if there are no accelerometers), whose x axis is the first input axis and whose y axis is in the "
+        "plane of the first two; and the rotation from that frame to the planned axes.",
         "lower_triangular",
         default="full",
     )
@@ -176,7 +175,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
             warnings += doubted
             warnings += contradictions(_response(one).rows(one.observations.channels))
         if len(triads) == 2 and len(triads[0].design.segments) > len(triads[1].design.segments):
-            notes.append("The accelerometers are fitted from the segments at rest alone.")
+            notes.append("Only the segments at rest are used for the accelerometers.")
         return Words(
             headline=tuple(one.name for one in found.quantities),
             settings={
@@ -213,7 +212,7 @@ def _triads(parameters: ImuMultiPositionParameters) -> list[tuple[str, tuple[str
         if not channels:
             continue
         if len(channels) != 3 or len(set(channels)) != 3:
-            message = f"a triad has three channels, of x, y and z; it is given {', '.join(channels)}"
+            message = f"a triad has three channels, for x, y and z, but the plan gives {', '.join(channels)}"
             raise EstimationError(
                 message, "name one channel for each axis", f"{'gyros' if kind == 'gyro' else 'accelerometers'}"
             )
@@ -221,15 +220,19 @@ def _triads(parameters: ImuMultiPositionParameters) -> list[tuple[str, tuple[str
             raise EstimationError(f"the {kind} triad needs at least one of the terms {', '.join(sensed)}")
         found.append((kind, channels, terms))
     if not found:
-        hint = "name the channels of x, y and z, such as `gyros: [gyro_x, gyro_y, gyro_z]`; so for `accelerometers`, or for both"
-        raise EstimationError("neither `gyros` nor `accelerometers` are given", hint)
+        hint = (
+            "name the channels for x, y and z, such as `gyros: [gyro_x, gyro_y, gyro_z]`, and likewise for `accelerometers`; one of "
+            "the "
+            "two is enough"
+        )
+        raise EstimationError("neither `gyros` nor `accelerometers` is given", hint)
     return found
 
 
 def _usable(kind: str, segments: Sequence[Segment]) -> list[Segment]:
     usable = [one for one in segments if kind == "gyro" or isinstance(one.motion, Rest)]
     if not usable:
-        raise EstimationError("accelerometers need positions at rest, and every chosen segment moves")
+        raise EstimationError("accelerometers need positions at rest, but every chosen segment moves")
     return usable
 
 
@@ -273,7 +276,7 @@ def _response(one: Triad) -> Response:
     for name, own in zip(one.observations.channels, units, strict=True):
         if own.dimension == wrong:
             raise EstimationError(
-                f"channel '{name}' is recorded in {own.text}, which is not what {A_SENSOR[one.kind]} gives"
+                f"channel '{name}' is recorded in {own.text}, which is not a unit of {A_SENSOR[one.kind]}"
             )
     return Response(one.kind, units, one.design.model, one.fit.coefficients)
 
@@ -297,7 +300,9 @@ def _earth_rate_alone(
     if not alone:
         return []
     axes = " and ".join(name[-1] for name in alone)
-    message = f"only the Earth turns the gyros about {axes}, so that the values of {', '.join(alone)} rest on 15 deg/h"
+    message = (
+        f"only the Earth's rotation of 15 deg/h turns the gyros about {axes}; it alone determines {', '.join(alone)}"
+    )
     hint = "add segments with a rate about each axis, in both directions; the predicted uncertainties show the effect of these positions"
     return [Remark("physics-earth-rate-alone", message, hint, conditions=True)]
 

@@ -50,13 +50,13 @@ class ModulationResidualParameters(Record):
 
     gyro_errors: tuple[Quantity, ...] = key(
         ListOf(QuantityOf("angular rate"), minimum=3, maximum=3),
-        "Constant errors of the gyros about x, y, z as declared, from which errors are predicted.",
+        "Declared constant errors of the gyros about x, y and z; the prediction of navigation errors uses them.",
         ["0.02 deg/h", "-0.015 deg/h", "0.01 deg/h"],
         default_factory=tuple,
     )
     accelerometer_errors: tuple[Quantity, ...] = key(
         ListOf(QuantityOf("acceleration"), minimum=3, maximum=3),
-        "Constant errors of the accelerometers along x, y, z as declared.",
+        "Declared constant errors of the accelerometers along x, y and z.",
         ["50 ug", "-40 ug", "30 ug"],
         default_factory=tuple,
     )
@@ -80,7 +80,9 @@ class ModulationResidual:
         """No coefficients are fitted. Notes give the residuals of the cycles; a remark reports if the comparison is not possible."""
         moving = [segment for segment in request.segments if rotation(segment.motion, request.setup.table) is not None]
         if not moving or len(request.uses) < 2:
-            message = "the comparison needs a navigation with rotation and one without, and the segments of both"
+            message = (
+                "the comparison needs a navigation with rotation and one without rotation, and the segments of both"
+            )
             hint = "name both in `uses` and their segments in `segments`"
             return Design((), remarks=(Remark("physics-modulation", message, hint, "uses", error=True),))
         lacks = _lacks(request)
@@ -99,7 +101,7 @@ class ModulationResidual:
             return Foresight()
         turned = [name for name, design in designs if design.extra["turned"]]
         still = next((name for name, design in designs if not design.extra["turned"]), "")
-        why = "it compares errors of single navigations, which depend on chance"
+        why = "it compares the errors of single navigations, which cannot be predicted"
         rows = [row for name in turned for row in _compared(name, still)]
         rows += [(_AMPLITUDE.format(name), "m", _AMPLITUDE_WORDS.format(name)) for name in turned]
         return Foresight(unpredicted=tuple(Unpredicted(name, text, why, words) for name, text, words in rows))
@@ -151,7 +153,7 @@ def _lacks(request: DesignRequest[ModulationResidualParameters]) -> Remark | Non
     if len(still) == 1:
         return None
     found = f"{' and '.join(still)} are" if still else "none is"
-    message = f"of the navigations used {found} without rotation, but the comparison needs exactly one"
+    message = f"{found} without rotation among the navigations used, but the comparison needs exactly one"
     return Remark(
         "physics-modulation",
         message,
@@ -172,13 +174,13 @@ def _compared(name: str, still: str) -> tuple[tuple[str, str, str], tuple[str, s
 def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coefficient, ...], Array]:
     """Ratios of CEP rates and suppression, with covariance: the navigation at rest is in all of them."""
     if still.rms == 0.0:
-        raise UnfitDataError(f"'{still.name}' has no position error at all, so that no comparison with it is possible")
+        raise UnfitDataError(f"'{still.name}' has no position error at all, so nothing can be compared with it")
     coefficients, rows = [], []
     for number, item in enumerate(turned):
         ratio = item.cep_rate / still.cep_rate
         suppression = still.rms / item.rms if item.rms else math.inf
         if not math.isfinite(suppression):
-            raise UnfitDataError(f"'{item.name}' has no position error at all, so that no suppression can be stated")
+            raise UnfitDataError(f"'{item.name}' has no position error at all, so no suppression can be computed")
         own = np.zeros(len(turned))
         own[number] = item.spread
         for (name, text, words), value, sign in zip(
@@ -212,10 +214,10 @@ def _periodic(
                 "left out."
             )
     notes.append(
-        "Ratios compare navigations of one sensor over the same time; their uncertainties include only white noise, "
-        "as bounded by each navigation. Errors that rotation does not modulate (azimuth gyro, alignment) remain in all of "
-        "them. Scale factor errors and misalignments, multiplied by the turns, repeat with the cycle as well, in "
-        "addition to the prediction from constant errors."
+        "Ratios compare navigations of one sensor over the same time; their uncertainties include only white noise, for "
+        "which each navigation gives an upper bound. Errors that rotation does not modulate (azimuth gyro, alignment) remain in all of "
+        "them. Scale factor errors and misalignments act during the turns and repeat with the cycle too; "
+        "the prediction from constant errors does not include them."
     )
     return found, tuple(notes)
 
@@ -296,7 +298,7 @@ def _predicted(
         ]
         rms = [float(np.sqrt(np.mean(one**2))) for one in radial]
         rows.append((item.name, item.rms, *rms))
-    titles = ("rms radial", "predicted", "of this, horizontal errors alone")
+    titles = ("rms radial", "predicted", "of which from horizontal errors")
     columns = (TableColumn("Navigation"), *(TableColumn(title, Role.VALUE, "m") for title in titles))
     return [Table("Position errors predicted from the declared constant errors", columns, tuple(rows))]
 
@@ -331,7 +333,7 @@ def _left(segment: Segment, request: DesignRequest[ModulationResidualParameters]
     cycle = rotation(segment.motion, table)
     assert cycle is not None
     share = 0.0 if cycle.balanced else 100 * abs(cycle.residual) / cycle.period
-    left = f"'{segment.label}': {share:.3g} % of a constant horizontal error is not modulated by its cycle of {cycle.period:.1f} s"
+    left = f"'{segment.label}': {share:.3g} % of a constant horizontal error remains unmodulated in its cycle of {cycle.period:.1f} s"
     dwell = segment.dwell or 0.0
     if declared is None or segment.attitude is None or not 0 < dwell <= LONGEST:
         return f"{left}."
@@ -340,4 +342,4 @@ def _left(segment: Segment, request: DesignRequest[ModulationResidualParameters]
     errors = horizontal(declared, segment.attitude)
     position = errors_over_time(errors, segment.attitude, cycle, aligned, dwell, request.site)[1]
     rms = float(np.sqrt(np.mean(np.sum(position**2, axis=1))))
-    return f"{left}; the declared horizontal errors make {rms:.3g} m rms of position error over {dwell / HOUR:.3g} h."
+    return f"{left}; the declared horizontal errors cause {rms:.3g} m rms of position error over {dwell / HOUR:.3g} h."

@@ -20,7 +20,10 @@ Array = NDArray[np.float64]
 
 COURSE = ("time_s", "east_m", "north_m", "velocity_east", "velocity_north")
 _NO_NAVIGATION = "'{}' is not a navigation: `uses` names strapdown_navigation estimates"
-_NO_REFERENCE = "{} of the estimates used {} without rotation: `uses` names exactly one such navigation, and one or more with rotation"
+_NO_REFERENCE = (
+    "{} of the estimates used {} without rotation: `uses` needs exactly one navigation without rotation, and one or more with "
+    "rotation"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +80,7 @@ def compared(request: EstimateRequest[object]) -> list[Navigation]:
         own = [segments.get(label) for label in used.segments]
         if not own or own[-1] is None:
             raise EstimationError(
-                f"`segments` lacks the one that '{name}' navigates: name the segments of every navigation in `uses`"
+                f"`segments` lacks the segment that '{name}' navigates: name the segments of every navigation in `uses`"
             )
         navigated, before = own[-1], own[-2] if len(own) > 1 else None
         course = courses[name][:, courses[name][0] <= last + 1e-6]

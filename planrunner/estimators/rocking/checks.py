@@ -61,7 +61,7 @@ def _windows(parameters: RockingDriftParameters) -> list[Remark]:
         message = f"{release:g} s after release the element may still be in the levelling dead region (1 arcmin at 1 deg/h lasts 60 s)"
         found.append(Remark("physics-rocking-release", message, "allow 60 s or more", "release"))
     if window < LEAST_WINDOW - SMALL:
-        message = f"a window of {window:g} s is shorter than the 2 s that the method asks for"
+        message = f"a window of {window:g} s is shorter than the 2 s that the method requires"
         found.append(Remark("physics-rocking-window", message, "average over 2 s or more", "window"))
     return found
 
@@ -98,7 +98,7 @@ def _encoders(request: DesignRequest[RockingDriftParameters]) -> list[Remark]:
         message = f"the azimuth comes from encoders, but the sensor has no output '{missing[0]}'"
         found.append(Remark("physics-rocking-encoders", message, hint, key, error=True))
     if len(table.axes) != len(parameters.rings):
-        message = f"`rings` names {len(parameters.rings)}, the table has {len(table.axes)}"
+        message = f"`rings` names {len(parameters.rings)} channels, but the table has {len(table.axes)} axes"
         found.append(Remark("physics-rocking-encoders", message, hint, "rings", error=True))
     return found
 
@@ -108,7 +108,7 @@ def _sampling(request: DesignRequest[RockingDriftParameters], runs: Sequence[Run
     rate = min(run.segment.sample_rate or request.sensor.sample_rate for run in runs)
     if cutoff <= rate / SAMPLES:
         return []
-    message = f"a cutoff of {cutoff:g} Hz needs {SAMPLES * cutoff:g} samples a second, and {rate:g} are planned"
+    message = f"a cutoff of {cutoff:g} Hz needs {SAMPLES * cutoff:g} samples per second, but the plan has {rate:g}"
     return [Remark("physics-rocking-filter", message, "lower `cutoff`, or sample faster", "cutoff", error=True)]
 
 
@@ -116,8 +116,8 @@ def _caging(runs: Sequence[Run]) -> list[Remark]:
     free = [run.label for run in runs if run.caged_before is False]
     if free:
         message = (
-            f"the platform is not caged before '{free[0]}'{_more(free)}: its element continues from its state at the "
-            "end of the run before"
+            f"the platform is not caged before '{free[0]}'{_more(free)}: its element continues from its state at "
+            "the end of the preceding run"
         )
         return [
             Remark("physics-rocking-caging", message, "put a segment with `mode: caged` before each run", error=True)
@@ -136,12 +136,12 @@ def _rocking(runs: Sequence[Run], parameters: RockingDriftParameters) -> list[Re
         if not isinstance(motion, Rock) or any(motion == other.segment.motion for other in runs[: runs.index(run)]):
             continue
         if motion.duration > LONGEST_ROCKING + SMALL and math.isfinite(motion.duration):
-            message = f"'{run.label}' rocks for {motion.duration / 60:g} min; the method asks for 8 min at most"
+            message = f"'{run.label}' rocks for {motion.duration / 60:g} min; the method allows at most 8 min"
             found.append(Remark("physics-rocking-duration", message, "add `for: 8 min`"))
         found += _phases(run, motion)
         cutoff = parameters.cutoff.value
         if passed(motion.frequency, cutoff) > PASSED:
-            message = f"the filter lets {100 * passed(motion.frequency, cutoff):.0f} % of the rocking at {motion.frequency:g} Hz through"
+            message = f"the filter passes {100 * passed(motion.frequency, cutoff):.0f} % of the rocking at {motion.frequency:g} Hz"
             found.append(
                 Remark("physics-rocking-filter", message, f"lower `cutoff` to {motion.frequency / 4:g} Hz", "cutoff")
             )
@@ -165,12 +165,14 @@ def _timing(runs: Sequence[Run]) -> list[Remark]:
     first = runs[0]
     for run in runs[1:]:
         if run.segment.dwell != first.segment.dwell or run.segment.settle != first.segment.settle:
-            message = f"'{run.label}' has another timing than '{first.label}'; errors common to all runs would no longer cancel"
+            message = (
+                f"'{run.label}' has a different timing from '{first.label}', so errors common to all runs do not cancel"
+            )
             return [Remark("physics-rocking-timing", message, "give all runs the same dwell and settle", error=True)]
     motions = [run for run in runs if run.dynamic]
     other = [run for run in motions if run.segment.motion != motions[0].segment.motion]
     if other:
-        message = f"'{other[0].label}' rocks differently from '{motions[0].label}': their drifts have different causes"
+        message = f"'{other[0].label}' rocks differently from '{motions[0].label}', so their drifts cannot be compared"
         return [Remark("physics-rocking-timing", message, "use the same rocking in all dynamic runs", error=True)]
     return []
 
@@ -181,7 +183,11 @@ def _dwell(runs: Sequence[Run], dwell: float, parameters: RockingDriftParameters
         message = f"the second window ends at {second + parameters.window.value:g} s, after the record of {dwell:g} s"
         return [
             Remark(
-                "physics-rocking-dwell", message, "dwell longer, or let it begin earlier", "second_window", error=True
+                "physics-rocking-dwell",
+                message,
+                "dwell longer, or make the second window begin earlier",
+                "second_window",
+                error=True,
             )
         ]
     if parameters.release.value + parameters.window.value > second:
@@ -192,8 +198,8 @@ def _dwell(runs: Sequence[Run], dwell: float, parameters: RockingDriftParameters
     cutoff, between = parameters.cutoff.value, second - _first_end(parameters)
     if 1 / cutoff > between:
         message = (
-            f"a filter with a cutoff of {cutoff:g} Hz averages over {1 / cutoff:.3g} s, and {between:g} s separate "
-            "the windows: it would mix them"
+            f"a filter with a cutoff of {cutoff:g} Hz averages over {1 / cutoff:.3g} s, but the windows are "
+            f"only {between:g} s apart: the filter would mix them"
         )
         hint = f"raise `cutoff` to {1 / between:.2g} Hz or more" if between > 0 else "dwell longer"
         return [Remark("physics-rocking-filter", message, hint, "cutoff", error=True)]
@@ -249,7 +255,7 @@ def _resolution(
     hint = (
         "use the accelerometers' 1.25 g range"
         if full_scale > 2
-        else "dwell longer, or set `smallest_drift` to what is asked for"
+        else "dwell longer, or set `smallest_drift` to the drift that you need to resolve"
     )
     return [Remark("physics-rocking-resolution", message, hint, "smallest_drift")]
 
@@ -260,9 +266,7 @@ def _unseen(groups: Sequence[Sequence[Quadruple]]) -> list[Remark]:
     if not missing:
         return []
     axis = missing[0]
-    message = (
-        f"{axis} is vertical in every state, so that gravity does not show a drift about it: there is no drift_{axis}"
-    )
+    message = f"{axis} is vertical in every state, so gravity does not show a drift about this axis: drift_{axis} cannot be determined"
     return [
         Remark("physics-rocking-axes", message, f"add a state in which {axis} is level, with the base turned by 90 deg")
     ]

@@ -43,8 +43,8 @@ class RockingDriftParameters(Record):
 
     release: Quantity = key(
         QuantityOf("time", "positive"),
-        "t0, time from the beginning of the record to the first window; the element has left the levelling dead "
-        "region by then.",
+        "t0, time from the beginning of the record to the first window; by this time the element must have "
+        "left the levelling dead region.",
         "60 s",
         default=parse_quantity("60 s"),
     )
@@ -56,8 +56,8 @@ class RockingDriftParameters(Record):
     )
     second_window: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "t1, time from the beginning of the record to the second window; without it, the second window ends with the "
-        "shortest record.",
+        "t1, time from the beginning of the record to the second window; by default the second window ends "
+        "with the shortest record.",
         "590 s",
         default=None,
     )
@@ -89,21 +89,20 @@ class RockingDriftParameters(Record):
     )
     azimuth: str = key(
         Choice(("encoders", "nominal")),
-        "Where the element's azimuth at t0 comes from: ring and gimbal encoders, or the planned orientation rotated "
-        "with the Earth.",
+        "Source of the element's azimuth at t0: ring and gimbal encoders, or the planned orientation "
+        "rotated with the Earth.",
         "encoders",
         default="encoders",
     )
     azimuth_uncertainty: Quantity | None = key(
         QuantityOf("angle", "not negative"),
-        "Standard uncertainty of that azimuth in one run; without it, the table's position uncertainty where "
-        "encoders are used.",
+        "Standard uncertainty of that azimuth in one run; by default, with encoders, the table's position uncertainty.",
         "7 arcsec",
         default=None,
     )
     accelerometer_stability: Quantity | None = key(
         QuantityOf("acceleration", "not negative"),
-        "Standard uncertainty of an accelerometer's bias from the first window to the second.",
+        "Standard uncertainty of the change of an accelerometer's bias from the first window to the second.",
         "10 ug",
         default=None,
     )

@@ -45,7 +45,7 @@ def comparison(pairings: Sequence[Pairings]) -> Table:
         TableColumn("standard deviation by accelerometers", Role.VALUE, "deg/h"),
         TableColumn("by gimbal angles", Role.VALUE, "deg/h"),
         TableColumn("ratio", Role.VALUE),
-        TableColumn("drifts by accelerometers that are smaller", Role.SHARE),
+        TableColumn("share of drifts that are smaller by accelerometers", Role.SHARE),
     )
     return Table("Two methods over random pairings of a static and a dynamic run", columns, tuple(rows))
 
@@ -136,11 +136,11 @@ def method_error(request: EstimateRequest[RockingDriftParameters], seconds: floa
         rows.append((shown, _figure(count / gravity / seconds * DEG_PER_HOUR)))
     level = math.cos(request.site.latitude) * request.site.earth_rate * DEG_PER_HOUR
     whole = request.site.earth_rate * DEG_PER_HOUR
-    rows.append(("Earth rate through 0.1 deg of azimuth that is not modelled", _figure(level * math.radians(0.1))))
+    rows.append(("Earth rate through an unmodelled azimuth of 0.1 deg", _figure(level * math.radians(0.1))))
     azimuth = azimuth_uncertainty(request)
     if azimuth is not None:
         size = azimuth.standard_uncertainty
-        rows.append((f"Earth rate through {size / ARCSEC:.3g} arcsec of azimuth, as stated", _figure(level * size)))
+        rows.append((f"Earth rate through the stated {size / ARCSEC:.3g} arcsec of azimuth", _figure(level * size)))
     rows.append(("Earth rate through 6.9 arcsec of attitude", _figure(whole * 6.9 * ARCSEC)))
     return Table(
         "Method error of one run", (TableColumn("from"), TableColumn("size", Role.VALUE, "deg/h")), tuple(rows)
@@ -169,8 +169,8 @@ def leak_note(request: EstimateRequest[RockingDriftParameters], seconds: float) 
     """The share of a drift about the vertical axis that appears as a drift about a level axis."""
     tilt = math.cos(request.site.latitude) * request.site.earth_rate * seconds
     return (
-        f"By the second window the element has tilted by {math.degrees(tilt):.2f} deg against the site, so that up to "
-        f"{100 * math.sin(tilt):.1f} % of the rocking drift about the vertical axis counts as one about a level axis."
+        f"By the second window the element has tilted by {math.degrees(tilt):.2f} deg relative to the site: up to "
+        f"{100 * math.sin(tilt):.1f} % of the rocking drift about the vertical axis appears as drift about a level axis."
     )
 
 

@@ -148,8 +148,8 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
     windows = Windows(parameters.release.value, second, parameters.window.value, parameters.cutoff.value, end)
     if second + windows.length > end + 1e-6:
         raise EstimationError(
-            f"the second window ends at {second + windows.length:g} s, after the shortest record, which ends at "
-            f"{end:g} s: let "
+            f"the second window ends at {second + windows.length:g} s, after the end of the shortest "
+            f"record at {end:g} s: make "
             "`second_window` begin earlier"
         )
     if windows.second < windows.first + windows.length:
@@ -158,8 +158,8 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
         )
     if 1 / windows.cutoff > windows.second - windows.first:
         raise EstimationError(
-            f"a filter with a cutoff of {windows.cutoff:g} Hz averages over {1 / windows.cutoff:.3g} s, longer than "
-            "the windows are apart: "
+            f"a filter with a cutoff of {windows.cutoff:g} Hz averages over {1 / windows.cutoff:.3g} s, which is "
+            "longer than the time between the windows: "
             "raise `cutoff`"
         )
     return windows
@@ -175,7 +175,7 @@ def _encoders(request: EstimateRequest[RockingDriftParameters]) -> tuple[bool, s
     elif request.setup.table is None:
         why = "the bench has no table with readable rings"
     elif len(request.setup.table.axes) != len(parameters.rings):
-        why = f"the table has {len(request.setup.table.axes)} axes, `rings` names {len(parameters.rings)}"
+        why = f"the table has {len(request.setup.table.axes)} axes, but `rings` names {len(parameters.rings)} channels"
     else:
         return True, ""
     if parameters.azimuth == "encoders":
@@ -219,18 +219,20 @@ def _notes(
         begins, ends = rocking.motion.steady, rocking.motion.steady + rocking.motion.duration
         rocked = min(ends, first + seconds) - max(begins, first)
         notes.append(
-            f"Rocking drift is the mean from t0 to t1, {seconds:g} s; the base rocked during {rocked:g} s of them."
+            f"Rocking drift is the mean from t0 to t1, {seconds:g} s, during which the base rocked for {rocked:g} s of them."
         )
     notes.append(leak_note(request, seconds))
     if any(len(state.quadruples) == 1 for state in states):
         notes.append(
-            "With one quadruple in a state the uncertainty is based on the difference of its two static and its two "
-            "dynamic runs, with one degree of "
-            "freedom; `repeat` the quadruples for a narrower interval."
+            "With only one quadruple in a state, the uncertainty is based on the difference between its two static "
+            "runs and between its two dynamic runs, with one degree of freedom; use `repeat` to record more quadruples for a narrower "
+            "interval."
         )
     missing = [AXES[axis] for axis in range(3) if all(axis not in state.level for state in states)]
     if missing:
-        notes.append(f"No state has {', '.join(missing)} level, so that gravity does not show a drift about it.")
+        notes.append(
+            f"The axes {', '.join(missing)} are level in no state, so gravity does not show a drift about them."
+        )
     return tuple(notes)
 
 

@@ -81,7 +81,7 @@ def find_runs(segments: Sequence[Segment], order: str) -> list[Run]:
 
 def _run(segment: Segment, place: int, before: Segment | None, order: str) -> Run:
     if isinstance(segment.motion, Spin | Cycle):
-        raise EstimationError(f"'{segment.label}' spins or indexes: runs are static, or rock")
+        raise EstimationError(f"'{segment.label}' spins or indexes, but a run must be static or rock")
     if segment.attitude is None:
         raise EstimationError(
             f"the orientation of '{segment.label}' is unknown: give the directions of the platform's axes"
@@ -89,8 +89,8 @@ def _run(segment: Segment, place: int, before: Segment | None, order: str) -> Ru
     state = level_state(np.asarray(segment.attitude, dtype=float), order)
     if state is None:
         raise EstimationError(
-            f"'{segment.label}' has no axis along the vertical ({segment.orientation}): two axes must be level to "
-            "see their tilts"
+            f"'{segment.label}' has no axis along the vertical ({segment.orientation}): two axes must be level so that "
+            "their tilts can be measured"
         )
     if not isinstance(segment.motion, Rest | Rock):
         raise EstimationError(f"'{segment.label}' is neither at rest nor rocking")
@@ -114,8 +114,8 @@ def quadruples(runs: Sequence[Run]) -> list[Quadruple]:
         a, b, c, d = four
         if any(not np.allclose(run.state.nominal, a.state.nominal, atol=1e-9) for run in four):
             raise EstimationError(
-                f"the orientation changes within the four runs from '{a.label}' on; a quadruple is static, dynamic, "
-                "dynamic, static in one"
+                f"the orientation changes within the four runs from '{a.label}' on; the four runs of a "
+                "quadruple must have the same orientation"
             )
         found.append(Quadruple((a, b, c, d)))
     return found

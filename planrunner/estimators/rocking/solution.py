@@ -195,7 +195,7 @@ def _encoder_turn(run: Run, angles: Array, request: EstimateRequest[RockingDrift
     if float(np.abs(turn).max()) > 0.5:
         worst = np.degrees(np.abs(turn).max())
         raise EstimationError(
-            f"rings and gimbals of '{run.label}' show an attitude {worst:.0f} deg from the planned one: check `rings`, `gimbals` and "
+            f"the rings and gimbals of '{run.label}' give an attitude {worst:.0f} deg from the planned one: check `rings`, `gimbals` and "
             "`gimbal_axes` against the bench"
         )
     return turn
@@ -211,6 +211,6 @@ def _plausible(run: Run, window: Window, request: EstimateRequest[RockingDriftPa
         )
     if state.sign * force[state.vertical] < 0.9 * gravity:
         raise EstimationError(
-            f"the accelerometers of '{run.label}' do not show gravity along {'xyz'[state.vertical]} as the orientation "
-            f"'{run.segment.orientation}' has it: check axes and signs"
+            f"the accelerometers of '{run.label}' do not show gravity along {'xyz'[state.vertical]} as the "
+            f"orientation '{run.segment.orientation}' requires: check axes and signs"
         )

@@ -72,8 +72,8 @@ def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Win
     rate = (statistics.count + statistics.rejected - 1) / max(statistics.end - statistics.start, 1e-9)
     if windows.cutoff > rate / SAMPLES:
         raise EstimationError(
-            f"a cutoff of {windows.cutoff:g} Hz needs {SAMPLES * windows.cutoff:g} samples a second; "
-            f"'{recorded.label}' has {rate:.3g}"
+            f"a cutoff of {windows.cutoff:g} Hz needs {SAMPLES * windows.cutoff:g} samples per "
+            f"second; '{recorded.label}' has {rate:.3g}"
         )
     times: list[list[Array]] = [[] for _ in windows.pieces]
     values: list[list[Array]] = [[] for _ in windows.pieces]

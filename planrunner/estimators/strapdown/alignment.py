@@ -37,7 +37,7 @@ _GRAVITY_TOLERANCE = 0.01
 _EARTH_TOLERANCE = 0.1
 _HEADING_LIMIT = math.radians(3)
 _WIDENED = 1.5  # consistency from which uncertainties are widened
-_MOVED = 0.1  # m/s; what stands on a floor, or in a parked vehicle, does not do so within a second
+_MOVED = 0.1  # m/s; a unit on a floor or in a parked vehicle does not change its velocity by more within a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,12 +192,12 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
     if still < SHORTEST:
         what = "its first stop lasts" if seconds >= SHORTEST else "it has samples for"
         raise EstimationError(
-            f"segment '{label}' is too short for alignment: {what} {still:.3g} s; at least {SHORTEST:g} s are needed, "
-            "better 5 to 10 min"
+            f"segment '{label}' is too short for alignment: {what} {still:.3g} s; alignment needs at least {SHORTEST:g} s, "
+            "preferably 5 to 10 min"
         )
     if abs(site.latitude) > HIGHEST_LATITUDE:
         raise EstimationError(
-            f"at latitude {math.degrees(site.latitude):.4g} deg the Earth's rate hardly has a horizontal component: "
+            f"at latitude {math.degrees(site.latitude):.4g} deg the Earth's rate has almost no horizontal component: "
             "north cannot be found "
             f"by gyrocompassing beyond {math.degrees(HIGHEST_LATITUDE):g} deg"
         )
@@ -224,7 +224,7 @@ def _quiet(label: str, mean: Array, site: Site) -> str:
     shown = math.degrees(_rate_error(mean, site)) * 3600
     return (
         f"During '{label}' the noise is far smaller than the difference between the gyro readings and the Earth's rate, {shown:.3g} "
-        "deg/h; the alignment uses this difference as their uncertainty."
+        "deg/h; the alignment uses this difference as the uncertainty of the gyro readings."
     )
 
 
@@ -235,7 +235,7 @@ def _check_at_rest(label: str, mean: Array, site: Site) -> None:
     force = float(np.linalg.norm(mean[3:]))
     if abs(force / site.gravity - 1) > _GRAVITY_TOLERANCE:
         raise UnfitDataError(
-            f"segment '{label}': the mean specific force is {force:.5g} m/s^2 where gravity is {site.gravity:.5g}: "
+            f"segment '{label}': the mean specific force is {force:.5g} m/s^2 but gravity is {site.gravity:.5g}: "
             "check the "
             "accelerometers' units and order, and that the unit is at rest"
         )
@@ -256,15 +256,14 @@ def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tu
     covariance = found.covariance
     if found.largest > _MOVED:
         raise UnfitDataError(
-            f"segment '{label}': velocity changes by {found.largest:.3g} m/s within a second: the unit moved during "
-            "alignment; align again at rest"
+            f"segment '{label}': velocity changes by {found.largest:.3g} m/s within a second, so the unit "
+            "moved during alignment: align again at rest"
         )
     if found.consistency > _WIDENED:
         covariance = covariance * found.consistency**2
         warnings.append(
-            f"During '{label}' velocity departs from rest {found.consistency:.2g} times as far as noise explains "
-            "(vibration, a base that "
-            "sways); the uncertainties of the alignment are widened by that."
+            f"During '{label}' the velocity deviates from zero by {found.consistency:.2g} times the amount that "
+            "noise explains (vibration or a swaying base); the uncertainties of the alignment are widened by this factor."
         )
     heading = math.sqrt(covariance[TILT, TILT][2, 2])
     if heading > _HEADING_LIMIT:

@@ -107,11 +107,10 @@ def _on_joint(
     known = stop.attitude is not None and first.attitude is not None
     if known and ends is None and isinstance(stop.motion, Cycle):
         message = (
-            f"'{stop.label}' dwells as long as it was recorded, so the end of its cycle is not known; "
-            f"'{first.label}' can only "
-            "follow it where the two have no pause between them, or where whole cycles were recorded"
+            f"'{stop.label}' has the dwell 'recorded', so the end of its cycle is "
+            f"not known; '{first.label}' can follow it only if there is no pause between the two, or if whole cycles were recorded"
         )
-        hint = f"write how long '{stop.label}' was recorded, such as `dwell: {{cycles: 2}}` or `dwell: 10 min`"
+        hint = f"write the recorded length of '{stop.label}', such as `dwell: {{cycles: 2}}` or `dwell: 10 min`"
         found.append(Remark("physics-navigation-gap", message, hint))
     elif known and not same_attitude(ends, first.attitude):
         message = f"'{first.label}' does not begin in the orientation in which '{stop.label}' ends, so the alignment is not valid for it"
@@ -119,7 +118,7 @@ def _on_joint(
             Remark(
                 "physics-navigation-gap",
                 message,
-                "give both the same orientation, which is that of the cycle's start",
+                "give both the same orientation, that of the start of the cycle",
                 error=True,
             )
         )
@@ -148,8 +147,8 @@ def _on_navigation(request: DesignRequest[StrapdownNavigationParameters], moving
         rate = segment.sample_rate or request.sensor.sample_rate
         if abs(turning) / rate > _COARSE_TURN:
             message = (
-                f"'{segment.label}' turns {math.degrees(abs(turning)) / rate:.3g} deg from sample to sample; the "
-                f"residual errors of the coning and sculling corrections are then not small"
+                f"'{segment.label}' turns {math.degrees(abs(turning)) / rate:.3g} deg from sample to sample; at "
+                f"this step the residual errors of the coning and sculling corrections are not small"
             )
             found.append(Remark("physics-navigation-rate", message, "sample faster, or turn more slowly", "segments"))
     return found
@@ -163,7 +162,7 @@ def _expected(
     white, constant = _declared(request), _stated(parameters)
     dwells = [segment.dwell for segment in (stop, *moving)]
     if not white.any() and not constant.any():
-        return (), "neither noise nor gyro_uncertainty and accelerometer_uncertainty are known"
+        return (), "the noise, gyro_uncertainty and accelerometer_uncertainty are all unknown"
     if stop.attitude is None or any(dwell is None for dwell in dwells):
         what = "orientation" if stop.attitude is None else "dwell"
         return (), f"the plan does not state the {what} of a segment"
@@ -191,8 +190,8 @@ def _expected(
     sensitivities = -attitude.angle_sensitivities(rotation)
     angles = sensitivities @ start[TILT, TILT] @ sensitivities.T
     note = (
-        "Expected errors are root mean squares over many such units, from declared white noise and, as far as they are "
-        "stated, from gyro_uncertainty, accelerometer_uncertainty and the uncertainty of the latitude."
+        "Expected errors are root mean squares over many units of this kind. They include the "
+        "declared white noise and, if stated, gyro_uncertainty, accelerometer_uncertainty and the uncertainty of the latitude."
     )
     return _coefficients(rotation, angles, covariances), note
 

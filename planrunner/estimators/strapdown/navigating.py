@@ -74,13 +74,13 @@ class StrapdownNavigationParameters(Record):
     )
     vertical: str = key(
         Choice(("held", "damped")),
-        "Vertical channel: height and vertical velocity kept constant, or damped by the reference height.",
+        "Vertical channel: held (constant height, no vertical velocity), or damped by the reference height.",
         "damped",
         default="held",
     )
     gravity: str = key(
         Choice(("site", "wgs84")),
-        "Gravity: that of the site, changing with latitude and height as normal gravity does, or normal gravity itself.",
+        "Gravity: the site's value, changed with latitude and height like normal gravity, or normal gravity itself.",
         "wgs84",
         default="site",
     )
@@ -98,7 +98,7 @@ class StrapdownNavigationParameters(Record):
     )
     accelerometer_uncertainty: Quantity | None = key(
         QuantityOf("acceleration", "positive"),
-        "Standard uncertainty of each accelerometer's constant error, for the same.",
+        "Standard uncertainty of each accelerometer's constant error, for the same two purposes.",
         "50 ug",
         default=None,
     )
@@ -139,7 +139,7 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
             f"'{labels[found[0]]}' and '{labels[found[1]]}' are both for alignment: choose one with `align`"
         )
     if found[0] == len(segments) - 1:
-        raise EstimationError(f"nothing comes after '{labels[found[0]]}': add the segment to navigate to `segments`")
+        raise EstimationError(f"no segment follows '{labels[found[0]]}': add the segment to navigate to `segments`")
     return segments[found[0]], segments[found[0] + 1 :]
 
 
@@ -208,7 +208,9 @@ def _gap(
         return 0.0
     between = f"{gap:.4g} s lie between '{stop.label}' and '{first.label}'"
     if max(map(reference_speed, (stop, *moving))) > STILL:
-        raise EstimationError(f"{between}, in which the carrier can have turned: record the two without a pause")
+        raise EstimationError(
+            f"{between}, and the carrier may have turned in this time: record the two without a pause"
+        )
     if stop.truncated or not same_attitude(
         end_attitude(stop.segment, request.setup.table, stop.statistics.duration), first.segment.attitude
     ):
@@ -312,6 +314,6 @@ def _truth(piece: Increments, site: Site, at: NDArray[np.int64]) -> Truth:
 def _check(navigator: Navigator, label: str, seconds: float) -> None:
     if not np.isfinite(navigator.state).all() or abs(navigator.position[0]) > _HIGHEST_REACHED:
         raise EstimationError(
-            f"after {seconds:.0f} s of '{label}' the navigated position comes near a pole, where East-North-Up axes end: "
-            "check the sensors' units and errors"
+            f"after {seconds:.0f} s of '{label}' the navigated position comes near a pole, where East-North-Up axes "
+            "are undefined: check the sensors' units and errors"
         )

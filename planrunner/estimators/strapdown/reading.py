@@ -103,8 +103,8 @@ class IncrementReader:
         found = float(np.median(steps))
         if abs(found / self.interval - 1) > _RATE_TOLERANCE:
             raise EstimationError(
-                f"segment '{label}' has a sample every {found:.6g} s where the plan and the bench say {self.interval:.6g} s: "
-                "give the segment its `sample_rate`"
+                f"segment '{label}' has a sample every {found:.6g} s, but the plan and the bench give {self.interval:.6g} s: "
+                "correct the `sample_rate` of the segment"
             )
 
     def _fill(self, label: str, rows: Array, steps: Array, wide: NDArray[np.int64]) -> tuple[Array, Array]:

@@ -165,20 +165,19 @@ def _notes(
 ) -> tuple[str, ...]:
     low, high = (values["cep_rate"] * share for share in CEP_INTERVAL)
     notes = [
-        "One run determines a CEP poorly: with normal errors of one variance and zero mean the CEP rate is between "
+        "One run determines a CEP poorly: if errors are normal with equal variances and zero mean, the CEP rate is between "
         f"{low:.3g} and "
         f"{high:.3g} nmi/h (95 %). Take the root mean square of radial_error_rate over several runs, times 0.8326.",
-        "Uncertainties of the errors come from white noise as seen during alignment, carried through the linear "
-        "error equations; constant "
-        "sensor errors are part of what is measured. Those of largest, root-mean-square and rate figures are upper "
-        "bounds.",
+        "The uncertainties of the errors come from the white noise seen during alignment, propagated through the "
+        "linear error equations; constant sensor errors are part of the measured errors. For the largest error, the root mean square and "
+        "the rate, the uncertainties are upper bounds.",
     ]
     parameters = request.parameters
     unknown = parameters.gyro_uncertainty is None or parameters.accelerometer_uncertainty is None
     if unknown and found.aligned.turned:
         notes.append(
-            "Alignment assumes that constant errors are unknown within 0.1 deg/h and 1 mg unless gyro_uncertainty "
-            "and accelerometer_uncertainty are given."
+            "Alignment assumes constant errors with standard uncertainties of 0.1 deg/h and 1 "
+            "mg unless gyro_uncertainty and accelerometer_uncertainty are given."
         )
     elif unknown:
         notes.append(
@@ -205,7 +204,7 @@ def _notes(
 def _warnings(found: Navigated) -> tuple[str, ...]:
     bridged = (
         (
-            f"{found.bridged} missing samples were filled by linear interpolation; the errors of navigation may grow by that.",
+            f"{found.bridged} missing samples were filled by linear interpolation; this may increase the navigation errors.",
         )
         if found.bridged
         else ()

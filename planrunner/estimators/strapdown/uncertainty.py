@@ -42,7 +42,7 @@ NAMES = {
     "largest_velocity_error": ("m/s", "Largest horizontal velocity error"),
     "rms_velocity_error": ("m/s", "Root mean square of the horizontal velocity error over time"),
     "radial_error_rate": ("nmi/h", "Slope of the straight line through the origin fitted to radial error over time"),
-    "cep_rate": ("nmi/h", "CEP rate that this run gives: √(ln 2) of the radial error rate"),
+    "cep_rate": ("nmi/h", "CEP rate of this run: √(ln 2) of the radial error rate"),
 }
 _DIRECT = 7  # the first so many follow the state linearly
 DEGREE = math.degrees(1.0)

@@ -232,7 +232,7 @@ def _fitted(made: Curve, temperature: Array, value: Array, sigma: Array, scatter
         return CurveFit(made, fit.coefficients, fit.cofactor, np.inf)
     if not fit.degrees_of_freedom:
         raise EstimationError(
-            f"{len(value)} values for {made.order + 1} coefficients leave no residual that could give an uncertainty: "
+            f"{len(value)} values for {made.order + 1} coefficients leave no residuals from which an uncertainty could be estimated: "
             "lower `order`, add "
             "temperatures or write `uncertainty: propagated`"
         )

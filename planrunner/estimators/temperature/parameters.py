@@ -12,13 +12,13 @@ class TemperatureModelParameters(Record):
 
     coefficients: tuple[str, ...] = key(
         ListOf(Text("", "a coefficient's name or a pattern"), minimum=1, single=True),
-        "Coefficients of the estimates in `uses`, with * and ?; by default all that they give over temperature.",
+        "Coefficients of the estimates in `uses`, with * and ?; by default all coefficients that depend on temperature.",
         "gyro_bias_*",
         default_factory=tuple,
     )
     channels: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),
-        "Channels to fit over temperature, without another estimate.",
+        "Channels to fit over temperature, instead of other estimates.",
         ["gyro_x"],
         default_factory=tuple,
     )
@@ -33,14 +33,14 @@ class TemperatureModelParameters(Record):
     )
     order: int | None = key(
         Number(0, 12, integer=True),
-        "Order of the polynomial, or knots of the spline less one; by default chosen by held-out error.",
+        "Order of the polynomial, or number of knots of the spline minus one; by default chosen by held-out error.",
         2,
         default=None,
     )
     highest_order: int = key(Number(1, 12, integer=True), "Highest order to try.", 4, default=4)
     folds: int = key(
         Number(0, 100, integer=True),
-        "Number of contiguous temperature ranges that are held out in turn; 0 holds out each temperature separately.",
+        "Number of contiguous temperature ranges, of which each is held out in turn; 0 holds out each single temperature in turn.",
         5,
         default=0,
     )
@@ -53,7 +53,7 @@ class TemperatureModelParameters(Record):
     )
     reference: Quantity = key(
         QuantityOf("temperature"),
-        "T₀, at which a polynomial's constant is the value.",
+        "T₀, the temperature at which the polynomial equals its constant term.",
         "20 degC",
         default=parse_quantity("25 degC"),
     )

@@ -30,8 +30,10 @@ def _of_estimates(request: DesignRequest[TemperatureModelParameters]) -> list[Re
     given = {name: given_by_temperature(used.expected[0]) for name, used in request.uses.items() if used.expected}
     none = [name for name, own in given.items() if not own]
     if none:
-        message = f"'{none[0]}' gives no coefficients over temperature: its segments have no temperature, or not one for all of them"
-        hint = "choose segments of one stated temperature for it, or use another estimate"
+        message = (
+            f"'{none[0]}' gives no coefficients over temperature: its segments have no temperature, or different ones"
+        )
+        hint = "choose segments with the same stated temperature for it, or use another estimate"
         return [Remark("physics-temperatures", message, hint, "uses", error=True)]
     if len(given) < len(request.uses):
         return []
@@ -47,7 +49,7 @@ def _of_names(request: DesignRequest[TemperatureModelParameters], held: Mapping[
     patterns = request.parameters.coefficients
     for place, pattern in enumerate(patterns):
         if not any(fnmatchcase(name, pattern) for name in held):
-            message = f"no coefficient that is given by temperature matches '{pattern}'"
+            message = f"no coefficient over temperature matches '{pattern}'"
             return [Remark("meaning-unknown-quantity", message, closest(pattern, held), f"coefficients[{place}]", True)]
     for name, kelvin in held.items():
         if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns):

@@ -62,9 +62,8 @@ def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> lis
         by_temperature = given_by_temperature(estimate)
         if not by_temperature:
             raise EstimationError(
-                f"'{used}' ({estimate.estimator}) gives no coefficients over temperature: state one temperature for "
-                "all of its segments, "
-                "or use another estimate"
+                f"'{used}' ({estimate.estimator}) gives no coefficients over temperature: state the same "
+                "temperature for all its segments, or use another estimate"
             )
         for name, data in by_temperature.items():
             gathered.setdefault(name, []).append((used, data))
@@ -85,7 +84,9 @@ def given_by_temperature(estimate: Estimate) -> Mapping[str, Mapping[str, object
 def _joined(name: str, data: Sequence[tuple[str, Mapping[str, object]]]) -> Points:
     units = sorted({str(one["unit"]) for _, one in data})
     if len(units) > 1:
-        raise EstimationError(f"'{name}' is given in different units ({', '.join(units)}): use estimates of one kind")
+        raise EstimationError(
+            f"'{name}' is given in different units ({', '.join(units)}): use estimates of the same kind"
+        )
 
     def put(key: str) -> Array:
         return np.concatenate([np.atleast_1d(np.asarray(one[key], dtype=float)) for _, one in data])
@@ -152,7 +153,7 @@ def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, flo
     segment, statistics = recorded.segment, recorded.statistics
     if segment.temperature is None or segment.ramp_to is not None:
         raise EstimationError(
-            f"segment '{recorded.label}' has no planned temperature: name the sensor's own in `temperature_channel`"
+            f"segment '{recorded.label}' has no planned temperature: name the sensor's temperature channel in `temperature_channel`"
         )
     if not statistics.count:
         raise EstimationError(f"segment '{recorded.label}' has no usable samples: leave it out of `segments`")

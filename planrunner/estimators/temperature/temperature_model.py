@@ -164,9 +164,11 @@ def _one_source(parameters: TemperatureModelParameters, uses: bool) -> None:
     if not parameters.channels and not uses:
         raise EstimationError("nothing to model: name `channels`, or estimates in `uses`")
     if parameters.coefficients and not uses:
-        raise EstimationError("`coefficients` are those of other estimates: name these in `uses`")
+        raise EstimationError("`coefficients` selects from other estimates: name these in `uses`")
     if parameters.temperature_channel and not parameters.channels:
-        raise EstimationError("`temperature_channel` belongs to `channels`; coefficients know their temperature")
+        raise EstimationError(
+            "`temperature_channel` is only for `channels`; the temperature of a coefficient is known from its estimate"
+        )
     if parameters.bin.value > _WIDEST:
         shown = parameters.bin.unit.from_si(parameters.bin.value)
         raise EstimationError(f"`bin` is a difference of temperatures: write it in K, for example {shown:g} K")
@@ -277,7 +279,7 @@ def _tables(one: Modelled) -> list[Table]:
             TableColumn("order", Role.COUNT),
             TableColumn("held-out mean square", Role.VALUE, f"({text})²"),
             TableColumn("u of the mean square", Role.STANDARD_UNCERTAINTY, f"({text})²"),
-            TableColumn("root of it", Role.VALUE, text),
+            TableColumn("root mean square", Role.VALUE, text),
             TableColumn(""),
         )
         rows = tuple(
@@ -352,7 +354,11 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[str]:
     name, fit = one.points.name, one.fit
     found = []
     if fit.errors:
-        held = "each temperature in turn" if parameters.folds == 0 else f"{parameters.folds} adjoining ranges in turn"
+        held = (
+            "each temperature in turn"
+            if parameters.folds == 0
+            else f"each of {parameters.folds} adjoining ranges in turn"
+        )
         by = (
             "the simplest curve within one standard error of the smallest held-out error"
             if parameters.rule == "one_standard_error"
@@ -362,16 +368,16 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[str]:
         found.append(f"{name}: order {fit.curve.order} was chosen of {orders} by {by}, leaving out {held}.")
         if fit.fullest is not None:
             found.append(
-                f"{name}: the uncertainties allow for the choice: they are those of order {fit.fullest.curve.order}, "
-                "the highest tried, "
-                "plus the difference from it. If the order is known from physics, `order` gives narrower intervals."
+                f"{name}: the uncertainties allow for the choice of the order: they combine the uncertainties of "
+                f"order {fit.fullest.curve.order}, the highest tried, with the difference from that curve. If physics gives the "
+                "order, state it in `order` for narrower intervals."
             )
     low, high = one.points.temperature.min(), one.points.temperature.max()
     found.append(f"{name}: known from {low:.4g} to {high:.4g} degC; beyond this range the curve is an extrapolation.")
     if not parameters.channels:
         found.append(
-            "Influences common to the values at all temperatures, such as a fixture's angle, are included in the "
-            "estimates used, not here."
+            "Influences common to the values at all temperatures, such as a fixture's angle, are included in the uncertainties of the "
+            "estimates used, but not in those of this curve."
         )
     if parameters.uncertainty == "residual":
         found.append(
@@ -380,9 +386,9 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[str]:
         )
     if fit.correlation > 1:
         found.append(
-            f"{name}: consecutive values along the ramps resemble each other; variances are {fit.correlation:.3g} "
+            f"{name}: consecutive values along the ramps are correlated; the variances are {fit.correlation:.3g} "
             "times those of "
-            "independent ones, and degrees of freedom are smaller by the same factor."
+            "independent values, and the degrees of freedom are smaller by the same factor."
         )
     return found
 

@@ -69,14 +69,14 @@ class FixtureAnglesParameters(Record):
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),
-        "Channels to use, each of the axis of `mounting` that its name ends with; without it, one for every axis.",
+        "Channels to use; the end of a channel's name gives its axis in `mounting`. By default one channel for every axis.",
         ["gyro_x", "gyro_y", "gyro_z"],
         default_factory=tuple,
     )
     azimuth: str = key(
         Choice((FITTED, STATED)),
-        "The axes' azimuths in the fixture: fitted, which needs three orientations; or as stated in `mounting`, for "
-        "which two are sufficient.",
+        "The axes' azimuths in the fixture: fitted, which needs three orientations, or taken from "
+        "`mounting`, which needs only two.",
         FITTED,
         default=FITTED,
     )
@@ -218,10 +218,15 @@ def _remarks(model: GainModel, azimuth: str) -> list[Remark]:
     if model.directions >= (3 if azimuth == FITTED else 2):
         return []
     seen = {0: "no direction", 1: "one direction (or its reverse)", 2: "directions in one plane"}[model.directions]
-    hint = "orient the fixture so that the table turns about a third direction of it, or write `azimuth: stated`"
+    hint = (
+        "add an orientation in which the table turns about a third direction of the fixture, or write `azimuth: stated`"
+    )
     if model.directions < 2:
-        hint = "orient the fixture so that the table turns about another direction of it: one of its axes, or z turned by a known angle"
-    return [Remark("physics-fixture", f"the table turns about {seen} of the fixture only", hint)]
+        hint = (
+            "add an orientation in which the table turns about another direction of the fixture, for example one of its axes, or z "
+            "tilted by a known angle"
+        )
+    return [Remark("physics-fixture", f"the table turns about only {seen} of the fixture", hint)]
 
 
 def _table(axes: MountedAxes, found: Sequence[Coefficient]) -> Table:
@@ -242,7 +247,7 @@ def _table(axes: MountedAxes, found: Sequence[Coefficient]) -> Table:
         TableColumn("axis"),
         TableColumn("angle stated"),
         TableColumn("angle found"),
-        TableColumn("found less stated", Role.VALUE, "arcsec"),
-        TableColumn("u(angle), data alone", Role.STANDARD_UNCERTAINTY, "arcsec"),
+        TableColumn("found minus stated", Role.VALUE, "arcsec"),
+        TableColumn("u(angle), from the data only", Role.STANDARD_UNCERTAINTY, "arcsec"),
     )
     return Table("Angles of the fixture, found and stated", columns, tuple(rows))

@@ -106,9 +106,9 @@ def rotation_axis(segments: Sequence[Segment], along_z: bool = True) -> Array:
         off = math.atan2(math.hypot(seen[0], seen[1]), abs(seen[2]))
         if along_z and off > ALONG:
             raise EstimationError(
-                f"in segment '{segment.label}' the fixture's z axis stands {math.degrees(off):.4g} deg from the "
+                f"in segment '{segment.label}' the fixture's z axis is {math.degrees(off):.4g} deg from the "
                 "rotation axis; the angles of `mounting` are measured from z: "
-                "choose an orientation with z along the rotation axis"
+                "choose an orientation whose z axis is along the rotation axis"
             )
         found[row] = seen
     return found
@@ -125,8 +125,8 @@ def _axis_of(output: str, available: Sequence[str], mounting: Mapping[str, Mount
     if not found:
         held = ", ".join(mounting)
         raise EstimationError(
-            f"output '{output}' has no axis in `mounting` ({held}): an axis is found by the end of the output's "
-            "name, gyro_x by x"
+            f"output '{output}' has no axis in `mounting` ({held}): the end of an output's name gives "
+            "its axis: gyro_x belongs to x"
         )
     return max(found, key=len), output
 

@@ -57,14 +57,14 @@ def comparison_table(axes: MountedAxes, noise: Array, angle: Array) -> Table:
         TableColumn("alone: lean", Role.VALUE, "ppm"),
         TableColumn("alone: both", Role.VALUE, "ppm"),
     )
-    return Table("Standard uncertainty of K in one tilted mounting and in one mounting an axis", columns, tuple(rows))
+    return Table("Standard uncertainty of K in one tilted mounting, and in one mounting per axis", columns, tuple(rows))
 
 
 def time_note(seconds: float, mountings: int, remounting: float) -> str:
     one, many = seconds + remounting, mountings * (seconds + remounting)
     return (
-        f"Test time: {_hours(one)} in one tilted mounting ({_hours(seconds)} as scheduled, {_hours(remounting)} for mounting). One axis at "
-        f"a time it would be {_hours(many)}, in {mountings} mountings with a temperature cycle each."
+        f"Test time: {_hours(one)} in one tilted mounting ({_hours(seconds)} as scheduled, {_hours(remounting)} for mounting). With one "
+        f"axis at a time, it would be {_hours(many)}, in {mountings} mountings, each with a temperature cycle."
     )
 
 

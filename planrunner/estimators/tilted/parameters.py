@@ -16,7 +16,7 @@ class ScaleFactorTiltedParameters(Record):
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),
-        "Channels to use, each of the axis of `mounting` that its name ends with; without it, one for every axis.",
+        "Channels to use; the end of a channel's name gives its axis in `mounting`. By default one channel for every axis.",
         ["gyro_x", "gyro_y", "gyro_z"],
         default_factory=tuple,
     )
@@ -28,9 +28,8 @@ class ScaleFactorTiltedParameters(Record):
     )
     earth_rate: str = key(
         Choice(("corrected", "averaged", "ignored")),
-        "The Earth's rotation across the rotation axis: corrected from latitude, fixture angles and azimuths; "
-        "averaged by whole turns, "
-        "which are then required; or ignored. F0 is free of it only with `corrected`.",
+        "Component of the Earth's rotation across the rotation axis: corrected, from latitude, fixture angles "
+        "and azimuths; averaged, over whole turns, which are then required; or ignored. Only `corrected` removes it from F0.",
         "corrected",
         default="corrected",
     )
@@ -46,21 +45,21 @@ class ScaleFactorTiltedParameters(Record):
     )
     uncertainty: str = key(
         Choice(BASES),
-        "Basis of the uncertainties: the scatter of the repeats, that of the rates about the line, or the noise "
-        "within the segments.",
+        "Basis of the uncertainties: the scatter of the repeats, the scatter of the rates about the line, or "
+        "the noise within the segments.",
         "repeats",
         default="repeats",
     )
     reference_temperature: Quantity = key(
         QuantityOf("temperature"),
-        "The tested temperature nearest to it gives K_x, and temperature coefficients refer to it.",
+        "Reference temperature: K_x is taken from the tested temperature nearest to it, and temperature coefficients refer to it.",
         "20 degC",
         default=parse_quantity("20 degC"),
     )
     temperature: str | None = key(
         CHANNEL,
-        f"Channel with the sensor's own temperature; without it {THERMOMETER} where that is recorded, else the "
-        "planned temperatures.",
+        f"Channel with the temperature of the sensor; by default {THERMOMETER} if it is recorded, "
+        "otherwise the planned temperatures.",
         THERMOMETER,
         default=None,
     )

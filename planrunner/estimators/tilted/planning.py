@@ -72,16 +72,16 @@ def _remarks(
         if abs(math.cos(angle)) < FEEBLE:
             yield Remark(
                 "physics-mounting",
-                f"mounting.{name} at {math.degrees(angle):.4g} deg sees {abs(math.cos(angle)):.2g} of the rate, and an arc-minute of "
-                f"its angle is {abs(math.tan(angle)) * math.radians(1 / 60) * 1e6:.0f} ppm of its scale factor",
-                "mount the axis nearer to the rotation axis",
+                f"mounting.{name} at {math.degrees(angle):.4g} deg senses {abs(math.cos(angle)):.2g} of the rate, and an error of one "
+                f"arc-minute in its angle changes its scale factor by {abs(math.tan(angle)) * math.radians(1 / 60) * 1e6:.0f} ppm",
+                "mount the axis at a smaller angle to the rotation axis",
             )
     others = [name for name in request.setup.mounting if name not in axes.names]
     if others:
         yield Remark(
             "physics-mounting",
             f"mounting.{others[0]} is not used: none of `outputs` belongs to it",
-            "add its output, or take it out of `mounting`",
+            "add its output, or remove the axis from `mounting`",
             "outputs",
         )
 
@@ -103,14 +103,15 @@ def _series_remarks(
     if rates.size and not has_both_signs(rates):
         yield Remark(
             "physics-both-signs",
-            "all rates have one sign, so there is no asymmetry, and an offset that depends on the sense of rotation is in F0",
+            "all rates have the same sign, so asymmetry cannot be determined, and F0 includes any offset that depends on the sense of "
+            "rotation",
             "write the rates with ±",
         )
     repeats = {kelvin: len(held) for kelvin, held in by_temperature(series).items()}
     if not lacking and request.parameters.uncertainty == "repeats" and min(repeats.values(), default=2) < 2:
         yield Remark(
             "physics-repeats",
-            "at some temperature the rates are run once, so the uncertainty cannot be based on their repeatability",
+            "at some temperature the rates are run only once, so the uncertainty cannot be based on their repeatability",
             "add `repeat: 6`, or write `uncertainty: residual`",
             "uncertainty",
             error=True,

@@ -104,7 +104,7 @@ def _per_repeat(situation: Situation) -> Table:
         TableColumn("series"),
         *(TableColumn(name, Role.VALUE, "ppm") for name in names),
     )
-    return Table("Scale factor in each repeat, from the mean at its temperature", columns, tuple(rows))
+    return Table("Scale factor in each repeat, relative to the mean at its temperature", columns, tuple(rows))
 
 
 def _residuals(situation: Situation, units: Units) -> Table:
@@ -149,8 +149,8 @@ def _lowest_rate(situation: Situation, units: Units, noise: NoiseOfMeans) -> Tab
     text = units[0][0].text
     columns = (
         TableColumn("axis"),
-        TableColumn("lowest rate that it sees", Role.VALUE, text),
-        TableColumn("change of output over that expected", Role.VALUE),
+        TableColumn("lowest rate along the axis", Role.VALUE, text),
+        TableColumn("change of output over the expected change", Role.VALUE),
         TableColumn("at least half (IEEE Std 528)"),
         TableColumn("smallest change distinguished from noise", Role.VALUE, "deg/h"),
     )
@@ -191,7 +191,7 @@ def _temperature_plot(situation: Situation, spread: Array) -> tuple[Plot, ...]:
     names = situation.conditions.axes.names
     series = {name: tuple(float(value) for value in change[:, axis]) for axis, name in enumerate(names)}
     widths = {name: tuple(float(value) for value in width[:, axis]) for axis, name in enumerate(names)}
-    title = f"Scale factor over temperature, from that at {situation.groups[reference].label}"
+    title = f"Scale factor over temperature, relative to {situation.groups[reference].label}"
     return (Plot(title, "temperature [degC]", "change of K [ppm]", x, series, widths),)
 
 
@@ -207,7 +207,7 @@ def _notes(
         _basis_words(situation, scatter, parameters.uncertainty, acting),
         _earth_words(situation, parameters.earth_rate),
         time_note(seconds, len(axes.names), parameters.remounting.value),
-        "Nonlinearity, response and offset are those of the means over the repeats; asymmetry is 2·(K₊ − K₋)/(K₊ + "
+        "Nonlinearity, response and offset are computed from the means over the repeats; asymmetry is 2·(K₊ − K₋)/(K₊ + "
         "K₋) of two half-lines "
         "that meet at zero rate.",
     ]
@@ -231,17 +231,19 @@ def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Seq
         text = "Uncertainties are based on the residuals of the rates about the line, of the means over the repeats"
         if declared:
             text += (
-                f". For {names} the residuals scale noise and declared flicker together, so that the budget lists "
-                "flicker and does not add "
-                "it, nor the drift between the zeros, which is that flicker seen once. Any other drift is in the "
-                "budget as an offset."
+                f". For {names} the residuals scale noise and declared flicker together. The budget therefore lists flicker "
+                "without adding it; it does not add the drift between the zeros either, because that drift is one sample of the flicker. "
+                "Any other drift is in the budget as an offset."
             )
             return text
         return f"{text}; a drift between the zeros that exceeds their noise (1 %) is also in the budget, as an offset."
     if basis == "within_segment":
-        text = "Uncertainties are based on the noise within the segments; changes from segment to segment are included only where stated."
+        text = "Uncertainties are based on the noise within the segments; changes from segment to segment are included only if stated."
         if declared:
-            text += f" Flicker of {names} is in the budget as declared, in place of the drift between the zeros: that flicker seen once."
+            text += (
+                f" The budget contains the flicker of {names} as declared, in place of the drift between the zeros, which is one "
+                "sample of that flicker."
+            )
         return text
     count = min(len(group.names) for group in situation.groups)
     text = f"Uncertainties are based on the scatter of {count} repeats at each temperature"
@@ -265,22 +267,22 @@ def _earth_words(situation: Situation, how: str) -> str:
     most = across * float(np.abs(np.sin(axes.angles)).max()) / hour
     if how == "corrected":
         parts = part_turns(situation.segments, situation.seconds, [0.0] * len(situation.segments))
-        text = f"The Earth's rotation is corrected for; its part across the rotation axis is up to {most:.3g} deg/h on an axis."
+        text = f"The Earth's rotation is corrected for; its component across the rotation axis is up to {most:.3g} deg/h on an axis."
         if parts:
-            text += " Where a recording covers part of a turn, its starting angle is computed from the planned spin-up and settling."
+            text += " If a recording covers an incomplete turn, its starting angle is computed from the planned spin-up and settling."
         return text
     return (
         f"The Earth's rotation across the rotation axis is {how}: "
-        f"F0 contains the part that the zeros measured at the home position, up to {most:.3g} deg/h on an axis."
+        f"F0 contains the part that the zeros measured at the home position, which is up to {most:.3g} deg/h on an axis."
     )
 
 
 def _warnings(situation: Situation) -> list[str]:
     found, axes = situation.found, situation.conditions.axes
     return [
-        f"{name}: at the lowest rate the output changes by {value:.2g} of what the scale factor leads one to expect, "
-        "less than half: it is "
-        "within threshold or dead zone (IEEE Std 528)."
+        f"{name}: at the lowest rate the output changes by {value:.2g} of the change expected from the scale factor. "
+        "This is less than half, "
+        "so the rate is within the threshold or dead zone (IEEE Std 528)."
         for name, value in zip(axes.names, found.means[situation.reference, :, RESPONSE], strict=True)
         if value < HALF
     ]

@@ -26,10 +26,10 @@ WORDS = {
     "F0": "offset of the line at zero rate",
     "nonlinearity": "largest residual over the largest output",
     "asymmetry": "difference of forward and backward scale factors over their mean",
-    "response": "change of output between the lowest rates over that expected",
-    "repeatability": "standard deviation of K between repeats over K",
-    "temperature_coefficient": "slope of K over temperature by K at the reference",
-    "temperature_sensitivity": "largest change of K from the reference by K and distance in temperature",
+    "response": "change of output between the lowest rates over the expected change",
+    "repeatability": "relative standard deviation of K between repeats",
+    "temperature_coefficient": "slope of K over temperature, divided by K at the reference temperature",
+    "temperature_sensitivity": "largest change of K from the reference temperature, divided by K and by the temperature difference",
 }
 ROLES = {
     "nonlinearity": CoefficientRole.MAXIMUM,

@@ -259,14 +259,14 @@ def _complete(
     if not whole_ones:
         one, why = lacking[0]
         raise EstimationError(
-            f"no series is complete: {one.name} {why}. Each needs a zero before the rates and one after, at rest, "
-            "labelled as in `zero` "
+            f"no series is complete: {one.name} {why}. Each series needs a zero at rest before the rates and "
+            "another after them, labelled as in `zero` "
             f"({', '.join(request.parameters.zero)})"
         )
     rates_at = {tuple(recorded[index].segment.rate for index in one.spins) for one, _ in whole_ones}
     if any(len(set(rates)) < 2 for rates in rates_at):
         raise EstimationError(
-            "a series has one rate only, so a line cannot be distinguished from a constant: add rates"
+            "a series has only one rate, so a line cannot be distinguished from a constant: add rates"
         )
     order = sorted(index for one, _ in whole_ones for index in one.segments)
     place = {index: row for row, index in enumerate(order)}
@@ -376,9 +376,9 @@ def _sigma(
 
 def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[str]:
     return [
-        f"The zeros of {axes.outputs[axis]} changed more from before to after the rates than noise and the declared "
-        "bias instability explain (1 %): their drift is added to the budget as well; check for warm-up, or declare a "
-        "larger bias instability."
+        f"From before to after the rates, the zeros of {axes.outputs[axis]} changed by more than noise "
+        "and the declared bias instability explain (at 1 %). The budget includes this drift; check for warm-up, or declare a larger bias "
+        "instability."
         for axis in sorted(further)
     ]
 

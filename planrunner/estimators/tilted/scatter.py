@@ -66,7 +66,7 @@ def scatter_between_repeats(
     repeats = [one.reshape(len(one), -1) for one in found.repeats]
     if min(len(one) for one in repeats) < 2:
         raise EstimationError(
-            "at some temperature the rates were run once, so their repeatability is unknown: add `repeat: 6`, or "
+            "at some temperature the rates were run only once, so their repeatability is unknown: add `repeat: 6`, or "
             "write `uncertainty: residual`"
         )
     degrees = np.array([len(one) - 1 for one in repeats])
@@ -130,7 +130,7 @@ def scatter_of_means(
         if basis == "residual":
             if len(group.rates) < 3:
                 raise EstimationError(
-                    "two rates leave no residual that could give an uncertainty: add rates, or repeats"
+                    "two rates leave no residuals from which an uncertainty could be estimated: add rates, or repeats"
                 )
             sigma, slow = _about_the_line(group, found.residuals[k], sigma, flicker)
         rows = gains * np.vstack([sigma, noise.rest[k]])[..., None]

@@ -47,7 +47,7 @@ def helpful(weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options
 def _instruments(weighing: Weighing) -> list[_Instrument]:
     gyros = [weighing.observed.channels[c] for c in weighing.observed.of_kind("gyro")]
     accels = weighing.observed.of_kind("accel")
-    found = [_Instrument("an autocollimator and a level on the table, good to an arc second", pointing=True)]
+    found = [_Instrument("an autocollimator and a level on the table, accurate to one arc second", pointing=True)]
     if not accels:
         triad = [
             Channel(f"second_accel_{axis}", "accel", i, "m/s^2", 1.0, ACCELEROMETER) for i, axis in enumerate("xyz")

@@ -48,7 +48,7 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
             if recording
             else "no segment was recorded"
         )
-        hint = "record at least two states: a single state separates neither nominal parameters nor effects"
+        hint = "record at least two states: a single state cannot separate nominal parameters or effects"
         log.error("gap-one-segment", mark, held, hint)
         return
     _check_overlaps(recording, mark, log)
@@ -73,7 +73,7 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
         design = np.column_stack([stimulus, np.ones(len(stimulus))])
         rank = int(np.linalg.matrix_rank(design / np.maximum(np.abs(design).max(axis=0), 1e-30)))
         if len(observed) <= rank:
-            message = f"{len(observed)} segments are too few to withhold any with {rank} nominal parameters per channel of {word}"
+            message = f"{len(observed)} segments are too few: with {rank} nominal parameters per channel of {word}, none can be withheld"
             log.warning(
                 "gap-no-held-out",
                 mark,
@@ -89,14 +89,16 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
             put_in = float(stimulus[:, channel.axis].std())
             share = float(left[:, column].std()) / put_in if put_in else 0.0
             if put_in > STIRRED[kind] and share > MISFIT:
-                left_over = f"fitted bias, scale and misalignments leave {share:.0%} of the applied input"
+                left_over = (
+                    f"the fit of bias, scale factor and misalignments does not explain {share:.0%} of the applied input"
+                )
                 message = f"'{channel.name}' does not follow the plan: {left_over}"
                 log.error("gap-nominal-misfit", mark, message, _LOOK)
             elif told and float(np.abs(fitted[:3, column] - np.eye(3)[channel.axis]).max()) > MISFIT:
                 reads = ", ".join(
                     f"{value:.3g} of {axis}" for axis, value in zip("xyz", fitted[:3, column], strict=True)
                 )
-                message = f"'{channel.name}' does not follow the plan: of the {word} applied, it shows {reads}"
+                message = f"'{channel.name}' does not follow the plan: it shows {reads} of the applied {word}"
                 log.error("gap-nominal-misfit", mark, message, _LOOK)
 
 
@@ -118,9 +120,7 @@ def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
         smallest = max(declared / OTHER_NOISE, channel.resolution)
         if declared > 0 and (sigma > OTHER_NOISE * max(declared, channel.resolution) or sigma < smallest < declared):
             noise = f"{sigma / channel.factor:.3g} {channel.unit} from sample to sample"
-            message = (
-                f"'{channel.name}' has noise at rest of {noise}, the declared noise is {declared / channel.factor:.3g}"
-            )
+            message = f"'{channel.name}' has a noise at rest of {noise}, but the declared noise is {declared / channel.factor:.3g}"
             hint = "correct the noise in the bench file, because the gap is compared with it; or check the sensor"
             log.warning("gap-noise", mark, message, hint)
 
@@ -133,7 +133,7 @@ def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
         message = f"at rest the accelerometers read {ratio:.3g} times gravity"
         log.error("gap-nominal-misfit", mark, message, "check the channels' units and signs in the bench file")
     if len(observed) <= POSE_PARAMETERS:
-        message = f"{len(observed)} poses are too few to withhold any with {POSE_PARAMETERS} nominal parameters"
+        message = f"{len(observed)} poses are too few: with {POSE_PARAMETERS} nominal parameters, none can be withheld"
         log.warning(
             "gap-no-held-out",
             mark,
@@ -153,7 +153,7 @@ def _check_overlaps(recording: Sequence[RecordedSegment], mark: Mark, log: Findi
         shared = before.statistics.start + before.statistics.duration - after.statistics.start
         if shared > before.statistics.period / 2:
             message = f"'{before.label}' and '{after.label}' share {shared:.4g} s of the recording"
-            hint = "let one end where the other begins, or leave one out of `segments` under `diagnosis`"
+            hint = "end one segment where the other begins, or leave one of them out of `segments` under `diagnosis`"
             log.error("gap-overlap", mark, message, hint)
             return
 
@@ -167,11 +167,13 @@ def _check_missing(recording: Sequence[RecordedSegment], mark: Mark, log: Findin
     rejected = sum(item.statistics.rejected for item in recording)
     empty = [item.label for item in recording if item.statistics.count == 0]
     if empty:
-        hint = "leave the segment out of plan and recording, or record it again"
+        hint = "remove the segment from the plan and the recording, or record it again"
         log.error("gap-missing-numbers", mark, f"{_named(empty)} without a complete row", hint)
     elif rejected:
         where = f", most of them in {_named([item.label for item in poor])}" if poor else ""
-        message = f"{_count(rejected, 'row')} with a missing number {'is' if rejected == 1 else 'are'} left out{where}"
+        message = (
+            f"{_count(rejected, 'row')} with a missing number {'was' if rejected == 1 else 'were'} left out{where}"
+        )
         log.warning("gap-missing-numbers", mark, message, "check the logger; a few missing rows do no harm")
 
 
@@ -216,7 +218,7 @@ def _check_ranges(recording: Sequence[RecordedSegment], sensor: SensorModel, mar
         highest = [float(item.statistics.maximum[item.statistics.of(name)]) for item in known]
         standing = [low == high for low, high in zip(lowest, highest, strict=True)]
         if min(lowest) == max(highest):
-            message = f"'{name}' stands at {lowest[0]:g} {text} in every segment"
+            message = f"'{name}' stays at {lowest[0]:g} {text} in every segment"
             log.error("gap-dead-channel", mark, message, "check the sensor, and the column in the bench file")
             continue
         if all(standing):
@@ -233,9 +235,7 @@ def _check_ranges(recording: Sequence[RecordedSegment], sensor: SensorModel, mar
         elif any(standing):
             where = _named([label for label, one in zip(labels, standing, strict=True) if one])
             message = f"'{name}' has the same value throughout {where}"
-            hint = (
-                "it is stuck or clipped there, which looks like an effect: check the sensor, or leave the segment out"
-            )
+            hint = "the reading is stuck or clipped, which looks like an effect: check the sensor, or leave the segment out"
             log.warning("gap-saturated", mark, message, hint)
 
 

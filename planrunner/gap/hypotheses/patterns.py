@@ -119,7 +119,7 @@ def factors(weighing: Weighing) -> Iterator[PatternDesign]:
         cosines = _orientations(observed)
         yield "offset along orientation", [at_means(cosines[:, channel.axis :: 3]) for channel in observed.channels]
     yield (
-        "offset by sort of motion",
+        "offset by kind of motion",
         [at_means(_levels([_state(observed, s, False) for s in segments]))] * len(observed.channels),
     )
     slopes = np.add.reduceat(observed.temperature_rate, observed.bounds[:-1]) / np.diff(observed.bounds)

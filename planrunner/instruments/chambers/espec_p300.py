@@ -29,7 +29,10 @@ class EspecP300Parameters(LinkKeys, ChamberKeys):
     """A chamber with an Espec P300 or SCP-220 controller."""
 
     station: int | None = key(
-        Number(1, 16, integer=True), "Its address on a line that several chambers share (RS-485).", 1, default=None
+        Number(1, 16, integer=True),
+        "Address of the chamber on a line that several chambers share (RS-485).",
+        1,
+        default=None,
     )
 
 
@@ -67,7 +70,7 @@ class EspecP300Commands:
         self.parameters.check_identity(said, "")
         if said.count(",") not in (2, 3):
             raise InstrumentError(
-                f"{self.parameters.address} answers 'TYPE?' with '{said[:60]}', which is not a P300's answer: check the address"
+                f"{self.parameters.address} answers 'TYPE?' with '{said[:60]}', which is not an answer of a P300: check the address"
             )
         return {"manufacturer": "Espec", "model": "P300 or SCP-220", "type": said}
 
@@ -77,7 +80,7 @@ class EspecP300Commands:
     def limit(self, coldest: float, hottest: float) -> Sequence[str]:
         self._do(f"TEMP,H{hottest:.1f}")
         self._do(f"TEMP,L{coldest:.1f}")
-        return [f"the chamber alarms below {coldest:.1f} and above {hottest:.1f} degC"]
+        return [f"the chamber gives an alarm below {coldest:.1f} and above {hottest:.1f} degC"]
 
     def head_for(self, celsius: float) -> None:
         self._do(f"TEMP,S{celsius:.1f}")

@@ -63,7 +63,7 @@ class WatlowF4tCommands:
         self.link.write(":UNIT:TEMPERATURE C")
         unit = self.link.query(":UNIT:TEMPERATURE?")
         if unit.upper() != "C":
-            raise InstrumentError(f"the F4T keeps the unit '{unit[:20]}' instead of C: set it at its panel")
+            raise InstrumentError(f"the F4T stays at the unit '{unit[:20]}' instead of C: set the unit at its panel")
         self.link.write(f"{self.loop}:RSCALE MINUTES")
         self.link.write(f"{self.loop}:RRATE {written(ramp)}")
         self.link.write(f"{self.loop}:RACTION SETPOINT")

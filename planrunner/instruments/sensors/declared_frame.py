@@ -61,7 +61,7 @@ class FieldOfFrame(Record):
     scale: float = key(Number(), "Factor by which the raw value is multiplied.", 0.02, default=1.0)
     zero: float = key(Number(), "Offset that is then added.", 25.0, default=0.0)
     unit: str = key(UnitText(), "Unit of the result.", "deg/s")
-    little_endian: bool = key(Boolean(), "Whether the low byte comes first.", True, default=False)
+    little_endian: bool = key(Boolean(), "True if the low byte comes first.", True, default=False)
 
 
 class CounterOfFrame(Record):
@@ -75,7 +75,7 @@ class CounterOfFrame(Record):
     modulus: int | None = key(
         Number(2, 2**32, integer=True), "The counter restarts at zero when it reaches this value.", 128, default=None
     )
-    little_endian: bool = key(Boolean(), "Whether the low byte comes first.", True, default=False)
+    little_endian: bool = key(Boolean(), "True if the low byte comes first.", True, default=False)
 
 
 class StatusOfFrame(Record):
@@ -89,9 +89,9 @@ class StatusOfFrame(Record):
         {"overload": 4},
     )
     set_is_good: bool = key(
-        Boolean(), "Whether a cleared bit, instead of a set bit, marks the frame as doubtful.", True, default=False
+        Boolean(), "True if a cleared bit, instead of a set bit, marks the frame as doubtful.", True, default=False
     )
-    little_endian: bool = key(Boolean(), "Whether the low byte comes first.", True, default=False)
+    little_endian: bool = key(Boolean(), "True if the low byte comes first.", True, default=False)
 
 
 class ChecksumOfFrame(Record):
@@ -101,7 +101,7 @@ class ChecksumOfFrame(Record):
     start: int = key(
         Number(0, LONGEST - 1, integer=True), "First byte that the checksum covers.", 2, default=0, name="from"
     )
-    little_endian: bool = key(Boolean(), "Whether the low byte comes first.", True, default=False)
+    little_endian: bool = key(Boolean(), "True if the low byte comes first.", True, default=False)
 
 
 PartOfFrame = FieldOfFrame | CounterOfFrame | StatusOfFrame
@@ -123,22 +123,22 @@ class DeclaredFrameParameters(SerialSensorParameters):
     )
     checksum: ChecksumOfFrame | None = key(
         RecordOf(ChecksumOfFrame),
-        "Its checksum. Without one a corrupt frame cannot be distinguished from a good frame.",
+        "Checksum of the frame. Without it, corrupt frames cannot be distinguished from good ones.",
         {"type": "crc16_modbus", "from": 2},
         default=None,
     )
     counter: CounterOfFrame | None = key(
         RecordOf(CounterOfFrame),
-        "Its counter. Without one, lost frames are only seen as silences longer than 0.1 s.",
+        "Counter in the frame. Without it, lost frames are detected only as silences longer than 0.1 s.",
         {"at": 14},
         default=None,
     )
     status: StatusOfFrame | None = key(
-        RecordOf(StatusOfFrame), "Its status word.", {"at": 15, "bits": {"overload": 4}}, default=None
+        RecordOf(StatusOfFrame), "Status word in the frame.", {"at": 15, "bits": {"overload": 4}}, default=None
     )
     modes: dict[str, str] = key(
         MapOf(Text(r"[\x20-\x7e]{1,60}", "a line of text"), pattern=NAME),
-        "Operating mode → the line, ended by CR, that switches into it; frames go on in every mode.",
+        "Operating mode → the command line (CR is added) that switches to this mode; the sensor sends frames in every mode.",
         {"powered": "POWER ON", "unpowered": "POWER OFF"},
         default_factory=dict,
     )
@@ -216,11 +216,13 @@ def _check(parameters: DeclaredFrameParameters) -> None:
     for name, (item, width) in places.items():
         if item.place < sync or item.place + width > parameters.length - check:
             message = f"'{name}' is not between the sync and the checksum of a frame of {parameters.length} bytes"
-            hint = f"`at` is counted from 0: from {sync} to {parameters.length - check - width}"
+            hint = f"`at` is counted from 0 and can be from {sync} to {parameters.length - check - width}"
             raise InputError.at(item.origin.at("at"), "meaning-range", message, hint)
     if not parameters.fields:
         hint = "add for example `fields: {gyro_x: {at: 2, type: i16, scale: 0.02, unit: deg/s}}`"
         raise InputError.at(parameters.at("fields"), "form-size", "a frame without fields gives no samples", hint)
     if parameters.checksum is not None and parameters.checksum.start >= parameters.length - check:
         message = f"the checksum of a frame of {parameters.length} bytes covers no bytes"
-        raise InputError.at(parameters.checksum.origin.at("from"), "meaning-range", message, "let it begin earlier")
+        raise InputError.at(
+            parameters.checksum.origin.at("from"), "meaning-range", message, "make the covered part begin earlier"
+        )

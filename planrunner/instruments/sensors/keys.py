@@ -68,7 +68,7 @@ class SerialSensorParameters(Record):
     kind: str = key(Text(KIND, "a sensor kind"), "Kind of sensor, as plans name it.", "imu", default="imu")
     sample_rate: Quantity = key(
         QuantityOf("frequency", "positive"),
-        "Frames per second that the sensor is set to; compared with the received rate.",
+        "Frames per second that the sensor is set to send; compared with the received rate.",
         "1000 Hz",
     )
     silence: Quantity = key(

@@ -43,13 +43,16 @@ class Kvh1775Parameters(SerialSensorParameters):
         "rate",
         default="rate",
     )
-    angle_unit: str = key(Choice(("rad", "deg")), "Unit of its angles.", "rad", default="rad")
+    angle_unit: str = key(Choice(("rad", "deg")), "Unit of the sensor's angles.", "rad", default="rad")
     temperature_unit: str = key(
-        Choice(("C", "C_100")), "Whole or hundredths of degrees, of formats A and B.", "C", default="C"
+        Choice(("C", "C_100")),
+        "Resolution of the temperature in formats A and B: whole degrees or hundredths.",
+        "C",
+        default="C",
     )
     configure: bool = key(
         Boolean(),
-        "Whether rate, rotation and temperature unit are set when connecting; otherwise the sensor must already be set in this way.",
+        "True to set rate, rotation and temperature unit when connecting; otherwise the sensor must already have these settings.",
         True,
         default=False,
     )

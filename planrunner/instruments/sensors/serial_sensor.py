@@ -73,8 +73,8 @@ class FirstFrames:
         sync = self._decoder.framing.sync.hex(" ").upper()
         if self._framer.good == 0:
             raise InstrumentError(
-                f"{self._bytes} bytes came from {port} at {baud} baud, but no frame that begins with {sync} and has "
-                f"a correct checksum: check `baud` and the sensor's output format"
+                f"{self._bytes} bytes came from {port} at {baud} baud, but they contain no frame that begins with "
+                f"{sync} and has a correct checksum: check `baud` and the sensor's output format"
             )
         if self._good == 0:
             wanted = ", ".join(self._decoder.channels())
@@ -175,7 +175,9 @@ class SerialSensor(Generic[P]):
         rate = self.parameters.sample_rate.value
         for segment in segments:
             if segment.dwell is None:
-                raise InstrumentError(f"'{segment.label}' dwells 'recorded'; only a recording has this length")
+                raise InstrumentError(
+                    f"'{segment.label}' has the dwell 'recorded', which is only possible with a recording"
+                )
             if refused := rate_refused(segment.sample_rate, rate, one_rate=True):
                 hint = "leave `sample_rate` out of the plan, or change the setting of the sensor"
                 raise InstrumentError(f"'{segment.label}': {refused}: {hint}")
@@ -247,7 +249,7 @@ class SerialSensor(Generic[P]):
     def _silence(self, seconds: float) -> str:
         return (
             f"the sensor on {self.parameters.port} has sent no good frame for {seconds:.1f} s: check its power and "
-            f"its cable, and whether it was reset to other settings; then resume the run"
+            f"its cable, and whether a reset changed its settings; then resume the run"
         )
 
     def _check_count(self, seconds: float) -> None:

@@ -63,16 +63,16 @@ class Datagram:
 class Stim300Parameters(SerialSensorParameters):
     """A STIM300 on a serial line."""
 
-    datagram: int = key(Datagram(), "Identifier of the datagram that it is set to send.", 0xA7, default=0xA7)
+    datagram: int = key(Datagram(), "Identifier of the datagram that the sensor is set to send.", 0xA7, default=0xA7)
     acceleration_range: str = key(
         Choice(tuple(ACCELERATION_SCALES)),
-        "Range of its accelerometers, which determines their scale.",
+        "Range of the accelerometers, which determines their scale.",
         "10 g",
         default="10 g",
     )
     gyro_output: str = key(
         Choice(("rate", "increment")),
-        "Gyro data that the sensor is set to send. Increments are recorded as the mean rate over the frame.",
+        "Kind of gyro data that the sensor is set to send. Increments are recorded as the mean rate over the frame.",
         "rate",
         default="rate",
     )
@@ -89,8 +89,8 @@ class Stim300(SerialSensor[Stim300Parameters]):
     def model(cls, parameters: Stim300Parameters) -> SensorModel:
         step = INTERNAL_RATE / parameters.sample_rate.value
         if step < 1 or abs(step - round(step)) > 1e-9:
-            message = f"a STIM300 does not send {parameters.sample_rate.value:g} datagrams a second"
-            hint = "2000 Hz, or 2000 Hz divided by a whole number, such as 1000 Hz, 500 Hz, 250 Hz or 125 Hz"
+            message = f"a STIM300 does not send {parameters.sample_rate.value:g} datagrams per second"
+            hint = "set 2000 Hz, or 2000 Hz divided by a whole number, such as 1000 Hz, 500 Hz, 250 Hz or 125 Hz"
             raise InputError.at(parameters.at("sample_rate"), "meaning-range", message, hint)
         layout = cls.decoder_of(parameters)
         return sensor_model(parameters, layout.units, {name: item.scale for name, item in layout.fields.items()})

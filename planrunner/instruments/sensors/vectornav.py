@@ -59,18 +59,21 @@ class VectorNavParameters(SerialSensorParameters):
     """A VectorNav VN-100 on a serial line."""
 
     output: str = key(
-        Choice(("binary", *LINES)), "Binary messages, or one of the lines of text.", "binary", default="binary"
+        Choice(("binary", *LINES)),
+        "Format of the output: binary messages, or one of the text messages.",
+        "binary",
+        default="binary",
     )
     fields: tuple[str, ...] = key(
         ListOf(Choice(tuple(FIELDS)), minimum=1),
-        "Fields of the common group in its binary messages. Without time_startup, lost messages are detected only as "
+        "Fields of the common group in the binary messages. Without time_startup, lost messages are detected only as "
         "silences longer than 0.1 s.",
         ["time_startup", "imu", "mag_pres"],
         default=("time_startup", "imu", "mag_pres"),
     )
     configure: str | None = key(
         Choice(("port_1", "port_2")),
-        "Set the binary output of this port of the sensor when connecting; without it, the sensor must already be set in this way.",
+        "Port of the sensor whose binary output is set when connecting; by default the sensor must already have these settings.",
         "port_1",
         default=None,
     )
@@ -109,12 +112,12 @@ class VectorNav(SerialSensor[VectorNavParameters]):
         divisor = BASE_RATE / parameters.sample_rate.value
         if divisor < 1 or abs(divisor - round(divisor)) > 1e-9:
             raise InstrumentError(
-                f"a VN-100 sends 800 Hz or a whole part of it, not {parameters.sample_rate.value:g} Hz"
+                f"a VN-100 sends at 800 Hz divided by a whole number, not at {parameters.sample_rate.value:g} Hz"
             )
         model, serial = (ask(link, clock, f"VNRRG,{register}").rpartition(",")[2] for register in (MODEL, SERIAL))
         if not model.startswith("VN-"):
             raise InstrumentError(
-                f"the sensor on {parameters.port} says that it is '{model[:40]}', which is not a VectorNav"
+                f"the sensor on {parameters.port} identifies itself as '{model[:40]}', which is not a VectorNav"
             )
         port = parameters.configure.removeprefix("port_")
         ask(link, clock, f"VNWRG,75,{port},{round(divisor)},{COMMON_GROUP:02X},{word(parameters.fields):04X}")
@@ -155,7 +158,7 @@ def ask(link: SerialStream, clock: Clock, body: str, patience: float = 1.0) -> s
             end = heard.find(b"\n", begin)
             if 0 <= begin < end:
                 return body_of(heard[begin : end + 1])
-    raise InstrumentError(f"the VN-100 does not answer {body}: check its port and `baud`, and that it is a VN-100")
+    raise InstrumentError(f"the VN-100 does not answer {body}: check its port and `baud`, and whether it is a VN-100")
 
 
 # -- measurements ------------------------------------------------------------------------------------------------------

@@ -64,8 +64,8 @@ class XsensParameters(SerialSensorParameters):
     )
     configure: bool = key(
         Boolean(),
-        "Whether the outputs, with packet counter and status word, and the rate are set when connecting; otherwise "
-        "the sensor must already be set in this way.",
+        "True to set the outputs (with packet counter and status word) and the rate when connecting; "
+        "otherwise the sensor must already have these settings.",
         True,
         default=False,
     )
@@ -136,7 +136,7 @@ def ask(link: SerialStream, clock: Clock, identifier: int, data: bytes = b"") ->
                         f"the MTi refuses message {identifier:02X} with error {code:02X}: check its outputs and rate"
                     )
     raise InstrumentError(
-        f"the MTi does not answer message {identifier:02X}: check its port and `baud`, and that it is an MTi"
+        f"the MTi does not answer message {identifier:02X}: check its port and `baud`, and whether it is an MTi"
     )
 
 

@@ -89,7 +89,7 @@ class AcutrolFraming:
             try:
                 error, length = KINDS[self._kind](head)
             except ValueError:
-                raise LinkFailure(f"sends {shown(head)} where error code and length belong") from None
+                raise LinkFailure(f"sends {shown(head)} instead of error code and length") from None
             if length > LONGEST:
                 raise LinkFailure(f"announces an answer of {length} bytes ({shown(head)})")
             body = self._checked(error, incoming.exactly(length))
@@ -178,11 +178,11 @@ class AcutrolCommands:
             kept = number(self.link, f":limit:{what}? rate,{axis}")
             if abs(kept - value) > 1e-3 * value:
                 raise InstrumentError(
-                    f"axis {axis} of the ACUTROL keeps {kept:g} as its {what} limit instead of {value:g}"
+                    f"axis {axis} of the ACUTROL keeps {kept:g} as its {what} limit instead of the commanded {value:g}"
                 )
         ends_told = "" if bounds.lowest is None else f", beyond {written(low)} to {written(high)} deg"
         return [
-            f"axis {axis}: at most {bounds.rate:g} deg/s and {bounds.acceleration:g} deg/s^2; trips at {trip:g} deg/s, "
+            f"axis {axis}: at most {bounds.rate:g} deg/s and {bounds.acceleration:g} deg/s^2; it trips at {trip:g} deg/s, "
             f"{bounds.tracking_error:g} deg of tracking error{ends_told}"
         ]
 
@@ -267,7 +267,7 @@ class AcutrolCommands:
         if not _byte(self.link.query(":status:stb?", after=commands)) & REFUSED:
             return
         self.link.query("*STB?", again=False)
-        raise InstrumentError(f"the ACUTROL does not take one of: {', '.join(commands)}")
+        raise InstrumentError(f"the ACUTROL rejects one of these commands: {', '.join(commands)}")
 
 
 def _byte(text: str) -> int:

@@ -32,7 +32,7 @@ class PromptedLines:
             line = incoming.until(END)
             prompt = incoming.until(END).strip()
             if prompt != PROMPT:
-                raise LinkFailure(f"answers with {shown(prompt)} where its prompt belongs")
+                raise LinkFailure(f"answers with {shown(prompt)} instead of its prompt")
             if line.strip() or not self.telling:
                 return line
 
@@ -61,7 +61,7 @@ class Aerosmith:
     @classmethod
     def connect(cls, parameters: AerosmithParameters, surroundings: Surroundings) -> AxisTable:
         if len(parameters.axes) != 1:
-            raise InstrumentError(f"the bench file gives this single-axis table {len(parameters.axes)} axes")
+            raise InstrumentError(f"the bench file declares {len(parameters.axes)} axes for this single-axis table")
         return AxisTable.connect(AerosmithCommands(parameters), parameters, surroundings)
 
 
@@ -86,7 +86,9 @@ class AerosmithCommands:
     def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
         self._do(f"ACL{written(bounds.acceleration)}")
         self._do(f"VEL{written(bounds.rate)}")
-        return [f"moves at {bounds.rate:g} deg/s and {bounds.acceleration:g} deg/s^2; nothing trips by itself"]
+        return [
+            f"moves at {bounds.rate:g} deg/s and {bounds.acceleration:g} deg/s^2; this table does not trip by itself"
+        ]
 
     def energise(self) -> None:
         """It is ready as it is."""
@@ -104,7 +106,7 @@ class AerosmithCommands:
                 self.stop()
                 continue
             if sine.phase % 360 != 0.0:
-                raise InstrumentError("this table begins rocking at phase zero only")
+                raise InstrumentError("this table can begin rocking only at phase zero")
             self._do(f"AMP{written(abs(sine.amplitude))}")
             self._do(f"FRQ{written(sine.frequency)}")
             self._do("CYC0")
@@ -130,4 +132,4 @@ class AerosmithCommands:
 
     def _do(self, command: str) -> None:
         if self.link.query(command, again=False) == "?":
-            raise InstrumentError(f"the table does not take '{command}'")
+            raise InstrumentError(f"the table rejects '{command}'")

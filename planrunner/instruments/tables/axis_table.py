@@ -162,7 +162,7 @@ class AxisTable:
             reach = rocking.amplitude + self.keys.tracking_error.value
             away = max(abs(self._off(index, joints, home)) for index, home in enumerate(self._home))
             if away > reach:
-                faults.append(f"an axis is {math.degrees(away):.4g} deg from where it rocks about")
+                faults.append(f"an axis is {math.degrees(away):.4g} deg from its centre of rocking")
             return tuple(faults), {}
         errors = self._errors(aim, joints, rates)
         return tuple(faults), errors if self._aim is aim else {}
@@ -261,12 +261,12 @@ class AxisTable:
         end = record + motion.steady + motion.duration
         if motion.delay:
             self._timed.begin(
-                "rocking could not be begun and ended", lambda: self._rock_between(record + motion.delay, end)
+                "rocking could not be started, nor stopped", lambda: self._rock_between(record + motion.delay, end)
             )
             return motion.lead_in
         self.commands.rock(self._sines(motion, motion.amplitude))
         if math.isfinite(motion.duration):
-            self._timed.begin("rocking could not be ended", lambda: self._rock_until(end))
+            self._timed.begin("rocking could not be stopped", lambda: self._rock_until(end))
         return motion.lead_in
 
     def _sines(self, motion: Rock, amplitude: float) -> dict[int, Sine]:

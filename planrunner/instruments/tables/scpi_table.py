@@ -71,7 +71,10 @@ class TableCommands(Record):
 
     identify: str = key(Text(), "Asks for the identification.", "*IDN?", default="*IDN?")
     error: str = key(
-        Text(), "Asks for the oldest error; an answer that begins with 0 means none.", "SYST:ERR?", default="SYST:ERR?"
+        Text(),
+        "Asks for the oldest error; an answer that begins with 0 means no error.",
+        "SYST:ERR?",
+        default="SYST:ERR?",
     )
     limit: tuple[str, ...] = key(
         ListOf(CommandTemplate(LIMITS)),
@@ -92,7 +95,10 @@ class TableCommands(Record):
         default=None,
     )
     turn: str | None = key(
-        CommandTemplate(("axis", "rate")), "Turn at a {rate}, zero included.", "AXIS{axis}:RATE {rate}", default=None
+        CommandTemplate(("axis", "rate")),
+        "Turn at a {rate}, which can be zero.",
+        "AXIS{axis}:RATE {rate}",
+        default=None,
     )
     rock: str | None = key(
         CommandTemplate(SINE),
@@ -100,7 +106,7 @@ class TableCommands(Record):
         "AXIS{axis}:SINE {amplitude},{frequency},{phase}",
         default=None,
     )
-    stop: str = key(CommandTemplate(("axis",)), "Bring an axis to rest, controlled.", "AXIS{axis}:STOP")
+    stop: str = key(CommandTemplate(("axis",)), "Bring an axis to rest under control.", "AXIS{axis}:STOP")
     switch_off: tuple[str, ...] = key(
         ListOf(CommandTemplate(("axis",))),
         "Switch the drive of an axis off.",
@@ -114,7 +120,7 @@ class TableCommands(Record):
 class ScpiTableParameters(LinkKeys, WiredTableKeys):
     """A table whose commands stand in the bench file."""
 
-    ends: str = key(Choice(tuple(ENDS)), "What ends a message, in both directions.", "LF", default="LF")
+    ends: str = key(Choice(tuple(ENDS)), "Terminator of a message, in both directions.", "LF", default="LF")
     commands: TableCommands = key(
         RecordOf(TableCommands),
         "The table's commands.",
@@ -208,7 +214,7 @@ class ScpiTableCommands:
     def _do(self, commands: Sequence[str]) -> None:
         error = self._error(commands)
         if error:
-            raise InstrumentError(f"the table does not take one of {', '.join(commands)}: {error[:80]}")
+            raise InstrumentError(f"the table rejects one of the commands {', '.join(commands)}: {error[:80]}")
 
     def _error(self, commands: Sequence[str]) -> str:
         """The error reported after these commands; empty if there is none."""
@@ -218,6 +224,6 @@ class ScpiTableCommands:
     def _known(self, template: str | None, name: str, what: str) -> str:
         if template is None:
             raise InstrumentError(
-                f"the bench file names no command for {what} of this table: add commands.{name}, if it has one"
+                f"the bench file does not give a command for {what} of this table: add commands.{name}, if the table has such a command"
             )
         return template

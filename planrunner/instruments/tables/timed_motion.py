@@ -57,7 +57,7 @@ class TimedMotion:
             if self._called_off.wait(min(max(SHORTEST, left / 100), LONGEST)):
                 raise CalledOffError
         if time.monotonic() - self._looked_at > self.patience:
-            raise InstrumentError(f"the run has not read the table for {self.patience:g} s")
+            raise InstrumentError(f"the run has not polled the table for {self.patience:g} s")
 
     def call_off(self) -> None:
         """After this returns no further command is given; earlier commands stay in effect."""

@@ -27,7 +27,7 @@ class WiredAxisSpec(AxisSpec):
     )
     sense: str = key(
         Choice(("counterclockwise", "clockwise")),
-        "Positive sense of the controller's angle, looking against the axis's direction.",
+        "Positive sense of the controller's angle, seen by an observer whom the axis points to.",
         "clockwise",
         default="counterclockwise",
     )
@@ -43,13 +43,13 @@ class WiredTableKeys(TableKeys):
     )
     position_tolerance: Quantity = key(
         QuantityOf("angle", "positive"),
-        "Largest distance from the target at which an axis counts as having reached it.",
+        "An axis has reached its target if it is no farther away than this.",
         "10 arcsec",
         default=parse_quantity("0.01 deg"),
     )
     rate_tolerance: Quantity = key(
         QuantityOf("angular rate", "positive"),
-        "Largest difference from the target at which a rate counts as reached.",
+        "A rate is reached if it differs from its target by no more than this.",
         "0.01 deg/s",
         default=parse_quantity("0.02 deg/s"),
     )

@@ -23,8 +23,7 @@ class VirtualCarrierParameters(Record):
 
     speed: Quantity = key(
         QuantityLike("m/s", "not negative"),
-        "Speed along the track, or amplitude of a sinusoidal velocity; at zero the bench is at rest, as without a "
-        "carrier.",
+        "Speed along the track, or amplitude of a sinusoidal velocity; zero means at rest, as without a carrier.",
         "10 m/s",
     )
     heading: Quantity = key(
@@ -35,13 +34,13 @@ class VirtualCarrierParameters(Record):
     )
     track: str = key(
         Choice(("constant-heading", "great-circle")),
-        "Kept constant along the track: the heading, or the direction.",
+        "What stays constant along the track: the heading (rhumb line), or the direction (great circle).",
         "great-circle",
         default="constant-heading",
     )
     period: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "Period of a sinusoidal velocity back and forth; without it the speed is constant.",
+        "Period of a sinusoidal velocity back and forth; by default the speed is constant.",
         "120 s",
         default=None,
     )
@@ -53,14 +52,14 @@ class VirtualCarrierParameters(Record):
     )
     speed_up: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "Time in which the carrier reaches a constant speed, at constant acceleration; 1 min without it.",
+        "Time in which the carrier reaches its constant speed, at constant acceleration; by default 1 min.",
         "1 min",
         default=None,
     )
     bench: str = key(
         Choice(("north-aligned", "heading-aligned")),
-        "Whether the bench stays aligned with north or turns with the heading; directions of a plan are then those "
-        "of the bench.",
+        "Whether the bench stays aligned with north or turns with the heading; if it turns, the directions in a "
+        "plan refer to the bench.",
         "heading-aligned",
         default="north-aligned",
     )
@@ -82,9 +81,11 @@ class VirtualCarrier:
         if world.track is not None:
             raise InstrumentError("the bench already has another carrier: keep one of them")
         if p.period is not None and p.speed_up is not None:
-            raise InstrumentError("a sinusoidal velocity needs no time to speed up: remove period or speed_up")
+            raise InstrumentError("a sinusoidal velocity has no time to speed up: remove period or speed_up")
         if p.speed.value > FASTEST:
-            raise InstrumentError(f"{p.speed} is not a possible speed of a carrier: {FASTEST:g} m/s at most")
+            raise InstrumentError(
+                f"{p.speed} is not a possible speed of a carrier: at most {FASTEST:g} m/s are allowed"
+            )
         site = world.site.on_ellipsoid
         if abs(site.latitude) > POLAR:
             limit = f"{math.degrees(POLAR):g} deg"

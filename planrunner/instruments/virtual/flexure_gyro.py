@@ -37,8 +37,12 @@ THERMOMETER = "sensor_temperature"
 class ScaleFactors(Record):
     """What one pulse a second of each torquer is worth."""
 
-    x: Quantity = key(QuantityLike("(deg/h)/(pulse/s)", "positive"), "SF_X, of the X torquer.", "0.2 (deg/h)/(pulse/s)")
-    y: Quantity = key(QuantityLike("(deg/h)/(pulse/s)", "positive"), "SF_Y, of the Y torquer.", "0.2 (deg/h)/(pulse/s)")
+    x: Quantity = key(
+        QuantityLike("(deg/h)/(pulse/s)", "positive"), "SF_X, scale factor of the X torquer.", "0.2 (deg/h)/(pulse/s)"
+    )
+    y: Quantity = key(
+        QuantityLike("(deg/h)/(pulse/s)", "positive"), "SF_Y, scale factor of the Y torquer.", "0.2 (deg/h)/(pulse/s)"
+    )
 
 
 class Drift(Record):
@@ -90,7 +94,7 @@ class VirtualFlexureGyroParameters(Record):
     )
     resolution: Quantity = key(
         QuantityLike("pulse/s", "not negative"),
-        "Smallest step of an output; 0 for none.",
+        "Smallest step of an output; 0 for no quantisation.",
         "1 pulse/s",
         default=parse_quantity("0 pulse/s"),
     )
@@ -100,7 +104,7 @@ class VirtualFlexureGyroParameters(Record):
     sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "100 Hz")
     thermal_lag: Quantity = key(
         QuantityOf("time", "positive"),
-        "Time constant of the gyro's temperature behind the air.",
+        "Time constant with which the gyro's temperature follows the air.",
         "10 min",
         default=parse_quantity("10 min"),
     )

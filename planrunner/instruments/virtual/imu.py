@@ -127,7 +127,7 @@ class VirtualImu(TakesEffects):
         """
         if segment is None and (self.parameters.table_angle or self.world.added is not None):
             raise InstrumentError(
-                "a sensor that runs freely knows no table angle and does not support added effects: leave them out"
+                "a free-running sensor has no table angle and does not support added effects: leave them out"
             )
         for axis in self.axes:
             self.flicker[axis.name].begin(sampling.start, draw)

@@ -22,7 +22,7 @@ class ScaleErrors(Record):
 
     scale_factor_error: Quantity | None = key(
         QuantityOf("ratio"),
-        "Relative excess of the true scale factor at the reference temperature over the declared one.",
+        "Relative error of the declared scale factor: (true − declared)/declared, at the reference temperature.",
         "150 ppm",
         default=None,
     )
@@ -46,7 +46,7 @@ class ScaleErrors(Record):
     )
     warm_up_time: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "Time constant with which the warm-up error decays; 10 min without it.",
+        "Time constant with which the warm-up error decays; by default 10 min.",
         "10 min",
         default=None,
     )
@@ -57,7 +57,7 @@ class GyroErrors(ScaleErrors):
 
     scale_factor: Quantity | None = key(
         QuantityLike("(pulse/s)/(deg/s)", "positive", ("1",)),
-        "Declared scale factor: a ratio gives an output in deg/s, pulses per angle one in pulse/s. 1 without it.",
+        "Declared scale factor: with a ratio the output is in deg/s, with pulses per angle in pulse/s. By default 1.",
         "1000 (pulse/s)/(deg/s)",
         default=None,
     )
@@ -102,7 +102,8 @@ class GyroErrors(ScaleErrors):
     )
     resolution: Quantity | None = key(
         QuantityLike("arcsec", "not negative", ("deg/s",)),
-        "Smallest step: an angle is counted, and the remainder of a sample goes to the next sample; a rate is rounded sample by sample.",
+        "Smallest step. An output in pulses counts angle steps and carries the remainder to the next sample; a rate is rounded sample by "
+        "sample.",
         "0.01 arcsec",
         default=None,
     )
@@ -137,7 +138,7 @@ class AccelerometerErrors(ScaleErrors):
 
     scale_factor: Quantity | None = key(
         QuantityLike("(pulse/s)/(m/s^2)", "positive", ("1",)),
-        "Declared scale factor: a ratio gives an output in m/s^2, pulses per velocity one in pulse/s. 1 without it.",
+        "Declared scale factor: with a ratio the output is in m/s^2, with pulses per velocity in pulse/s. By default 1.",
         "10000 (pulse/s)/(m/s^2)",
         default=None,
     )
@@ -165,8 +166,8 @@ class AccelerometerErrors(ScaleErrors):
     )
     resolution: Quantity | None = key(
         QuantityLike("m/s", "not negative", ("m/s^2",)),
-        "Smallest step: a velocity is counted, and the remainder of a sample goes to the next sample; an acceleration "
-        "is rounded sample by sample.",
+        "Smallest step. An output in pulses counts velocity steps and carries the remainder to the next sample; an "
+        "acceleration is rounded sample by sample.",
         "1e-5 m/s",
         default=None,
     )
@@ -207,7 +208,7 @@ class InputAxisDirection(Record):
     )
     axis: str | None = key(
         Choice(FRAME),
-        "Axis of the frame along which it points nominally; by default the axis of the same name.",
+        "Axis of the frame along which the input axis nominally points; by default the axis with the same name.",
         "x",
         default=None,
     )
@@ -272,10 +273,13 @@ def _problem(name: str, axis: InputAxisDirection) -> tuple[str, str] | None:
         return "has no direction", hint
     lean = axis.towards or {}
     if nominal in lean:
-        return f"lies along {nominal}, so it cannot lean towards {nominal}", "name the other two axes of the frame"
+        return f"lies along {nominal}, so it cannot be tilted towards {nominal}", "name the other two axes of the frame"
     large = [towards for towards, angle in lean.items() if abs(angle.value) > 0.2]
     if large:
-        return f"leans {lean[large[0]]} towards {large[0]}, which is not a small angle", "use `angle` and `azimuth`"
+        return (
+            f"is tilted by {lean[large[0]]} towards {large[0]}, which is not a small angle",
+            "use `angle` and `azimuth`",
+        )
     return None
 
 
@@ -283,7 +287,7 @@ class VirtualImuParameters(Record):
     """A simulated inertial sensor with a known truth: gyros, accelerometers or both, and a thermometer."""
 
     kind: str = key(
-        Text(KIND, "a kind of sensor", "small letters, digits and -, such as gyro-triad"),
+        Text(KIND, "a kind of sensor", "lower-case letters, digits and -, such as gyro-triad"),
         "Kind of sensor, as plans name it.",
         "gyro-triad",
         default="imu",
@@ -303,7 +307,7 @@ class VirtualImuParameters(Record):
     )
     thermal_lag: Quantity = key(
         QuantityOf("time", "positive"),
-        "Time constant of the sensor's temperature behind the air.",
+        "Time constant with which the sensor's temperature follows the air.",
         "15 min",
         default=parse_quantity("10 min"),
     )
@@ -314,12 +318,12 @@ class VirtualImuParameters(Record):
         default=parse_quantity("0.005 K"),
     )
     reference: bool = key(
-        Boolean(), "Whether true position and velocity are recorded in addition to the outputs.", True, default=False
+        Boolean(), "True to record true position and velocity in addition to the outputs.", True, default=False
     )
     table_angle: bool = key(
         Boolean(),
-        "Whether the angle by which the table has turned since it reached the orientation is recorded in addition to "
-        "the outputs, as a mean over the sampling interval.",
+        "True to record, in addition to the outputs, the angle by which the table has turned since it "
+        "reached the orientation, as a mean over the sampling interval.",
         True,
         default=False,
     )

@@ -146,7 +146,9 @@ class VirtualPlatform:
     def channels(self) -> Mapping[str, str]:
         rings = len(self.world.axes)
         if rings != self.parameters.rings:
-            raise InstrumentError(f"the platform's bench says {self.parameters.rings} rings, the table has {rings}")
+            raise InstrumentError(
+                f"the bench file declares {self.parameters.rings} rings for the platform, but the table has {rings}"
+            )
         return {**dict.fromkeys(ACCELEROMETERS, "g"), **dict.fromkeys((*GIMBALS, *RINGS[:rings]), "deg")}
 
     def stream(self, segment: Segment) -> Iterator[Block]:

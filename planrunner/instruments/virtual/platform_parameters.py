@@ -25,12 +25,12 @@ class DriftByRocking(Record):
 
     rms_rate: Quantity = key(
         QuantityOf("angular rate", "positive"),
-        "Root mean square angular rate of the base, all rings together, for which it is stated.",
+        "Root mean square angular rate of the base, of all rings together, at which the drift is stated.",
         "4.62 deg/s",
     )
-    x: Quantity = _each(QuantityOf("angular rate"), "About x at that rate.", "0.01 deg/h", "0 deg/h")
-    y: Quantity = _each(QuantityOf("angular rate"), "About y at that rate.", "-0.01 deg/h", "0 deg/h")
-    z: Quantity = _each(QuantityOf("angular rate"), "About z at that rate.", "0.01 deg/h", "0 deg/h")
+    x: Quantity = _each(QuantityOf("angular rate"), "Drift about x at that rate.", "0.01 deg/h", "0 deg/h")
+    y: Quantity = _each(QuantityOf("angular rate"), "Drift about y at that rate.", "-0.01 deg/h", "0 deg/h")
+    z: Quantity = _each(QuantityOf("angular rate"), "Drift about z at that rate.", "0.01 deg/h", "0 deg/h")
 
 
 class Caging(Record):
@@ -38,7 +38,7 @@ class Caging(Record):
 
     dead_region: Quantity = _each(
         QuantityOf("angle", "not negative"),
-        "Half-width of the levelling loops' dead region: the element is caged anywhere within it.",
+        "Half-width of the levelling loops' dead region; caging leaves the element anywhere within it.",
         "1 arcmin",
         "0 arcmin",
     )
@@ -50,7 +50,7 @@ class Caging(Record):
     )
     leaving: Quantity = _each(
         QuantityOf("angle", "not negative"),
-        "Standard deviation, about each axis, of the angle by which the element turns as it leaves the dead region.",
+        "Standard deviation, about each axis, of the angle by which the element turns while it leaves the dead region.",
         "20 arcsec",
         "0 arcsec",
     )
@@ -74,10 +74,16 @@ class QuartzAccelerometers(Record):
 
     range: str = key(Choice(("1.25 g", "20 g")), "Range of the current converter.", "1.25 g", default="1.25 g")
     bits: int = key(
-        Number(8, 32, integer=True), "Bits of the converter over the whole range, both signs.", 21, default=21
+        Number(8, 32, integer=True),
+        "Number of bits of the converter over the whole range, both signs together.",
+        21,
+        default=21,
     )
     bias: Quantity = _each(
-        QuantityOf("acceleration", "not negative"), "Standard deviation of each one's bias.", "50 ug", "0 ug"
+        QuantityOf("acceleration", "not negative"),
+        "Standard deviation of the bias of each accelerometer.",
+        "50 ug",
+        "0 ug",
     )
     bias_walk: Quantity = _each(
         QuantityLike("ug/sqrt(h)", "not negative"), "Random walk of each bias.", "10 ug/sqrt(h)", "0 ug/sqrt(h)"
@@ -100,7 +106,7 @@ class GimbalEncoders(Record):
     """Multi-speed resolvers on the gimbals."""
 
     resolution: Quantity = _each(
-        QuantityOf("angle", "not negative"), "Smallest step; 0 for none.", "1 arcsec", "0 arcsec"
+        QuantityOf("angle", "not negative"), "Smallest step; 0 for no quantisation.", "1 arcsec", "0 arcsec"
     )
     error: Quantity = _each(
         QuantityOf("angle", "not negative"), "Amplitude of the periodic error.", "4 arcsec", "0 arcsec"
@@ -112,7 +118,7 @@ class TableEncoders(Record):
     """The rings of the rocking table, recorded with the platform, and the errors of their readings."""
 
     resolution: Quantity = _each(
-        QuantityOf("angle", "not negative"), "Smallest step; 0 for none.", "0.4 arcsec", "0 arcsec"
+        QuantityOf("angle", "not negative"), "Smallest step; 0 for no quantisation.", "0.4 arcsec", "0 arcsec"
     )
     return_error: Quantity = _each(
         QuantityOf("angle", "not negative"),
@@ -123,7 +129,7 @@ class TableEncoders(Record):
     lag: Quantity = _each(QuantityOf("time", "not negative"), "Delay of the reading of a moving ring.", "1 ms", "0 s")
     wander: Quantity = _each(
         QuantityLike("arcsec/sqrt(h)", "not negative"),
-        "Random walk of a ring against its reading.",
+        "Random walk of a ring relative to its reading.",
         "5 arcsec/sqrt(h)",
         "0 arcsec/sqrt(h)",
     )
@@ -143,7 +149,7 @@ class VirtualPlatformParameters(Record):
     )
     random_walk: Quantity = _each(
         QuantityLike("deg/sqrt(h)", "not negative"),
-        "Random walk of its attitude.",
+        "Random walk of the attitude of the element.",
         "0.0004 deg/sqrt(h)",
         "0 deg/sqrt(h)",
     )
@@ -153,7 +159,9 @@ class VirtualPlatformParameters(Record):
         {"rms_rate": "4.62 deg/s", "x": "0.01 deg/h"},
         default=None,
     )
-    caging: Caging = key(RecordOf(Caging), "Caging and release.", {"azimuth": "1 arcmin"}, default_factory=Caging)
+    caging: Caging = key(
+        RecordOf(Caging), "Caging and release of the element.", {"azimuth": "1 arcmin"}, default_factory=Caging
+    )
     accelerometers: QuartzAccelerometers = key(
         RecordOf(QuartzAccelerometers), "The accelerometers.", {"range": "1.25 g"}, default_factory=QuartzAccelerometers
     )
@@ -166,7 +174,9 @@ class VirtualPlatformParameters(Record):
         {"return_error": "15 arcsec"},
         default_factory=TableEncoders,
     )
-    rings: int = key(Number(1, 3, integer=True), "Rings of the table that carries it.", 3, default=3)
+    rings: int = key(
+        Number(1, 3, integer=True), "Number of rings of the table that carries the platform.", 3, default=3
+    )
     lever_arm: tuple[Quantity, ...] = key(
         ListOf(QuantityOf("length"), minimum=3, maximum=3),
         "Position of the accelerometers relative to the centre of the rings, along the base's x, y and z.",

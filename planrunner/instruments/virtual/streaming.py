@@ -36,7 +36,9 @@ class Sampling:
     def of(cls, world: World, segment: Segment, sensor: SensorModel) -> Sampling:
         """Beginning now. Raises `InstrumentError` where the sensor cannot be sampled so."""
         if segment.dwell is None:
-            raise InstrumentError(f"'{segment.label}' dwells 'recorded'; only a recording has this length")
+            raise InstrumentError(
+                f"'{segment.label}' has the dwell 'recorded', which is only possible with a recording"
+            )
         rate = segment.sample_rate or sensor.sample_rate
         if refused := sensor.rate_refused(segment.sample_rate):
             raise InstrumentError(f"'{segment.label}': {refused}")

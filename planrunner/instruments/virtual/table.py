@@ -31,13 +31,14 @@ class VirtualTableParameters(TableKeys):
 
     position_error: Quantity = key(
         QuantityOf("angle", "not negative"),
-        "Standard deviation, about each sensor axis, of the pointing error that is simulated; the same at the same orientation.",
+        "Standard deviation, about each sensor axis, of the simulated pointing error; the error is the same whenever the orientation is "
+        "the same.",
         "2 arcsec",
         default=parse_quantity("0 arcsec"),
     )
     rate_error: Quantity = key(
         QuantityOf("ratio", "not negative"),
-        "Relative standard deviation of the rate error that is simulated; the same at the same rate.",
+        "Relative standard deviation of the simulated rate error; the error is the same whenever the rate is the same.",
         "5 ppm",
         default=parse_quantity("0 ppm"),
     )
@@ -69,7 +70,7 @@ class VirtualTable:
     def orient(self, attitude: Array) -> float:
         now = self.world.now()
         if not self.world.course.still(now + CLOCK_ROUNDING):
-            raise InstrumentError("the table is still moving; end its motion before a new orientation")
+            raise InstrumentError("the table is still moving; its motion must end before a new orientation")
         angles, _ = self.world.joints(now)
         try:
             target = joint_angles(self.axes, attitude, angles, self.world.site.azimuth)

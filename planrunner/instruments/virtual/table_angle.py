@@ -30,7 +30,7 @@ def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
     elif isinstance(motion, Rock) and isinstance(course, Rocking):
         joint, sense = 0, 1.0
         if not about_one_axis(motion):
-            raise InstrumentError(f"'{segment.label}' rocks several rings: this is not an angle about one axis")
+            raise InstrumentError(f"'{segment.label}' rocks several rings, so there is no table angle about one axis")
     else:
         return np.zeros(len(times)), np.zeros(len(times))
     angle, rate = (np.broadcast_to(value, times.shape) for value in course.follow(times)[joint])

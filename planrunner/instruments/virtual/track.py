@@ -100,7 +100,7 @@ class Track:
         if float(np.max(np.abs(place.latitude))) > POLAR:
             limit = f"{math.degrees(POLAR):g} deg"
             raise InstrumentError(
-                f"the carrier has come beyond {limit} of latitude: shorten the run or turn its heading"
+                f"the carrier has passed the latitude of {limit}: shorten the run or change its heading"
             )
         return place
 

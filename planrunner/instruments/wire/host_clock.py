@@ -105,7 +105,7 @@ class Unwrapping:
         """delay: s, but for a constant. Frames after a jump would lie beyond those to come."""
         least, usual = float(np.min(delay)), float(delay[0]) if math.isnan(self._floor) else self._floor
         if least < usual - FORESTALLED * self.haste:
-            message = f"the sensor's counter is {usual - least:.3g} s ahead of the frames that came"
+            message = f"the sensor's counter is {usual - least:.3g} s ahead of the received frames"
             raise InstrumentError(
                 f"{message}: check whether the sensor was switched off and on, check its power, then resume the run"
             )

@@ -142,8 +142,8 @@ class Incoming:
 _LOOK = "check its power, its cable and its address"
 _GARBAGE = "check that it is the instrument in the bench file, and that baud rate and terminators are correct"
 _REFUSED = (
-    "refuses the connection: check that the instrument is on, that network address and port are correct, and that no "
-    "other program uses it"
+    "refuses the connection: check that the instrument is on, that the network address and port are correct, and that "
+    "no other program uses the instrument"
 )
 
 
@@ -182,7 +182,7 @@ class MessageLink:
                 except LinkFailure as failure:
                     if not left:
                         raise
-                    self._remarks.append(f"{self.settings.address} {failure}; '{text}' is asked again")
+                    self._remarks.append(f"{self.settings.address} {failure}; '{text}' is sent again")
         raise AssertionError("unreachable")
 
     def remarks(self) -> list[str]:
@@ -288,9 +288,11 @@ class MessageLink:
                 rests += resource.read_bytes(1, break_on_termchar=False)
                 _wait_at_most(resource, QUIET)
         if rests.strip(self.settings.idle):
-            self._remarks.append(f"{self.settings.address} sent {shown(rests)} unasked, which was dropped")
+            self._remarks.append(
+                f"{self.settings.address} sent {shown(rests)} without a request; this text was discarded"
+            )
         if len(rests) >= LONGEST:
-            raise LinkFailure(f"sends without being asked ({shown(rests[:40])}…): {_GARBAGE}")
+            raise LinkFailure(f"sends data without a request ({shown(rests[:40])}…): {_GARBAGE}")
 
     def _await_silence(self, resource: Wire) -> None:
         """A serial line remembers: after a failure it must have been silent for a time-out before it is asked again."""
@@ -405,8 +407,8 @@ class LinkKeys(Record):
     )
     model_contains: str | None = key(
         Text(r"\S.{0,60}", "some text"),
-        "Text that the identification of the instrument must contain, in upper or lower case; by default the text "
-        "that the driver expects.",
+        "Text that the identification of the instrument must contain (case does not matter); by default the "
+        "text that the driver expects.",
         "ACUTROL",
         default=None,
     )
@@ -416,7 +418,7 @@ class LinkKeys(Record):
         wanted = self.model_contains or expected
         if wanted.casefold() not in said.casefold():
             raise InstrumentError(
-                f"{self.address} says that it is '{said[:80]}', which does not contain '{wanted}': check the address, "
+                f"{self.address} identifies itself as '{said[:80]}', which does not contain '{wanted}': check the address, "
                 "or set "
                 "model_contains in the bench file if this is the right instrument"
             )

@@ -33,7 +33,7 @@ def parsed(reply: str, request: str, count: int, address: str) -> list[float]:
     if len(found) < count or not all(map(math.isfinite, found)):
         wanted = "a number is" if count == 1 else f"{count} numbers are"
         raise InstrumentError(
-            f"{address} answers '{request}' with '{reply[:60]}' where {wanted} expected: check that it is the instrument in the bench file"
+            f"{address} answers '{request}' with '{reply[:60]}', but {wanted} expected: check that it is the instrument in the bench file"
         )
     return found
 

@@ -82,7 +82,7 @@ def test_a_declared_frame_is_decoded_as_declared() -> None:
         ),
         ("driver: stim300; sample_rate: 500 Hz; acceleration_range: 7 g", "7 g"),
         ("driver: stim300; sample_rate: 500 deg", "bench.yaml:9:18"),
-        ("driver: stim300; sample_rate: 500 Hz; gyros: {angle_random_walk: 1 deg/s}", "does not fit"),
+        ("driver: stim300; sample_rate: 500 Hz; gyros: {angle_random_walk: 1 deg/s}", "is not a possible unit here"),
         ("driver: kvh_1775; sample_rate: 500 Hz; format: D", "'D' is not known here"),
         ("driver: xsens_mti; sample_rate: 500 Hz; outputs: [rates]", "'rates' is not known here"),
         ("driver: vectornav; sample_rate: 500 Hz; fields: []", "at least 1"),

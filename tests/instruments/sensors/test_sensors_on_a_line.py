@@ -217,8 +217,8 @@ def test_vectornav_is_set_by_a_line_that_it_echoes() -> None:
         assert sum(block.time.size for block in sensor.stream(segment(0.4))) <= 80
         sensor.close()
         registers[0] = "OEM-7"
-        with pytest.raises(InstrumentError, match="says that it is 'OEM-7', which is not a VectorNav"):
+        with pytest.raises(InstrumentError, match="identifies itself as 'OEM-7', which is not a VectorNav"):
             VectorNav.connect(parameters_of(keys, unit.port), surroundings())
         keys = keys.replace("200 Hz", "300 Hz")
-        with pytest.raises(InstrumentError, match="800 Hz or a whole part"):
+        with pytest.raises(InstrumentError, match="at 800 Hz divided by a whole number"):
             VectorNav.connect(parameters_of(keys, unit.port), surroundings())
