@@ -15,7 +15,7 @@ from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.kinds import Choice, Record, Text, key
 
 LOOPBACK = r"(127\.0\.0\.1|localhost):\d{1,5}"
-_PATIENCE = 5.0  # s for an answer
+_PATIENCE = 30.0  # s for an answer, which a busy computer may delay
 
 
 class SimulationSpec(Record):

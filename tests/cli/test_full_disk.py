@@ -8,11 +8,13 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
 
+from planrunner.archive.run_folder import RunWriter
+from planrunner.plan.schedule import Segment
 from tests import in_process
 
 FLAGSHIP = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
@@ -51,27 +53,32 @@ def planrunner(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str
     return done
 
 
-def fill_up_during_a_run(plan: Path, disk: Path) -> tuple[str, Path]:
-    """Standard error of a run whose disk shrinks to what is in use once four files stand, and its folder."""
-    command = [sys.executable, "-m", "planrunner", "run", str(plan), *GIVEN, "--runs", str(disk / "runs")]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    while process.poll() is None and len(list(disk.glob("runs/2*/segments/*.parquet"))) < 4:
-        time.sleep(0.005)
-    used = shutil.disk_usage(disk).used
-    remount(disk, f"size={used + 3 * 2**20}")
-    _, said = process.communicate(timeout=120)
-    assert process.returncode == 3, said
+def fill_up_during_a_run(plan: Path, disk: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Path]:
+    """Standard error of a run whose disk shrinks to what is in use before its fifth segment, and its folder."""
+    begin = RunWriter.begin
+
+    def shrunk(self: RunWriter, segment: Segment, clock: float, channels: Mapping[str, str]) -> None:
+        if segment.index == 4:
+            remount(disk, f"size={shutil.disk_usage(disk).used + 3 * 2**20}")
+        begin(self, segment, clock, channels)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunWriter, "begin", shrunk)
+        done = planrunner("run", plan, *GIVEN, "--runs", disk / "runs", cwd=disk.parent)
+    assert done.returncode == 3, done.stderr
     (run,) = disk.glob("runs/2*")
-    return said, run
+    return done.stderr, run
 
 
-def test_a_run_goes_on_after_the_disk_was_full(disk: Path, tmp_path: Path, plan_file: Callable[..., Path]) -> None:
+def test_a_run_goes_on_after_the_disk_was_full(
+    disk: Path, tmp_path: Path, plan_file: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     plan = plan_file(("dwell: 2 min", "dwell: 30 min"))
     whole = planrunner("run", plan, *GIVEN, "--runs", "whole", cwd=tmp_path)
     assert whole.returncode == 0, whole.stderr
     (expected,) = (tmp_path / "whole").glob("2*/analyses/1/results.json")
 
-    said, run = fill_up_during_a_run(plan, disk)
+    said, run = fill_up_during_a_run(plan, disk, monkeypatch)
     assert "No space left on device" in said
     assert f"planrunner resume {run}" in said
     still = planrunner("resume", run, "--quiet", cwd=tmp_path)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_simulate_bench import ROOT, started
+from test_simulate_bench import ROOT, patient, started
 
 pytestmark = [
     pytest.mark.slow,
@@ -58,15 +58,11 @@ def quick(name: str) -> str:
 
 
 def estimated(plan: Path, bench: str, truth: str, speed: str, folder: Path) -> dict[str, Any]:
-    """The estimates of a whole run, `simulate-bench` to results.json, on the shipped bench with patience for a busy computer."""
+    """The estimates of a whole run, `simulate-bench` to results.json, on the shipped bench."""
     (folder / "truth.yaml").write_text(quick(truth), encoding="utf-8")
-    patient = quick(bench).replace(f"{{bench: {truth},", "{bench: truth.yaml,")
-    assert "truth.yaml" in patient
-    patient = patient.replace("    baud:", "    silence: 20 s\n    baud:").replace(
-        "    axes:", "    timeout: 10 s\n    axes:"
-    )
-    patient = patient.replace("    lowest:", "    timeout: 10 s\n    lowest:")
-    (folder / "patient.yaml").write_text(patient, encoding="utf-8")
+    asked = patient(quick(bench)).replace(f"{{bench: {truth},", "{bench: truth.yaml,")
+    assert "truth.yaml" in asked
+    (folder / "patient.yaml").write_text(asked, encoding="utf-8")
     process, _ = started(folder, "--speed", speed, bench=str(folder / "patient.yaml"))
     command = [sys.executable, "-m", "planrunner", "run", str(plan), "--bench", str(folder / "bench.yaml"), "--quiet"]
     told = [f"{name}=1" for name in ("device_serial", "operator", "fixture")]

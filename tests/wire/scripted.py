@@ -10,7 +10,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -18,7 +18,8 @@ import pytest
 
 from planrunner.base.findings import Findings
 from planrunner.bench.clock import WallClock
-from planrunner.instruments.interfaces import Surroundings
+from planrunner.instruments.interfaces import Clock, Surroundings
+from planrunner.instruments.wire.links import MessageLink
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import rotation_about
 from planrunner.plan import source
@@ -202,17 +203,37 @@ def answering(answer: Callable[[str], bytes | None], end: bytes = b"\n") -> List
     return Listener(talk)
 
 
-def parameters(record: type, address: str, *more: str) -> Any:
-    """Keys of a bench file as a driver is given them."""
+@contextlib.contextmanager
+def closed_port() -> Iterator[int]:
+    """A port of loopback that refuses connections; nobody else can open it meanwhile."""
+    with socket.socket() as held:
+        held.bind(("127.0.0.1", 0))
+        yield held.getsockname()[1]
+
+
+def parameters(record: type, address: str, *more: str, timeout: str = "1 min") -> Any:
+    """Keys of a bench file as a driver is given them. timeout: short only where no answer is expected; a busy machine answers late."""
     log = Findings()
-    text = "\n".join([f"address: {address}", "timeout: 0.5 s", *more])
+    text = "\n".join([f"address: {address}", f"timeout: {timeout}", *more])
     made = RecordOf(record).read(source.parse(text, "bench.yaml"), log)
     assert list(log) == []
     return made
 
 
-def surroundings() -> Surroundings:
-    return Surroundings(WallClock(), Site(math.radians(40), 9.8), real_time=True)
+def silent_at_first(link: MessageLink, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next exchange waits briefly for an answer that does not come; from its failure on the link is as patient as before."""
+    patient, give_up = link.settings, link._give_up
+
+    def patient_again() -> None:
+        give_up()
+        link.settings = patient
+
+    monkeypatch.setattr(link, "_give_up", patient_again)
+    link.settings = replace(patient, timeout=0.2)
+
+
+def surroundings(clock: Clock | None = None) -> Surroundings:
+    return Surroundings(clock or WallClock(), Site(math.radians(40), 9.8), real_time=True)
 
 
 def turned(degrees: float) -> Any:

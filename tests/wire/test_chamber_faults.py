@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from scripted import answering, parameters, surroundings
+from scripted import answering, parameters, silent_at_first, surroundings
 
 from planrunner.instruments.chambers import watlow_f4t
 from planrunner.instruments.chambers.espec_p300 import EspecP300
@@ -80,7 +79,7 @@ def test_the_wrong_instrument_is_reported_when_connecting(driver: Any) -> None:
         answering(lambda message: b"ACUTRONIC ACT2000\r\n", b"\r") as server,
         pytest.raises(InstrumentError, match=r"check the address|did not answer"),
     ):
-        driver.connect(parameters(driver.Parameters, server.address, *RANGE), surroundings())
+        driver.connect(parameters(driver.Parameters, server.address, *RANGE, timeout="0.5 s"), surroundings())
 
 
 def test_beyond_the_range_nothing_is_sent() -> None:
@@ -141,7 +140,9 @@ def test_an_alarm_ends_waiting_and_does_not_keep_it_from_being_made_safe(
 
 
 @pytest.mark.parametrize("driver", [WatlowF4t, EspecP300, Thermotron8800])
-def test_a_connection_that_was_lost_does_not_keep_the_chamber_from_ambient(driver: Any) -> None:
+def test_a_connection_that_was_lost_does_not_keep_the_chamber_from_ambient(
+    driver: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     says, end, command = {
         WatlowF4t: (F4T, "\n", lambda message: None),
         EspecP300: (P300, "\r\n", lambda message: f"OK:{message}"),
@@ -151,7 +152,7 @@ def test_a_connection_that_was_lost_does_not_keep_the_chamber_from_ambient(drive
     with answering(answers, end.encode()) as server:
         chamber = driver.connect(parameters(driver.Parameters, server.address, *RANGE), surroundings())
         server.hang_up()
-        time.sleep(0.05)
+        silent_at_first(chamber.commands.link, monkeypatch)
         chamber.make_safe()
         chamber.close()
         assert server.connections == 2

@@ -31,6 +31,9 @@ pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are not for Windows"),
 ]
 
+SPEED = 30.0
+PATIENCE = 240.0
+"""Seconds of the wall past which something hangs, however busy the computer is."""
 THREE = """axes:
       - {name: outer, direction: up, max_rate: 400 deg/s, max_acceleration: 200 deg/s^2}
       - {name: middle, direction: east, max_rate: 200 deg/s, max_acceleration: 100 deg/s^2}
@@ -70,8 +73,10 @@ instruments:
   table:
     driver: {driver}
     {address}
+    timeout: 1 min
     {more}
-  chamber: {{driver: {chamber}, address: "TCPIP::127.0.0.1::5555::SOCKET", lowest: -40 degC, highest: 85 degC, ramp: 3 K/min}}
+  chamber: {{driver: {chamber}, address: "TCPIP::127.0.0.1::5555::SOCKET", timeout: 1 min,
+    lowest: -40 degC, highest: 85 degC, ramp: 3 K/min}}
 """
     path = folder / "lab.yaml"
     path.write_text(text, encoding="utf-8")
@@ -80,16 +85,24 @@ instruments:
 
 @contextmanager
 def meeting(folder: Path, pair: str) -> Iterator[tuple[OpenBench, str]]:
-    """A bench whose drivers are connected to simulated instruments, thirty times as fast as the wall, and where these are told things."""
+    """A bench whose drivers are connected to simulated instruments, `SPEED` times as fast as the wall, and where these are told things."""
     ready, copy = folder / "ready.json", folder / "copy.yaml"
-    command = [sys.executable, "-m", "planrunner", "simulate-bench", str(bench_file(folder, pair)), "--speed", "30"]
+    command = [
+        sys.executable,
+        "-m",
+        "planrunner",
+        "simulate-bench",
+        str(bench_file(folder, pair)),
+        "--speed",
+        str(SPEED),
+    ]
     command += ["--copy", str(copy), "--ready", str(ready)]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PLANRUNNER_LOCKS": str(folder / "locks")}
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, cwd=folder
     )
     try:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + PATIENCE
         while not ready.exists():
             if process.poll() is not None or time.monotonic() > deadline:
                 process.kill()
@@ -101,13 +114,13 @@ def meeting(folder: Path, pair: str) -> Iterator[tuple[OpenBench, str]]:
             yield opened, control
     finally:
         process.terminate()
-        process.communicate(timeout=20)
+        process.communicate(timeout=PATIENCE)
 
 
 def wait_for(bench: OpenBench, holding: Any, seconds: float) -> None:
-    end = bench.clock.now() + seconds + 600
+    end = time.monotonic() + seconds / SPEED + PATIENCE
     while not holding():
-        assert bench.clock.now() < end
+        assert time.monotonic() < end
         time.sleep(0.02)
 
 
@@ -121,7 +134,7 @@ def check_cycle(bench: OpenBench, control: str) -> None:
     table: Any = bench.table
     clock = bench.clock
     degrees = (180.0, 90.0, -270.0)
-    motion = Cycle({}, tuple(Move("", math.radians(turn), "") for turn in degrees), math.radians(40), 30.0)
+    motion = Cycle({}, tuple(Move("", math.radians(turn), "") for turn in degrees), math.radians(40), 60.0)
     planned = RotationCycle.of(motion, math.radians(200))
     wait_for(bench, table.holding, table.orient(turned(10.0)))
 
@@ -130,14 +143,14 @@ def check_cycle(bench: OpenBench, control: str) -> None:
 
     home, begun = truth(), clock.now()
     table.begin_motion(motion, 2 * planned.period)
-    stop_ends = np.cumsum([30.0 + abs(turn) / 40 + 40 / 200 for turn in degrees])
+    stop_ends = np.cumsum([60.0 + abs(turn) / 40 + 40 / 200 for turn in degrees])
     seen = 0
-    for moment in np.concatenate([stop_ends, planned.period + stop_ends]) + 15.0:
+    for moment in np.concatenate([stop_ends, planned.period + stop_ends]) + 30.0:
         while clock.now() < begun + moment:
             assert table.watch().faults == ()
             time.sleep(0.02)
         turned_by = truth() - home
-        if clock.now() < begun + moment + 13.0:
+        if clock.now() < begun + moment + 28.0:
             seen += 1
             assert turned_by == pytest.approx(float(planned.angle(np.array([moment]))[0]), abs=math.radians(0.03))
     assert seen >= len(degrees)
@@ -165,11 +178,14 @@ def test_what_the_driver_asks_for_is_what_the_world_does(
         wait_for(bench, table.holding, table.end_motion())
         wait_for(bench, table.holding, table.orient(turned(10.0)))
 
-        rock = Rock(math.radians(3), 0.2, (0.0,), 20.0)
+        rock = Rock(math.radians(3), 0.2, (0.0,), 240.0)
         if table.commands.rocks:
-            wait_for(bench, table.holding, table.begin_motion(rock, 60.0))
+            wait_for(bench, table.holding, table.begin_motion(rock, 300.0))
             seen = [table.read()[outer] for _ in range(60)]
-            assert min(seen) < 8.0 and max(seen) > 12.0 and min(seen) > 6.9 and max(seen) < 13.1
+            while min(seen) >= 8.0 or max(seen) <= 12.0:
+                assert table.watch().faults == () and len(seen) < 10_000
+                seen.append(table.read()[outer])
+            assert min(seen) > 6.9 and max(seen) < 13.1
             wait_for(bench, lambda: table.watch().values.get("position_error", 1.0) < math.radians(0.02), 30.0)
             table.end_motion()
         else:

@@ -11,8 +11,9 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from scripted import Listener, answering, parameters, surroundings, turned
+from scripted import Listener, answering, parameters, silent_at_first, surroundings, turned
 
+from planrunner.bench.clock import VirtualClock
 from planrunner.instruments.interfaces import InstrumentError, OwnLimits
 from planrunner.instruments.tables.acutrol import Acutrol, AcutrolParameters, kind_of
 from planrunner.instruments.wire.links import LinkFailure
@@ -42,12 +43,12 @@ class Controller:
             reply = self._reply(message.casefold())
         return b"" if reply is None else f"{reply}\n".encode()
 
-    def wait_for(self, command: str) -> None:
+    def wait_for(self, command: str, times: int = 1) -> None:
         """What is not answered may still be on its way."""
         end = time.monotonic() + 60
-        while self.heard[-1] != command and time.monotonic() < end:
+        while self.heard.count(command) < times and time.monotonic() < end:
             time.sleep(0.005)
-        assert self.heard[-1] == command
+        assert self.heard.count(command) == times
 
     def _reply(self, text: str) -> str | None:
         if text in self.say:
@@ -86,9 +87,10 @@ class Controller:
 
 @contextmanager
 def bench(axes: str = ONE) -> Iterator[tuple[Controller, Any, Listener]]:
+    """A table whose time passes only by its waits and by the test's, `table.clock.sleep`."""
     controller = Controller()
     with answering(controller) as server:
-        table = Acutrol.connect(parameters(AcutrolParameters, server.address, axes), surroundings())
+        table = Acutrol.connect(parameters(AcutrolParameters, server.address, axes), surroundings(VirtualClock()))
         try:
             yield controller, table, server
         finally:
@@ -224,32 +226,33 @@ def test_a_table_that_does_not_stop_is_switched_off_and_reported() -> None:
 def test_making_safe_is_quick_and_may_be_asked_again() -> None:
     with bench() as (controller, table, _):
         table.begin_motion(Spin(math.radians(10)), 60.0)
-        start = time.monotonic()
+        begun = table.clock.now()
         table.make_safe()
         table.make_safe()
-        assert time.monotonic() - start < 30.0  # it waits for nothing; a busy machine may
-        controller.wait_for(":int:open all")
+        assert table.clock.now() == begun  # it waits for nothing
+        controller.wait_for(":int:open all", times=2)
         assert controller.heard[-2] == ":mode:off all"
         table.orient(turned(5.0))  # goes on after a wait in the safe state
         assert controller.heard.count(":int:close 1") == 2
         assert table.holding()
 
 
-def test_a_connection_that_was_lost_does_not_keep_the_table_from_being_stopped() -> None:
+def test_a_connection_that_was_lost_does_not_keep_the_table_from_being_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     with bench() as (controller, table, server):
         table.begin_motion(Spin(math.radians(10)), 60.0)
         server.hang_up()
-        time.sleep(0.05)
+        silent_at_first(table.commands.link, monkeypatch)
         table.make_safe()
         assert controller.rate[1] == 0.0
         controller.wait_for(":int:open all")
         assert server.connections == 2
 
 
-def test_a_dead_link_is_reported_at_every_attempt_to_make_it_safe() -> None:
+def test_a_dead_link_is_reported_at_every_attempt_to_make_it_safe(monkeypatch: pytest.MonkeyPatch) -> None:
     with bench() as (_, table, server):
         table.orient(turned(5.0))
         server.close()
+        silent_at_first(table.commands.link, monkeypatch)
         with pytest.raises(InstrumentError, match=r"::SOCKET, asked ':status:stb\?'"):
             table.make_safe()
         for _again in range(2):
@@ -273,7 +276,8 @@ def test_rocking_ends_by_itself_after_its_duration() -> None:
         table.begin_motion(Rock(math.radians(0.05), 10.0, (0.0,), 0.2), 60.0)
         assert controller.heard[-1] == ":dem:osc 1,0.05,10,0"
         assert controller.mode[1] == "Synthesis"
-        time.sleep(0.6)
+        table.clock.sleep(0.6)
+        controller.wait_for(":dem:pos 1,5", times=3)
         assert controller.heard[-4:] == [":dem:osc 1,0,10,0", ":dem:pos 1,5", ":mode:pos 1", ":dem:pos 1,5"]
         assert table.holding()
         assert table.end_motion() == 0.0
@@ -284,8 +288,11 @@ def test_rocking_begins_by_itself_within_the_record() -> None:
         table.orient(turned(5.0))
         assert table.begin_motion(Rock(math.radians(0.05), 10.0, (0.0,), 0.2, delay=0.3), 60.0) == 0.0
         assert table.watch().faults == ()
+        assert ":dem:osc 1,0.05,10,0" not in controller.heard
+        table.clock.sleep(0.35)
         controller.wait_for(":dem:osc 1,0.05,10,0")
-        controller.wait_for(":dem:pos 1,5")
+        table.clock.sleep(0.3)  # two periods of fading and the rocking are over then
+        controller.wait_for(":dem:pos 1,5", times=3)
         assert ":dem:osc 1,0,10,0" in controller.heard
         assert table.holding()
 

@@ -30,6 +30,8 @@ LAST = {"A": 0x55, "B": 0x56, "C": 0x57}
 AXES = ("x", "y", "z")
 SETTLE = 0.5
 """Seconds in which a change of configuration takes effect; about two invalid frames come meanwhile."""
+PATIENCE = 1.0
+"""Seconds in which the result of the built-in test comes."""
 BIT_SYNC, BIT_LENGTH = bytes.fromhex("fe8100aa"), 11
 
 
@@ -156,7 +158,7 @@ class MultiplexedTemperature:
 def ask_built_in_test(link: SerialStream, clock: Clock) -> Mapping[str, str]:
     """The result of the built-in test, for the journal; nothing where the sensor does not answer."""
     link.write(b"?bit\r\n")
-    heard, until = b"", clock.now() + 2 * SETTLE
+    heard, until = b"", clock.now() + PATIENCE
     while clock.now() < until:
         clock.sleep(0.01)
         heard += b"".join(piece.data for piece in link.take())

@@ -46,6 +46,11 @@ class Ring:
         self._following = False
         self._lock = threading.Lock()
 
+    @property
+    def held(self) -> int:
+        """Bytes that wait to be taken."""
+        return self._held
+
     def put(self, piece: Piece) -> None:
         with self._lock:
             if self._following and self._held + len(piece.data) > self.capacity:
