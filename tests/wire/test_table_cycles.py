@@ -232,7 +232,7 @@ def test_nothing_moves_when_the_run_looks_away(monkeypatch: pytest.MonkeyPatch) 
         clock.sleep(1000.0)
         time.sleep(0.05)
         assert len(axis.told) == told
-        assert made.watch().faults == ("the cycle could not continue: the run has not read the table for 0.2 s",)
+        assert made.watch().faults == ("the cycle could not continue: the run has not polled the table for 0.2 s",)
 
 
 def test_cycles_that_the_axis_cannot_make_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -84,7 +84,7 @@ def test_a_counter_that_was_set_anew_is_reported(counter: FrameCounter, before: 
     unwrapping = Unwrapping(counter)
     assert unwrapping.resolve(received[:100], raw[:100]).size == 100
     with pytest.raises(
-        InstrumentError, match="ahead of the frames that came: check whether the sensor was switched off"
+        InstrumentError, match="ahead of the received frames: check whether the sensor was switched off"
     ):
         unwrapping.resolve(received[100:], raw[100:])
 
