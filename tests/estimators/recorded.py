@@ -14,7 +14,7 @@ from planrunner.archive.recording import RecordedSegment, Statistics
 from planrunner.archive.statistics import statistics_of
 from planrunner.estimators.interface import Cell
 from planrunner.instruments.interfaces import Block
-from planrunner.instruments.models import OutputModel, SensorModel
+from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.plan.schedule import Motion, Rest, Segment
 
 DATA = Path(os.environ.get("PLANRUNNER_DATA", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
@@ -40,8 +40,10 @@ def segment(
     return Segment(0, label, attitude, "as tested", motion or Rest(), dwell)
 
 
-def sensor(*outputs: str, unit: str = "pulse/s") -> SensorModel:
-    return SensorModel("under-test", tuple(OutputModel(name, unit) for name in outputs), 10.0)
+def sensor(*outputs: str, unit: str = "pulse/s", noise: NoiseModel | None = None) -> SensorModel:
+    return SensorModel(
+        "under-test", tuple(OutputModel(name, unit, noise=noise or NoiseModel()) for name in outputs), 10.0
+    )
 
 
 def from_means(

@@ -12,7 +12,7 @@ from recorded import from_samples, segment, sensor
 
 from planrunner.estimators.allan import kernel as allan_kernel
 from planrunner.estimators.allan.allan_deviation import AllanDeviation, AllanDeviationParameters
-from planrunner.estimators.allan.fit import VarianceCovariance, fit_noise, model_matrix
+from planrunner.estimators.allan.fit import ALLAN, HADAMARD, VarianceCovariance, fit_noise, model_matrix
 from planrunner.estimators.interface import Estimate, EstimateRequest
 from planrunner.instruments.models import NoiseModel
 from planrunner.physics.earth import Site
@@ -34,6 +34,14 @@ def test_model_by_hand() -> None:
     )
 
 
+def test_hadamard_model_by_hand() -> None:
+    """Third differences of the phase: 20/6·Q²/τ², N²/τ, (½·ln(256/27)/(2·ln 2))·0.664²·B² (NIST SP 1065, 5.2.8) and K²·τ/6."""
+    flat = 0.6643**2 * 0.5 * math.log(256 / 27) / (2 * math.log(2))
+    assert model_matrix(np.array([1, 6]), HADAMARD) == pytest.approx(
+        np.array([[10 / 3, 1, flat, 1 / 6], [10 / 108, 1 / 6, flat, 1]]), rel=1e-3
+    )
+
+
 def test_noiseless_curve_gives_its_coefficients() -> None:
     factors = 2 ** np.arange(14)
     squares = np.array([2.0, 1.0, 0.01, 1e-5])
@@ -44,7 +52,8 @@ def test_noiseless_curve_gives_its_coefficients() -> None:
     assert fit.freedom == 10
 
 
-def test_covariance_of_variances_against_simulation() -> None:
+@pytest.mark.parametrize("order", [ALLAN, HADAMARD])
+def test_covariance_of_variances_against_simulation(order: int) -> None:
     draw = np.random.default_rng(1)
     n, records, factors = 1024, 3000, 2 ** np.arange(8)
     squares = np.array([4.0, 1.0, 0.0, 1e-3])
@@ -52,8 +61,10 @@ def test_covariance_of_variances_against_simulation() -> None:
     for row in found:
         y = simulated_noise.rate(draw, n, 1.0, N=1.0, Q=2.0, K=math.sqrt(1e-3))
         x = np.concatenate([[0.0], np.cumsum(y)])
-        row[:] = allan_kernel.second_differences(x, factors) / (2.0 * factors**2 * (n + 1 - 2 * factors))
-    expected = VarianceCovariance(factors, np.array([n + 1]))(squares)
+        sums = (allan_kernel.second_differences if order == ALLAN else allan_kernel.third_differences)(x, factors)
+        row[:] = sums / (math.factorial(order) * factors.astype(float) ** 2 * (n + 1 - order * factors))
+    assert found.mean(axis=0) == pytest.approx(model_matrix(factors, order) @ squares, rel=0.03)
+    expected = VarianceCovariance(factors, np.array([n + 1]), order)(squares)
     size = np.sqrt(np.diag(expected))
     assert np.var(found, axis=0) / size**2 == pytest.approx(np.ones(factors.size), abs=0.15)
     assert np.corrcoef(found.T) == pytest.approx(expected / np.outer(size, size), abs=0.08)

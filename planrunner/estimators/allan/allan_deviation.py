@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from planrunner.base.findings import closest
 from planrunner.estimators.allan.confidence import NAMES
-from planrunner.estimators.allan.fit import FLAT, TERMS, NoiseFit, expected_covariance, fit_noise
+from planrunner.estimators.allan.described_range import Described, described_range
+from planrunner.estimators.allan.fit import FLAT, TERMS, expected_covariance, model_matrix
 from planrunner.estimators.allan.phase import LONGEST, Phase, read_phase
 from planrunner.estimators.allan.planning import (
     averaging_factors,
@@ -42,6 +43,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Foresight
 from planrunner.estimators.root_of_square import root_of
+from planrunner.observation.observations import dithered
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Rest
@@ -57,7 +59,6 @@ WORDS = {
 }
 _FLOOR_FREEDOM = 10.0  # of an Allan deviation that is named as the lowest
 _SIGNIFICANT = 2.0  # standard uncertainties of a squared coefficient from zero
-_DOUBT = 0.01
 
 
 class AllanDeviationParameters(Record):
@@ -219,10 +220,26 @@ def _output(request: EstimateRequest[AllanDeviationParameters], name: str) -> _R
     if name in parameters.scale_factors:
         result.sensed = sensed_by(parameters.scale_factors[name], name, result.unit, request.uses)
     _fit(result, phase, parameters)
+    result.warnings += _rounded(request, name, result.unit)
     for kind in parameters.deviations:
         result.tables.append(_table(name, result.unit, kind, rows[kind], parameters.confidence))
     _describe_gaps(result, phase)
     return result
+
+
+def _rounded(request: EstimateRequest[AllanDeviationParameters], name: str, own: str) -> list[str]:
+    """A warning if counts hide the noise, so that deviations are those of the rounding."""
+    output = request.sensor.output(name)
+    for recorded in request.segments if output else ():
+        statistics = recorded.statistics
+        place = statistics.of(name)
+        if statistics.count > 1 and not dithered(request.sensor, name, float(statistics.covariance[place, place])):
+            assert output is not None
+            return [
+                f"{name}: the noise in '{recorded.label}' is too small for counts of {output.noise.resolution:.4g} {own}: the deviations "
+                "are those of the rounding, and the coefficients can be far too large or too small. Record with a finer resolution."
+            ]
+    return []
 
 
 def _never_changes(name: str) -> str:
@@ -270,10 +287,9 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
         if phase.gaps:
             raise UnfitDataError(str(error)) from None
         raise
-    factors = np.array([row.factor for row in chosen], dtype=np.int64)
-    variances = np.array([row.value**2 for row in chosen])
-    fit = fit_noise(factors, variances, np.array([row.freedom for row in chosen]), phase.lengths, terms)
-    widening = _judge(result, fit)
+    described = described_range(phase, chosen, terms, lambda: _hadamard(phase, chosen, parameters))
+    fit = described.fit
+    widening = _judge(result, described)
     units = result.sensed.units if result.sensed else coefficient_units(result.unit)
     roots = squares_to_coefficients(phase.interval)
     spreads = []
@@ -301,23 +317,49 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
     inner = fit.covariance[np.ix_(index, index)]
     size = np.sqrt(np.diag(inner))
     result.covariance = inner / np.outer(size, size) * np.outer(spreads, spreads)
-    result.plot = _plot(result, chosen, fit)
+    result.plot = _plot(result, described)
 
 
-def _judge(result: _Result, fit: NoiseFit) -> float:
-    """By how much the uncertainties are widened because the model does not describe the deviations; with a warning."""
-    from scipy.special import chdtrc
+def _hadamard(phase: Phase, chosen: Sequence[Deviation], parameters: AllanDeviationParameters) -> list[Deviation]:
+    """The Hadamard deviations at the averaging times of the fit that are known well enough."""
+    factors = np.array([row.factor for row in chosen], dtype=np.int64)
+    rows = deviations(phase, "hadamard", factors, parameters.confidence)
+    return [row for row in rows if row.value > 0 and takes_part(row.tau, row.freedom, parameters.fit_up_to)]
 
-    if fit.freedom < 1 or chdtrc(fit.freedom, fit.chi_square) >= _DOUBT:
-        return 1.0
-    widening = math.sqrt(fit.chi_square / fit.freedom)
-    result.warnings.append(
-        f"{result.name}: the fitted noise does not describe the deviations (χ² = {fit.chi_square:.3g} with "
-        f"{fit.freedom} degrees of "
-        f"freedom); uncertainties are widened {widening:.2g}-fold. Drift, vibration or a periodic disturbance may be "
-        "in the record."
-    )
-    return widening
+
+def _judge(result: _Result, found: Described) -> float:
+    """Notes and warnings about the range of the fit; by how much the uncertainties are widened because no range is described."""
+    name, drift = result.name, found.drift
+    if drift is not None:
+        result.notes.append(
+            f"{name}: the coefficients are fitted to the Hadamard variances, because in the Allan variances a steady drift would imitate a "
+            "random walk of the output."
+        )
+        if drift.present:
+            result.notes.append(
+                f"{name}: the output drifts steadily by ({drift.slope * 3600:.3g} ± {drift.standard_uncertainty * 3600:.2g}) "
+                f"{result.unit} an hour (standard uncertainty)."
+            )
+    if not found.fits:
+        widening = math.sqrt(max(1.0, found.fit.chi_square / max(1, found.fit.freedom)))
+        result.warnings.append(
+            f"{name}: the fitted noise does not describe the deviations (χ² = {found.fit.chi_square:.3g} with "
+            f"{found.fit.freedom} degrees of "
+            f"freedom); uncertainties are widened {widening:.2g}-fold. Drift, vibration or a periodic disturbance may be "
+            "in the record."
+        )
+        return widening
+    if found.shorter:
+        result.warnings.append(
+            f"{name}: the noise coefficients describe averaging times from {found.fitted[0].tau:.4g} s only. At shorter ones the "
+            "deviations differ: the output is filtered or rounded, or contains a periodic disturbance such as vibration."
+        )
+    if found.longer:
+        result.warnings.append(
+            f"{name}: the noise coefficients describe averaging times up to {found.fitted[-1].tau:.4g} s only. At longer ones the "
+            "deviations differ: the output warms up or drifts unsteadily."
+        )
+    return 1.0
 
 
 def _table(name: str, unit: str, kind: str, rows: Sequence[Deviation], probability: float) -> Table:
@@ -345,10 +387,12 @@ def _table(name: str, unit: str, kind: str, rows: Sequence[Deviation], probabili
     return Table(f"{kind.capitalize()} deviation of {name}", columns, cells)
 
 
-def _plot(result: _Result, chosen: Sequence[Deviation], fit: NoiseFit) -> Plot:
+def _plot(result: _Result, found: Described) -> Plot:
     """Deviations over all averaging times and the model's."""
     rows = [row for row in result.rows if row.value > 0]
-    fitted = {row.factor: math.sqrt(max(0.0, value)) for row, value in zip(chosen, fit.fitted, strict=True)}
+    factors = np.array([row.factor for row in found.fitted], dtype=np.int64)
+    variances = model_matrix(factors) @ found.fit.squares
+    fitted = {int(m): math.sqrt(max(0.0, value)) for m, value in zip(factors, variances, strict=True)}
     series = {
         "measured": tuple(row.value for row in rows),
         "fitted": tuple(fitted.get(row.factor, math.nan) for row in rows),

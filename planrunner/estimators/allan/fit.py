@@ -5,16 +5,22 @@ The model (IEEE Std 952, annex C; τ in s, the output in its unit):
     σ²(τ) = 3·Q²/τ² + N²/τ + (2·ln2/π)·B² + K²·τ/3
 
 Q quantisation, N random walk of the integrated output (angle random walk), B bias instability (the flat part lies at 0.664·B), K rate
-random walk. The overlapping variances at two averaging times share their data. Their covariance is that of sums of squares of Gaussian
-differences, 2·Σ_p Σ_q C(q − p)²/(M_i·M_j), where C is the covariance of a second difference at one averaging time with one at the other;
-it follows from the generalised autocovariance of the phase, which is a sum over the four kinds of noise (Greenhall and Riley, 2003). It
-depends on the coefficients, so that fit and covariance are repeated until they agree.
+random walk. The Hadamard variance, of third instead of second differences, does not respond to a steady drift of the output (NIST SP 1065,
+5.2.8); its model has the same four terms with other factors:
+
+    Hσ²(τ) = (10/3)·Q²/τ² + N²/τ + ((8·ln2 − 3·ln3)/(2π))·B² + K²·τ/6
+
+The overlapping variances at two averaging times share their data. Their covariance is that of sums of squares of Gaussian differences,
+2·Σ_p Σ_q C(q − p)²/(M_i·M_j), where C is the covariance of a difference at one averaging time with one at the other; it follows from the
+generalised autocovariance of the phase, which is a sum over the four kinds of noise (Greenhall and Riley, 2003). It depends on the
+coefficients, so that fit and covariance are repeated until they agree.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from functools import lru_cache
 
 import numpy as np
@@ -27,7 +33,11 @@ Integers = NDArray[np.int64]
 
 TERMS = ("Q", "N", "B", "K")
 FLAT = 2 * math.log(2) / math.pi  # 0.4413; its root is 0.664
-_SIGNS = (1.0, -2.0, 1.0)
+ALLAN, HADAMARD = 2, 3
+"""Orders of the differences."""
+_SIGNS = {ALLAN: (1.0, -2.0, 1.0), HADAMARD: (1.0, -3.0, 3.0, -1.0)}
+_FACTORS = {ALLAN: (3.0, FLAT, 1 / 3), HADAMARD: (10 / 3, (8 * math.log(2) - 3 * math.log(3)) / (2 * math.pi), 1 / 6)}
+"""Of Q²/τ², B² and K²·τ."""
 _EXACT = 48  # lags that are summed one by one; longer stretches are integrated
 _ROUNDS = 12
 _MOST_LENGTHS = 40
@@ -47,41 +57,49 @@ class NoiseFit:
     terms: tuple[str, ...]
 
 
-def model_matrix(factors: Integers) -> Array:
-    """(k, 4): Allan variance at each averaging factor for unit squares, in the order of `TERMS`."""
+def model_matrix(factors: Integers, order: int = ALLAN) -> Array:
+    """(k, 4): Allan (or Hadamard) variance at each averaging factor for unit squares, in the order of `TERMS`."""
     m = factors.astype(float)
-    return np.column_stack([3 / m**2, 1 / m, np.full(m.size, FLAT), m / 3])
+    quantisation, flat, walk = _FACTORS[order]
+    return np.column_stack([quantisation / m**2, 1 / m, np.full(m.size, flat), walk * m])
 
 
 class VarianceCovariance:
-    """Covariance (k, k) of overlapping Allan variances for any mixture of the four kinds of noise.
+    """Covariance (k, k) of overlapping Allan (or Hadamard) variances for any mixture of the four kinds of noise.
 
     factors: (k,) ascending; lengths: phase points of each run.
     """
 
-    def __init__(self, factors: Integers, lengths: Integers):
+    def __init__(self, factors: Integers, lengths: Integers, order: int = ALLAN):
         lengths, counts = _grouped(np.asarray(lengths))
-        terms = np.array([float(np.sum(counts * np.clip(lengths - 2 * m, 0, None))) for m in factors])
+        terms = np.array([float(np.sum(counts * np.clip(lengths - order * m, 0, None))) for m in factors])
+        scale = math.factorial(order) ** 2 / 2
         size = factors.size
         self.parts = np.zeros((size, size, 4, 4))
         for i in range(size):
             for j in range(i, size):
-                part = _sum_of_squares(int(factors[i]), int(factors[j]), lengths, counts)
-                part /= 2 * float(factors[i]) ** 2 * float(factors[j]) ** 2 * terms[i] * terms[j]
+                part = _sum_of_squares(int(factors[i]), int(factors[j]), lengths, counts, order)
+                part /= scale * float(factors[i]) ** 2 * float(factors[j]) ** 2 * terms[i] * terms[j]
                 self.parts[i, j] = self.parts[j, i] = part
+
+    def among(self, first: int, last: int) -> VarianceCovariance:
+        """Of the averaging factors first … last − 1 alone."""
+        fewer = copy(self)
+        fewer.parts = self.parts[first:last, first:last]
+        return fewer
 
     def __call__(self, squares: Array) -> Array:
         return np.asarray(np.einsum("ijab,a,b->ij", self.parts, squares, squares))
 
 
 @lru_cache(maxsize=4)
-def _covariance(factors: tuple[int, ...], lengths: tuple[int, ...]) -> VarianceCovariance:
+def _covariance(factors: tuple[int, ...], lengths: tuple[int, ...], order: int) -> VarianceCovariance:
     """Kept for the next output, which mostly has the same runs."""
-    return VarianceCovariance(np.array(factors, dtype=np.int64), np.array(lengths, dtype=np.int64))
+    return VarianceCovariance(np.array(factors, dtype=np.int64), np.array(lengths, dtype=np.int64), order)
 
 
-def _covariance_for(factors: Integers, lengths: Integers) -> VarianceCovariance:
-    return _covariance(tuple(factors.tolist()), tuple(np.asarray(lengths).tolist()))
+def covariance_for(factors: Integers, lengths: Integers, order: int = ALLAN) -> VarianceCovariance:
+    return _covariance(tuple(factors.tolist()), tuple(np.asarray(lengths).tolist()), order)
 
 
 def _grouped(lengths: Integers) -> tuple[Integers, Array]:
@@ -96,18 +114,19 @@ def _grouped(lengths: Integers) -> tuple[Integers, Array]:
     return found, counts.astype(float)
 
 
-def _sum_of_squares(near: int, far: int, lengths: Integers, counts: Array) -> Array:
+def _sum_of_squares(near: int, far: int, lengths: Integers, counts: Array, order: int) -> Array:
     """Σ_p Σ_q C_a(q − p)·C_b(q − p) over all runs for every pair of kinds of noise, (4, 4); averaging factors near ≤ far."""
-    shifts = np.array([[a * near - b * far for b in range(3)] for a in range(3)], dtype=float).ravel()
-    signs = np.array([x * y for x in _SIGNS for y in _SIGNS])
-    nodes, weights = _nodes(near, far, lengths)
+    points = range(order + 1)
+    shifts = np.array([[a * near - b * far for b in points] for a in points], dtype=float).ravel()
+    signs = np.outer(_SIGNS[order], _SIGNS[order]).ravel()
+    nodes, weights = _nodes(near, far, lengths, order)
     smooth = _smooth(nodes[:, None] - shifts[None, :]) @ signs  # (3, nodes)
-    weights = weights * _pairs(nodes, near, far, lengths, counts)
+    weights = weights * _pairs(nodes, near, far, lengths, counts, order)
     total = np.zeros((4, 4))
     total[1:, 1:] = (smooth * weights) @ smooth.T
     places, which = np.unique(shifts, return_inverse=True)
     spikes = np.bincount(which, weights=signs)
-    at_spikes = _pairs(places, near, far, lengths, counts) * spikes
+    at_spikes = _pairs(places, near, far, lengths, counts, order) * spikes
     total[0, 0] = float(at_spikes @ spikes)
     total[0, 1:] = total[1:, 0] = (_smooth(places[:, None] - shifts[None, :]) @ signs) @ at_spikes
     return total
@@ -120,29 +139,29 @@ def _smooth(t: Array) -> Array:
     return np.stack([-size / 2, size**2 * logarithm / (2 * math.pi), size**3 / 12])
 
 
-def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array) -> Array:
+def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array, order: int) -> Array:
     """How many pairs of a difference at `near` and one at `far` are `lag` samples apart, over all runs."""
     total = np.zeros(lag.shape)
     for length, count in zip(lengths, counts, strict=True):
-        first, second = length - 2 * near, length - 2 * far
+        first, second = length - order * near, length - order * far
         if second > 0:
             total += count * np.clip(np.minimum(first, second - lag) - np.maximum(0.0, -lag), 0.0, None)
     return total
 
 
-def _nodes(near: int, far: int, lengths: Integers) -> tuple[Array, Array]:
+def _nodes(near: int, far: int, lengths: Integers, order: int) -> tuple[Array, Array]:
     """Lags and weights that sum a function with corners at a·near − b·far and features of size `near` about them."""
     longest = int(lengths.max())
-    lowest, highest = -min(longest - 2 * near, 8 * far), min(longest - 2 * far, 8 * far)
+    lowest, highest = -min(longest - order * near, 8 * far), min(longest - order * far, 8 * far)
     edges = {lowest, highest + 1}
-    for b in range(3):
-        edges.update(a * near - b * far for a in range(-1, 4))
+    for b in range(order + 1):
+        edges.update(a * near - b * far for a in range(-1, order + 2))
         reach = 2 * near
         while reach < 8 * far:
             edges.update((near - b * far - reach, near - b * far + reach))
             reach *= 2
     for length in lengths[-4:]:
-        edges.update((int(length) - 2 * far, 2 * near - int(length)))
+        edges.update((int(length) - order * far, order * near - int(length)))
     ends = np.array(sorted(edge for edge in edges if lowest <= edge <= highest + 1))
     points, gauss = np.polynomial.legendre.leggauss(8)
     nodes, weights = [], []
@@ -158,9 +177,16 @@ def _nodes(near: int, far: int, lengths: Integers) -> tuple[Array, Array]:
 
 
 def fit_noise(
-    factors: Integers, variances: Array, freedom: Array, lengths: Integers, terms: Sequence[str] = TERMS
+    factors: Integers,
+    variances: Array,
+    freedom: Array,
+    lengths: Integers,
+    terms: Sequence[str] = TERMS,
+    order: int = ALLAN,
+    covariance: VarianceCovariance | None = None,
 ) -> NoiseFit:
-    """Fit of `terms` to Allan variances (k,) at `factors`, not all 0; `freedom` (k,): degrees of freedom, for the first weights.
+    """Fit of `terms` to Allan (or Hadamard) variances (k,) at `factors`, not all 0; `freedom` (k,): degrees of freedom, for the first
+    weights. covariance: of these variances, computed for runs of these lengths where it is not given.
 
     Raises `ValueError` when there are fewer averaging times than terms.
     """
@@ -169,15 +195,16 @@ def fit_noise(
     chosen = [TERMS.index(name) for name in TERMS if name in terms]
     if factors.size < len(chosen):
         raise ValueError(f"{factors.size} averaging times cannot determine {len(chosen)} coefficients")
-    matrix = model_matrix(factors)[:, chosen]
-    covariance_of = _covariance_for(factors, lengths)
+    whole = model_matrix(factors, order)
+    matrix = whole[:, chosen]
+    covariance_of = covariance or covariance_for(factors, lengths, order)
     positive = np.maximum(
         variances, variances[variances > 0].min()
     )  # counts that alternate give 0 at even averaging factors
-    covariance = np.diag(2 * positive**2 / freedom)
+    weighting = np.diag(2 * positive**2 / freedom)
     squares = np.zeros(4)
     for _ in range(_ROUNDS):
-        root = np.linalg.cholesky(covariance)
+        root = np.linalg.cholesky(weighting)
         white = np.linalg.solve(root, matrix)
         size = np.linalg.norm(white, axis=0)
         observed = np.linalg.solve(root, variances)
@@ -185,7 +212,7 @@ def fit_noise(
         squares[chosen] = nnls(white / size, observed)[0] / size
         if not squares.any():
             break
-        covariance = _sound(covariance_of(squares))
+        weighting = _sound(covariance_of(squares))
         if np.allclose(squares, before, rtol=1e-6, atol=0):
             break
     full, free = np.zeros((4, 4)), np.zeros(4)
@@ -196,7 +223,7 @@ def fit_noise(
     full = _not_too_sure(full, free, squares, chosen, covariance_of, gains)
     residual = observed - white @ free[chosen]
     left = factors.size - len(chosen)
-    fitted = model_matrix(factors) @ free
+    fitted = whole @ free
     return NoiseFit(free, full, fitted, float(residual @ residual), left, tuple(TERMS[k] for k in chosen))
 
 
@@ -218,7 +245,7 @@ def _not_too_sure(
 def expected_covariance(factors: Integers, squares: Array, lengths: Integers, terms: Sequence[str] = TERMS) -> Array:
     """(4, 4) covariance of the squares that `fit_noise` would find with noise as given; before anything is recorded."""
     chosen = [TERMS.index(name) for name in TERMS if name in terms]
-    covariance = _sound(_covariance_for(factors, lengths)(squares))
+    covariance = _sound(covariance_for(factors, lengths)(squares))
     white = np.linalg.solve(np.linalg.cholesky(covariance), model_matrix(factors)[:, chosen])
     size = np.linalg.norm(white, axis=0)
     full = np.zeros((4, 4))

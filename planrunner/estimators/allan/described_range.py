@@ -1,0 +1,112 @@
+"""The range of averaging times that the four kinds of noise describe, and whether a steady drift hides behind them.
+
+A record may hold more than noise: a filter or a periodic disturbance changes the deviations at short averaging times, a warm-up those at
+long ones, a steady drift imitates a random walk. The fit begins with all averaging times. If they contradict the model, the smallest
+number of them is left out at either end. If they show a random walk or a drift, which Allan variances cannot separate, Hadamard variances
+are fitted instead: their coefficients are right in both cases, and little less certain.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from planrunner.base.dataclass import dataclass
+from planrunner.estimators.allan.fit import ALLAN, HADAMARD, TERMS, NoiseFit, covariance_for, fit_noise
+from planrunner.estimators.allan.phase import Phase
+from planrunner.estimators.allan.steady_drift import SteadyDrift, steady_drift
+from planrunner.estimators.allan.table import Deviation
+
+_DOUBT = 0.01  # probability of a χ² at least this large, below which the model is refused
+_BELIEF = 0.2  # the same of a range that was searched for: the first that is just not refused would still be distorted
+_NEGATIVE = 4.0  # standard uncertainties by which a square may be negative by chance
+_SPARE = 2  # averaging times more than terms that a range needs
+_WHITE, _WALK = TERMS.index("N"), TERMS.index("K")
+
+
+@dataclass(frozen=True)
+class Described:
+    """fitted: the deviations that take part in `fit`, Hadamard deviations where `drift` is given; shorter, longer: how many averaging times
+    are left out at either end; fits: whether the model describes the rest; probability: of its χ² or a larger one."""
+
+    fit: NoiseFit
+    fitted: Sequence[Deviation]
+    shorter: int = 0
+    longer: int = 0
+    drift: SteadyDrift | None = None
+
+    @cached_property
+    def probability(self) -> float:
+        from scipy.special import chdtrc
+
+        return float(chdtrc(self.fit.freedom, self.fit.chi_square)) if self.fit.freedom else 1.0
+
+    @property
+    def fits(self) -> bool:
+        """Neither χ² nor squares that are more negative than chance makes them contradict the model."""
+        spreads = np.sqrt(np.diag(self.fit.covariance))
+        return self.probability >= _DOUBT and bool(np.all(self.fit.squares >= -_NEGATIVE * spreads))
+
+
+def described_range(
+    phase: Phase, rows: Sequence[Deviation], terms: Sequence[str], hadamard: Callable[[], Sequence[Deviation]]
+) -> Described:
+    """rows: overlapping Allan deviations that are known well enough; hadamard: gives the Hadamard deviations, which take time."""
+    allan = _Ranges(phase, rows, terms, ALLAN)
+    walks, white = _walks(allan.whole.fit), _white(allan.whole.fit)
+    if allan.whole.fits and not walks and white.squares.any() and not steady_drift(phase, white).present:
+        return allan.whole
+    third = hadamard()
+    if len(third) > len(terms):
+        drifting = _Ranges(phase, third, terms, HADAMARD).widest()
+        drift = steady_drift(phase, drifting.fit)
+        if drifting.fits and (drift.present or walks):
+            return replace(drifting, drift=drift)
+    return allan.widest()
+
+
+class _Ranges:
+    """Fits of parts of the same deviations."""
+
+    def __init__(self, phase: Phase, rows: Sequence[Deviation], terms: Sequence[str], order: int):
+        self.rows, self.terms, self.order, self.lengths = rows, terms, order, phase.lengths
+        self.factors = np.array([row.factor for row in rows], dtype=np.int64)
+        self.covariance = covariance_for(self.factors, phase.lengths, order)
+        self.whole = self.without(0, 0)
+
+    def widest(self) -> Described:
+        """The largest range that fits; of equal ones that with the longer averaging times. The whole where none fits."""
+        if self.whole.fits:
+            return self.whole
+        most = len(self.rows) - len(self.terms) - _SPARE
+        ends = [(shorter, fewer - shorter) for fewer in range(1, most + 1) for shorter in range(fewer, -1, -1)]
+        fitting = [one for pair in ends if (one := self.without(*pair)).fits]
+        return next((one for one in fitting if one.probability >= _BELIEF), fitting[0] if fitting else self.whole)
+
+    def without(self, shorter: int, longer: int) -> Described:
+        end = len(self.rows) - longer
+        rows = self.rows[shorter:end]
+        variances, freedom = np.array([row.value**2 for row in rows]), np.array([row.freedom for row in rows])
+        inner = self.covariance.among(shorter, end)
+        factors = self.factors[shorter:end]
+        return Described(
+            fit_noise(factors, variances, freedom, self.lengths, self.terms, self.order, inner), rows, shorter, longer
+        )
+
+
+def _walks(fit: NoiseFit) -> bool:
+    """Whether the fit found a random walk, which a drift imitates."""
+    return bool(fit.squares[_WALK] > 2 * math.sqrt(fit.covariance[_WALK, _WALK]))
+
+
+def _white(fit: NoiseFit) -> NoiseFit:
+    """The white noise of a fit alone: a drift also goes into what it says of the others."""
+    return replace(
+        fit,
+        squares=np.where(np.arange(len(TERMS)) == _WHITE, np.maximum(fit.squares, 0.0), 0.0),
+        covariance=0 * fit.covariance,
+    )

@@ -1,0 +1,56 @@
+"""Steady drift of an output: whether a record contains more of it than its noise explains, and how large it is.
+
+The halves of a run differ by the drift over half the run and by the noise, whose variance is twice the Allan variance at half the run. That
+variance is taken from a fit of Hadamard variances, which a steady drift does not change. It is not exactly known, above all because little
+is known of a random walk: the differences are judged by its upper bound, two standard uncertainties above what was found.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.estimators.allan.fit import NoiseFit, model_matrix
+from planrunner.estimators.allan.phase import Phase
+
+Array = NDArray[np.float64]
+_CHANCE = 1e-3  # probability of differences at least this large by noise alone
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyDrift:
+    """slope with its standard uncertainty, in the output's unit per second, a weighted mean over the runs; probability: of so large
+    differences between the halves of runs by noise alone."""
+
+    slope: float
+    standard_uncertainty: float
+    probability: float
+
+    @property
+    def present(self) -> bool:
+        return self.probability < _CHANCE
+
+
+def steady_drift(phase: Phase, fit: NoiseFit) -> SteadyDrift:
+    """fit: of the Hadamard variances of the same record."""
+    from scipy.special import chdtrc
+
+    halves = np.array([(run.size - 1) // 2 for run in phase.runs], dtype=np.int64)
+    steps = np.array(
+        [(run[2 * m] - 2 * run[m] + run[0]) / m for run, m in zip(phase.runs, halves.tolist(), strict=True)]
+    )
+    rows = model_matrix(halves)
+    found = rows @ np.maximum(fit.squares, 0.0)
+    unsure = np.sqrt(np.einsum("ri,ij,rj->r", rows, fit.covariance, rows))
+    variances = 2 * (found + unsure)
+    ratios = steps**2 / (2 * (found + 2 * unsure))
+    spans = halves * phase.interval
+    information = float(np.sum(spans**2 / variances))
+    return SteadyDrift(
+        float(np.sum(spans * steps / variances)) / information,
+        1 / math.sqrt(information),
+        float(chdtrc(len(steps), np.sum(ratios))),
+    )

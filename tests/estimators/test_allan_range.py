@@ -1,0 +1,107 @@
+"""Records that hold more than the four kinds of noise: what is left is described, and the rest is named."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import simulated_noise
+from recorded import from_samples, segment, sensor
+
+from planrunner.estimators.allan.allan_deviation import AllanDeviation, AllanDeviationParameters
+from planrunner.estimators.interface import Estimate, EstimateRequest
+from planrunner.instruments.models import NoiseModel
+from planrunner.physics.earth import Site
+
+SITE = Site(math.radians(40.0))
+HERTZ = 50.0
+Array = np.ndarray
+
+
+def estimate(values: Array, hertz: float = HERTZ, noise: NoiseModel | None = None, **keys: Any) -> Estimate:
+    time = np.arange(values.size) / hertz
+    recorded = from_samples(segment("rest"), time, {"gyro": values}, {"gyro": "pulse/s"}, rows=10_007)
+    parameters = AllanDeviationParameters(outputs=("gyro",), **keys)
+    device = sensor("gyro", unit="pulse/s", noise=noise)
+    return AllanDeviation().estimate(EstimateRequest("noise", (recorded,), parameters, SITE, device))
+
+
+def white(seed: int, size: int = 2**16, level: float = 1.0) -> Array:
+    """N = `level` pulse/√s at 50 Hz."""
+    return level * math.sqrt(HERTZ) * np.random.default_rng(seed).standard_normal(size)
+
+
+def error(found: Estimate, name: str, truth: float) -> float:
+    one = found[f"{name}_gyro"]
+    return abs(one.value - truth) / one.standard_uncertainty
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_line_at_20_hz_does_not_move_the_random_walk(seed: int) -> None:
+    time = np.arange(2**16) / HERTZ
+    found = estimate(white(seed) + 20 * np.sin(2 * np.pi * 20 * time + seed))
+    assert error(found, "N", 1.0) < 3.5
+    assert found["N_gyro"].standard_uncertainty < 0.25
+    assert [text for text in found.warnings if "At shorter ones" in text]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_filtered_output_is_named_and_its_random_walk_found(seed: int) -> None:
+    """A first-order low-pass of 0.1 s: at short averaging times the deviations are lower than those of white noise."""
+    values = white(seed)
+    filtered = np.zeros(values.size)
+    share = 1 - math.exp(-1 / (HERTZ * 0.1))
+    state = 0.0
+    for k, value in enumerate(values):
+        state += share * (value - state)
+        filtered[k] = state
+    found = estimate(filtered)
+    assert error(found, "N", 1.0) < 3.5
+    assert [text for text in found.warnings if "At shorter ones" in text and "filtered" in text]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_steady_drift_is_no_random_walk(seed: int) -> None:
+    """Five pulse/s over the record, two hundred times the noise of its mean."""
+    size = 2**16
+    slope = 5 / (size / HERTZ)
+    found = estimate(white(seed) + slope * np.arange(size) / HERTZ)
+    assert found.warnings == ()
+    (note,) = [text for text in found.notes if "drifts steadily" in text]
+    number, spread = (float(text) for text in note.partition("(")[2].partition(")")[0].split(" ± "))
+    assert abs(number - slope * 3600) < 3.5 * spread < slope * 3600
+    assert error(found, "N", 1.0) < 3.5
+    assert error(found, "K", 0.0) < 2
+
+
+def test_a_random_walk_is_no_steady_drift() -> None:
+    for seed in range(6):
+        draw = np.random.default_rng([7, seed])
+        values = simulated_noise.rate(draw, 2**14, 1.0, N=1.0, K=0.03)
+        found = estimate(values, 1.0)
+        assert not [text for text in found.notes if "drifts steadily" in text]
+        assert error(found, "K", 0.03) < 3.5
+
+
+def test_a_random_walk_beneath_a_drift_keeps_its_interval() -> None:
+    """K with a ramp ten times as large as what it wanders itself."""
+    held, drifting = 0, 0
+    for seed in range(12):
+        draw = np.random.default_rng([8, seed])
+        size = 2**13
+        walk = simulated_noise.rate(draw, size, 1.0, N=1.0, K=0.03)
+        found = estimate(walk + 30 * np.arange(size) / size, 1.0)
+        held += error(found, "K", 0.03) <= 2
+        drifting += any("drifts steadily" in text for text in found.notes)
+    assert drifting >= 10
+    assert held >= 9  # 95 %: fewer than nine in one of two thousand tries
+
+
+def test_counts_that_hide_the_noise_are_named() -> None:
+    values = white(5, 2**14)
+    found = estimate(50 * np.round(values / 50 + 0.2), noise=NoiseModel(resolution=50.0))
+    assert [text for text in found.warnings if "too small for counts" in text]
+    fine = estimate(np.round(values), noise=NoiseModel(resolution=1.0))
+    assert not [text for text in fine.warnings if "counts" in text]
