@@ -7,7 +7,7 @@ and to zero across it. A row that is not close to this is fitted as well as any 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,12 +61,12 @@ def contradictions(rows: Sequence[AxisResponse]) -> list[str]:
     return found + [text for row in excited if (text := _size(row))]
 
 
-def against_nominal(names: Sequence[str], values: Sequence[float], nominal: Sequence[float]) -> list[str]:
-    """Warnings about scale factors whose sign or size is not that of the nominal value in the bench file, both in one unit. A nominal value
-    of zero, or none (nan), says nothing."""
+def against_nominal(factors: Iterable[tuple[str, float, float]]) -> list[str]:
+    """Warnings about scale factors, each a name, the value found and the nominal value in the bench file (not zero), whose sign or size is
+    not the nominal one."""
     found = []
-    for name, value, expected in zip(names, values, nominal, strict=True):
-        ratio = value / expected if expected else math.nan
+    for name, value, nominal in factors:
+        ratio = value / nominal
         if ratio < 0:
             found.append(
                 f"{name} has the opposite sign to its nominal value in the bench file: the output is reversed, or the senses or labels of "

@@ -149,6 +149,56 @@ WARNINGS = (
         "freedom); "
         "uncertainties are widened %(factor)s-fold. Drift, vibration or a periodic disturbance may be in the record."
     ),
+    _(
+        "Segment '%(segment)s' does not fit the others: the mean of %(output)s lies %(error)s from what they lead one "
+        "to expect (%(deviations)s standard deviations; chance of that: %(chance)s). Without it a coefficient changes "
+        "by %(change)s standard uncertainties: check its label, its planned state and its data."
+    ),
+    _(
+        "All three accelerometers respond with the opposite sign: either the recording contains gravity instead of "
+        "specific force (which points up at rest), or the labels of opposite positions are exchanged."
+    ),
+    _(
+        "All three gyros respond with the opposite sign: either the senses of the planned rotations are exchanged, or "
+        "the sensor counts clockwise rates as positive."
+    ),
+    _(
+        "%(output)s responds along %(axis)s with the opposite sign (scale factor %(factor)s): its axis is reversed. "
+        "Check its sign in the bench file, its mounting and the labels of opposite positions."
+    ),
+    _(
+        "%(output)s responds mostly along %(axis)s (%(response)s; along %(own)s %(factor)s): channels, axes or "
+        "positions are exchanged. Check the channels in the bench file and the orientations of the segments."
+    ),
+    _("The three input axes form a left-handed triad: one axis is reversed, or two channels are exchanged."),
+    _(
+        "%(output)s has a scale factor of %(factor)s: its samples agree with %(other)s, but the recording declares "
+        "%(unit)s. Correct its unit in the bench file."
+    ),
+    _(
+        "%(output)s has a scale factor of %(factor)s, far from 1: check its unit and its sensitivity in the bench file,"
+        " and the planned states."
+    ),
+    _(
+        "%(name)s has the opposite sign to its nominal value in the bench file: the output is reversed, or the senses "
+        "or labels of opposite states are exchanged."
+    ),
+    _(
+        "%(name)s is %(ratio)s times its nominal value in the bench file: check the nominal value, the unit of the "
+        "output and the planned states."
+    ),
+    _(
+        "%(name)s: the noise coefficients describe averaging times from %(time)s s only. At shorter ones the deviations"
+        " differ: the output is filtered or rounded, or contains a periodic disturbance such as vibration."
+    ),
+    _(
+        "%(name)s: the noise coefficients describe averaging times up to %(time)s s only. At longer ones the deviations"
+        " differ: the output warms up or drifts unsteadily."
+    ),
+    _(
+        "%(name)s: the noise in '%(segment)s' is too small for counts of %(count)s: the deviations are those of the "
+        "rounding, and the coefficients can be far too large or too small. Record with a finer resolution."
+    ),
     _("Series %(series)s is cut short in '%(segment)s': it is left out."),
     _("Series %(series)s has %(count)s of %(most)s rates: it is left out."),
     _("Series %(series)s has other rates than the rest: it is left out."),

@@ -5,6 +5,7 @@ Small estimates of the other tests say it; each must be found in every catalogue
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from importlib.metadata import entry_points
@@ -36,6 +37,7 @@ from planrunner.estimators.accelerometer import gravity_magnitude
 from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
 from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.allan import allan_deviation
+from planrunner.estimators.declared_axes import AxisResponse, against_nominal, contradictions
 from planrunner.estimators.flexure_gyro.tables import descriptions
 from planrunner.estimators.imu.coefficients import Response, calibration
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Setup
@@ -185,7 +187,7 @@ def a_cut_series() -> tuple[str, ...]:
 
 def a_dead_zone() -> tuple[str, ...]:
     still = [
-        tilted.sampled(one.segment, {"gyro_x": 0.0 if abs(one.segment.rate) < 0.1 else one.segment.rate})
+        tilted.sampled(one.segment, {"gyro_x": 0.0 if abs(one.segment.rate) < 0.1 else math.degrees(one.segment.rate)})
         for one in tilted.series({"x": (0.0, 0.0)}, {"x": GYROS["x"]}, rates=(100.0, -100.0, 2.0, -2.0, 1.0, -1.0))
     ]
     return tilted.estimate(still, {"x": (0.0, 0.0)}).warnings
@@ -202,6 +204,13 @@ def a_rocking_test(without: str = "", axes: int = 3) -> tuple[str, ...]:
 def lost(count: int) -> tuple[str, ...]:
     one = from_means(segment("R1"), {"gyro": 1.0}, "deg/h", 0.1)
     return lost_samples([replace(one, statistics=replace(one.statistics, rejected=3, largest_gap=5.0))] * count, 100.0)
+
+
+def responding(*rows: Sequence[float], text: str = "g", kind: str = "accel") -> list[str]:
+    """Of a triad with these ratios along x, y and z."""
+    return contradictions(
+        [AxisResponse(f"{kind}_{'xyz'[k]}", k, unit(text), dict(enumerate(row))) for k, row in enumerate(rows)]
+    )
 
 
 LOUD = np.random.default_rng(3).normal(0, 0.5, (8, 2))
@@ -222,6 +231,17 @@ WARNED: dict[str, Callable[[], Sequence[str]]] = {
     "no table": lambda: a_rocking_test(axes=0),
     "highest order": lambda: (
         temperatures.model(temperatures.given(np.arange(8.0), np.arange(8.0) ** 3, 1e-6), highest_order=2).warnings
+    ),
+    "a segment unlike the others": lambda: flexure.estimate(np.eye(8, 2) * 50, error=0.01).warnings,
+    "a reversed axis": lambda: responding((1, 0, 0), (0, -1, 0), (0, 0, 1)),
+    "exchanged axes": lambda: responding((0, 1, 0), (1, 0, 0), (0, 0, 1)),
+    "all accelerometers reversed": lambda: responding((-1, 0, 0), (0, -1, 0), (0, 0, -1)),
+    "all gyros reversed": lambda: responding((-1, 0, 0), (0, -1, 0), (0, 0, -1), text="deg/s", kind="gyro"),
+    "a wrong unit": lambda: responding((57.3, 0, 0), text="rad/s", kind="gyro"),
+    "half the sensitivity": lambda: responding((0.5, 0, 0)),
+    "unlike the nominal value": lambda: against_nominal([("K_x", -1.0, 1.0), ("K_y", 3.0, 1.0)]),
+    "a line at short averaging times": lambda: (
+        allan.run(allan.record(allan.white(2**14) + 20 * np.sin(np.arange(2**14) * 2.5))).warnings
     ),
     "samples lost": lambda: lost(1),
     "samples lost in many segments": lambda: lost(5),

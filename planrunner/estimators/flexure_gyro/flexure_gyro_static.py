@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -148,11 +147,10 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         """Residuals, both bases of uncertainty, and the determinant of the positions."""
         fit, basis = found.fit, request.parameters.uncertainty
         notes, warnings = judge(fit, basis)
-        factors = [one for one in found.coefficients if one.name in flexure_gyro.SCALE_FACTORS]
         warnings += against_nominal(
-            [one.name for one in factors],
-            [one.value * unit(one.unit).factor for one in factors],
-            [request.sensor.nominal.get(one.name, math.nan) for one in factors],
+            (one.name, one.value * unit(one.unit).factor, nominal)
+            for one in found.coefficients
+            if one.name in flexure_gyro.SCALE_FACTORS and (nominal := request.sensor.nominal.get(one.name))
         )
         notes.append(tables.information(found.design)[1])
         return Words(

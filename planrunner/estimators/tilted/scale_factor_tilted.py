@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
-from planrunner.estimators.declared_axes import against_nominal
+from planrunner.error_model.observed import axis_of
+from planrunner.estimators.declared_axes import AxisResponse, against_nominal, contradictions
 from planrunner.estimators.interface import (
     Design,
     DesignRequest,
@@ -186,22 +187,23 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
                 "reference_temperature": situation.groups[situation.reference].label or "not stated",
                 "fixture_angles": "calibrated" if found.calibrated else "as stated",
             },
-            warnings=(*found.doubts, *_against_nominal(request, found), *said.warnings),
+            warnings=(*found.doubts, *_against_declared(request, found), *said.warnings),
             segments=found.kept,
         )
 
 
-def _against_nominal(request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> list[str]:
-    """Of an output of angular rate without nominal value, one is the nominal scale factor."""
-    axes, at = found.situation.conditions.axes, found.situation.reference
-    units = [own for _, own in found.units]
-    nominal = [
-        request.sensor.nominal.get(f"K_{name}", 1.0 if own.dimension == DIMENSIONS["angular rate"] else math.nan)
-        for name, own in zip(axes.outputs, units, strict=True)
-    ]
-    slopes = found.situation.found.means[at, :, K]
-    values = [float(slope * own.factor) for slope, own in zip(slopes, units, strict=True)]
-    return against_nominal([f"K_{name}" for name in axes.names], values, nominal)
+def _against_declared(request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> list[str]:
+    """Warnings about outputs whose scale factor is not the nominal one, or not one where an output of angular rate has none declared."""
+    axes, slopes = found.situation.conditions.axes, found.situation.found.means[found.situation.reference, :, K]
+    named: list[tuple[str, float, float]] = []
+    plain: list[AxisResponse] = []
+    for axis, output, slope, (_, own) in zip(axes.names, axes.outputs, slopes, found.units, strict=True):
+        value, letter = float(slope * own.factor), axis_of(output)
+        if nominal := request.sensor.nominal.get(f"K_{output}"):
+            named.append((f"K_{axis}", value, nominal))
+        elif own.dimension == DIMENSIONS["angular rate"] and letter is not None:
+            plain.append(AxisResponse(output, letter, own, {letter: value}))
+    return [*against_nominal(named), *contradictions(plain)]
 
 
 def _situation(
