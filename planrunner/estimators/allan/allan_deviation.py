@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.findings import closest
 from planrunner.estimators.allan.confidence import NAMES
-from planrunner.estimators.allan.described_range import Described, described_range
+from planrunner.estimators.allan.described_range import DescribedRange, described_range
 from planrunner.estimators.allan.fit import FLAT, TERMS, expected_covariance, model_matrix
 from planrunner.estimators.allan.phase import LONGEST, Phase, read_phase
 from planrunner.estimators.allan.planning import (
@@ -327,7 +327,7 @@ def _hadamard(phase: Phase, chosen: Sequence[Deviation], parameters: AllanDeviat
     return [row for row in rows if row.value > 0 and takes_part(row.tau, row.freedom, parameters.fit_up_to)]
 
 
-def _judge(result: _Result, found: Described) -> float:
+def _judge(result: _Result, found: DescribedRange) -> float:
     """Notes and warnings about the range of the fit; by how much the uncertainties are widened because no range is described."""
     name, drift = result.name, found.drift
     if drift is not None:
@@ -387,7 +387,7 @@ def _table(name: str, unit: str, kind: str, rows: Sequence[Deviation], probabili
     return Table(f"{kind.capitalize()} deviation of {name}", columns, cells)
 
 
-def _plot(result: _Result, found: Described) -> Plot:
+def _plot(result: _Result, found: DescribedRange) -> Plot:
     """Deviations over all averaging times and the model's."""
     rows = [row for row in result.rows if row.value > 0]
     factors = np.array([row.factor for row in found.fitted], dtype=np.int64)

@@ -29,7 +29,7 @@ _WHITE, _WALK = TERMS.index("N"), TERMS.index("K")
 
 
 @dataclass(frozen=True)
-class Described:
+class DescribedRange:
     """fitted: the deviations that take part in `fit`, Hadamard deviations where `drift` is given; shorter, longer: how many averaging times
     are left out at either end; fits: whether the model describes the rest; probability: of its χ² or a larger one."""
 
@@ -54,7 +54,7 @@ class Described:
 
 def described_range(
     phase: Phase, rows: Sequence[Deviation], terms: Sequence[str], hadamard: Callable[[], Sequence[Deviation]]
-) -> Described:
+) -> DescribedRange:
     """rows: overlapping Allan deviations that are known well enough; hadamard: gives the Hadamard deviations, which take time."""
     allan = _Ranges(phase, rows, terms, ALLAN)
     walks, white = _walks(allan.whole.fit), _white(allan.whole.fit)
@@ -78,7 +78,7 @@ class _Ranges:
         self.covariance = covariance_for(self.factors, phase.lengths, order)
         self.whole = self.without(0, 0)
 
-    def widest(self) -> Described:
+    def widest(self) -> DescribedRange:
         """The largest range that fits; of equal ones that with the longer averaging times. The whole where none fits."""
         if self.whole.fits:
             return self.whole
@@ -87,13 +87,13 @@ class _Ranges:
         fitting = [one for pair in ends if (one := self.without(*pair)).fits]
         return next((one for one in fitting if one.probability >= _BELIEF), fitting[0] if fitting else self.whole)
 
-    def without(self, shorter: int, longer: int) -> Described:
+    def without(self, shorter: int, longer: int) -> DescribedRange:
         end = len(self.rows) - longer
         rows = self.rows[shorter:end]
         variances, freedom = np.array([row.value**2 for row in rows]), np.array([row.freedom for row in rows])
         inner = self.covariance.among(shorter, end)
         factors = self.factors[shorter:end]
-        return Described(
+        return DescribedRange(
             fit_noise(factors, variances, freedom, self.lengths, self.terms, self.order, inner), rows, shorter, longer
         )
 
