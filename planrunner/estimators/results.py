@@ -51,7 +51,7 @@ class Results:
                 "planrunner_results": FORMAT,
                 **({} if self.origin is None else {"origin": self.origin}),
                 "estimates": [_estimate_to(estimate) for estimate in self.estimates.values()],
-                "limits": [{item.name: getattr(limit, item.name) for item in fields(limit)} for limit in self.limits],
+                "limits": [_fields(limit) for limit in self.limits],
                 "failures": dict(self.failures),
                 **({"unfit": list(self.unfit)} if self.unfit else {}),
                 "segments": [dict(segment) for segment in self.segments],
@@ -117,28 +117,28 @@ def _estimate_to(estimate: Estimate) -> JsonObject:
     return {
         "name": estimate.name,
         "estimator": estimate.estimator,
-        "coefficients": [{item.name: getattr(one, item.name) for item in fields(one)} for one in estimate.coefficients],
+        "coefficients": [_fields(one) for one in estimate.coefficients],
         "covariance": np.asarray(estimate.covariance, dtype=float).tolist(),
         "headline": list(estimate.headline),
         "settings": dict(estimate.settings),
         "tables": [_table_to(table) for table in estimate.tables],
-        "plots": [{item.name: getattr(plot, item.name) for item in fields(plot)} for plot in estimate.plots],
+        "plots": [_fields(plot) for plot in estimate.plots],
         "notes": list(estimate.notes),
         "warnings": list(estimate.warnings),
         "segments": list(estimate.segments),
         "extra": dict(estimate.extra),
-        "budgets": [_budget_to(budget) for budget in estimate.budgets],
+        "budgets": [
+            _fields(budget) | {"lines": [_fields(line) for line in budget.lines]} for budget in estimate.budgets
+        ],
     }
 
 
-def _budget_to(budget: Budget) -> JsonObject:
-    plain = {item.name: getattr(budget, item.name) for item in fields(budget)}
-    return plain | {"lines": [{item.name: getattr(line, item.name) for item in fields(line)} for line in budget.lines]}
+def _fields(record: LimitVerdict | Coefficient | Plot | Budget | BudgetLine | Table | TableColumn) -> JsonObject:
+    return {item.name: getattr(record, item.name) for item in fields(record)}
 
 
 def _table_to(table: Table) -> JsonObject:
-    columns = [{item.name: getattr(one, item.name) for item in fields(one)} for one in table.columns]
-    return {item.name: getattr(table, item.name) for item in fields(table)} | {"columns": columns}
+    return _fields(table) | {"columns": [_fields(one) for one in table.columns]}
 
 
 def _table_from(data: Mapping[str, Json], settings: Mapping[str, Json]) -> Table:

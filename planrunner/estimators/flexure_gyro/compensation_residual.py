@@ -6,9 +6,8 @@ residual sums of squares stands beside the ratio that the sets' positions lead o
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from planrunner.estimators.flexure_gyro.compensation_influences import (
     sums_and_ratios,
 )
 from planrunner.estimators.flexure_gyro.compensation_prediction import (
+    Prediction,
     expected_sum,
     noise_maps,
     predict_residuals,
@@ -160,7 +160,7 @@ def _stated_maps(stated: Sequence[Influence], sets: int, residuals: int) -> Arra
     return np.hstack([np.zeros((sets * residuals, 0)), *columns]).reshape(sets, residuals, -1)
 
 
-def _several(sets: Mapping[str, Any]) -> None:
+def _several(sets: Sized) -> None:
     if len(sets) < 2:
         raise EstimationError(
             "compensation_residual compares two or more sets of coefficients: name them in `uses`, the reference first"
@@ -195,7 +195,7 @@ def _assemble(
     request: EstimateRequest[CompensationResidualParameters],
     labels: Sequence[str],
     residuals: Mapping[str, Array],
-    prediction: Any,
+    prediction: Prediction,
 ) -> Estimate:
     names = tuple(residuals)
     first = names[0]

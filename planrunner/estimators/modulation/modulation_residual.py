@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -264,8 +263,8 @@ def _cycles(
         assert item.cycle is not None
         stops, turns = item.cycle.integral()
         part = periodic.get(item.name)
-        measured = (part.largest_velocity(), part.largest_position()) if part else ("–", "–")
-        expected: tuple[Any, Any] = ("–", "–")
+        measured: tuple[Cell, Cell] = (part.largest_velocity(), part.largest_position()) if part else ("–", "–")
+        expected: tuple[Cell, Cell] = ("–", "–")
         if declared is not None and part is not None and item.attitude is not None:
             expected = periodic_amplitudes(declared, item.attitude, item.cycle, part.orders, request.site)
         share = abs(item.cycle.residual) / item.cycle.period

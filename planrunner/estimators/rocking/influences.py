@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.interface import EstimateRequest
-from planrunner.estimators.rocking.parameters import INSTALLATION, RockingDriftParameters
+from planrunner.estimators.rocking.parameters import RockingDriftParameters
 from planrunner.estimators.rocking.solution import ReducedRun, RockingConditions, accelerometer_drift, gimbal_drift
 from planrunner.estimators.rocking.statistics import AXES, WEIGHTS, CombinedDrifts
 from planrunner.estimators.stated_errors import stated_site
@@ -71,8 +71,7 @@ def _of_all_runs(
         yield stated.seen_by(lambda site: replace(conditions, earth=site.earth_rate_enu, gravity=site.gravity))
     if (azimuth := inputs.get("azimuth")) is not None:
         yield StatedCondition.single(azimuth, lambda by: replace(conditions, turned=by))
-    for k, name in enumerate(INSTALLATION):
-        angle = getattr(request.parameters.installation_angles, name)
+    for k, (name, angle) in enumerate(request.parameters.installation_angles.stated().items()):
         if angle.standard_uncertainty:
             quantity = InputQuantity(
                 f"installation angle {name}",
@@ -87,7 +86,9 @@ def _of_all_runs(
 
 
 def _installed(conditions: RockingConditions, k: int, by: float) -> RockingConditions:
-    return replace(conditions, installation=conditions.installation + by * (np.arange(len(INSTALLATION)) == k))
+    return replace(
+        conditions, installation=conditions.installation + by * (np.arange(len(conditions.installation)) == k)
+    )
 
 
 def _coefficients(runs: Runs, combined: CombinedDrifts, conditions: RockingConditions) -> Array:

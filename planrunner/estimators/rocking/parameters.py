@@ -11,7 +11,6 @@ from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, R
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 Array = NDArray[np.float64]
-INSTALLATION = ("xz", "xy", "yz", "yx", "zy", "zx")
 
 
 def _angle(description: str, example: str) -> Any:
@@ -28,9 +27,13 @@ class Installation(Record):
     zy: Quantity = _angle("Q_zy, z accelerometer about y.", "-3 arcsec ± 2 arcsec")
     zx: Quantity = _angle("Q_zx, z accelerometer about x.", "14 arcsec ± 2 arcsec")
 
+    def stated(self) -> dict[str, Quantity]:
+        """By name, in the order in which `RockingConditions` has them."""
+        return {"xz": self.xz, "xy": self.xy, "yz": self.yz, "yx": self.yx, "zy": self.zy, "zx": self.zx}
+
     def angles(self) -> Array:
-        """In the order of INSTALLATION, rad."""
-        return np.array([getattr(self, name).value for name in INSTALLATION])
+        """In that order, rad."""
+        return np.array([one.value for one in self.stated().values()])
 
 
 def _channels(description: str, names: tuple[str, ...], least: int) -> Any:

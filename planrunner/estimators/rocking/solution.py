@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, slots=True)
 class RockingConditions:
     """Conditions of the solution. earth: (3,) rad/s, East-North-Up; gravity: m/s^2; installation: (6,) rad, in the order of
-    `parameters.INSTALLATION`; turned: rad, by which the table's azimuth is really farther east."""
+    `Installation.stated`; turned: rad, by which the table's azimuth is really farther east."""
 
     earth: Array
     gravity: float

@@ -5,9 +5,9 @@ mechanisation.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,7 +146,7 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
 def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: RecordedSegment, factor: float) -> Site:
     """The position of alignment: from run information, else as the reference channels show, else the bench's site. factor: on normal
     gravity. Raises `EstimationError`."""
-    places: dict[str, Any] = {}
+    places: dict[str, float] = {}
     for name, dimension in _POSITION.items():
         text = request.setup.information.get(name, "").strip()
         channel = name.replace("initial", "reference")
@@ -154,8 +154,14 @@ def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: R
             places[name.removeprefix("initial_")] = _told(name, text, dimension)
         elif channel in stop.statistics.channels:
             places[name.removeprefix("initial_")] = reference_mean(stop, channel)
-    site = replace(request.site.on_ellipsoid, **places)
+    site = _at(request.site.on_ellipsoid, places)
     return replace(site, gravity=factor * float(normal_gravity(site.latitude, site.height)))
+
+
+def _at(site: Site, places: Mapping[str, float]) -> Site:
+    """With the latitude, longitude [rad] and height [m] that are named."""
+    latitude, longitude = places.get("latitude", site.latitude), places.get("longitude", site.longitude)
+    return replace(site, latitude=latitude, longitude=longitude, height=places.get("height", site.height))
 
 
 def _told(name: str, text: str, dimension: str) -> float:
@@ -268,12 +274,12 @@ def _begin(
     parameters = request.parameters
     first = {name: _before(values) for name, values in piece.reference.items()}
     told = request.setup.information
-    moved: dict[str, Any] = {
+    moved = {
         name: first[f"reference_{name}"]
         for name in ("latitude", "longitude", "height")
         if f"reference_{name}" in first and not told.get(f"initial_{name}", "").strip()
     }
-    site = replace(site, **moved)
+    site = _at(site, moved)
     velocity = np.array([first.get(f"reference_velocity_{name}", 0.0) for name in ("east", "north", "up")])
     if parameters.vertical == "held":
         velocity[2] = 0.0

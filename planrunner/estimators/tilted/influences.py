@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +109,8 @@ def _conditions(
     if rate := inputs.get("table rate"):
         different = np.unique(commanded[commanded != 0])
         yield StatedCondition(
-            rate, {rate_part(one): partial(_with_rates, conditions, commanded == one) for one in different}
+            rate,
+            {rate_part(one): partial(_with_rates, conditions, (commanded == one).astype(float)) for one in different},
         )
     if common.standard_uncertainty:
         yield StatedCondition.single(common, partial(_with_rates, conditions, np.ones(len(commanded))))
@@ -216,7 +216,7 @@ def _by_courses(
     return Influence(quantity, np.column_stack(columns), parts=tuple(parts))
 
 
-def _with_rates(conditions: TiltedConditions, which: NDArray[Any], by: float) -> TiltedConditions:
+def _with_rates(conditions: TiltedConditions, which: Array, by: float) -> TiltedConditions:
     return replace(conditions, rate_error=by * which)
 
 
