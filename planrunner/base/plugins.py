@@ -1,4 +1,4 @@
-"""Plug-ins: instruments and their simulators, estimators and error-model terms, found by name through entry points.
+"""Plug-ins: instruments and their simulators, estimators, error-model terms and effects, found by name through entry points.
 
 Built-in and third-party plug-ins are found in the same way; another distribution cannot take the name of a built-in one. Names are known
 without importing anything; the module of a plug-in is imported when its name is used.
@@ -15,6 +15,7 @@ from planrunner.base.findings import InputError, Mark, closest
 INSTRUMENTS = "planrunner.instruments"
 ESTIMATORS = "planrunner.estimators"
 TERMS = "planrunner.terms"
+EFFECTS = "planrunner.effects"
 SIMULATORS = "planrunner.simulators"
 REQUIRED = {ESTIMATORS: ("summary", "Parameters", "design", "estimate")}
 """Attributes without which a plug-in of a group cannot be used."""

@@ -31,7 +31,6 @@ from planrunner.plan.quantity import QuantityError, without_uncertainty
 from planrunner.plan.units import UnknownUnitError, unit
 
 Array = NDArray[np.float64]
-EFFECTS = "planrunner.effects"
 STAGES = ("stimulus", "sensor", "output", "acquisition", "covariance")
 NOISE: dict[NoiseKind, tuple[str, str]] = {
     "white": ("density", "deg/s*sqrt(s)"),
@@ -71,10 +70,10 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
 
     observed: any recording or schedule of the plan; it determines the available parameters. Raises `InputError`.
     """
-    if name not in plugins.names(EFFECTS):
-        hint = closest(name, plugins.names(EFFECTS))
+    if name not in plugins.names(plugins.EFFECTS):
+        hint = closest(name, plugins.names(plugins.EFFECTS))
         raise InputError.at(mark, "effect-unknown", f"no effect '{name}' is installed", hint)
-    effect = plugins.load(EFFECTS, name)()
+    effect = plugins.load(plugins.EFFECTS, name)()
     known = {parameter.name: parameter for parameter in parameters(effect, observed)}
     if not known:
         hint = "look at the sensor's outputs, the plan's motions and the site's magnetic_field"

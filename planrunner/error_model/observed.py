@@ -119,7 +119,8 @@ class Observed:
     (N, K), SI. magnetic: Earth's field in ENU, any unit, None where it is not declared. rejected: rows left out for a NaN. along: (S, 3),
     for a sensor in unknown orientations: the direction of gravity in its axes, estimated from the readings. Its accelerometers are then
     observed only along gravity, as one channel: perpendicular to it, errors cannot be distinguished from the unknown orientation. bins: for
-    a long recording, whose "samples" are means over consecutive samples; None for single samples.
+    a long recording, whose "samples" are means over consecutive samples; None for single samples. felt: angular rate and specific force
+    (N, 3) each, instead of those that follow from site, attitude and table.
     """
 
     site: Site
@@ -141,6 +142,7 @@ class Observed:
     fitted: Array | None = None
     along: Array | None = None
     bins: Bins | None = None
+    felt: tuple[Array, Array] | None = None
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -229,12 +231,12 @@ class Observed:
     @cached_property
     def omega(self) -> Array:
         """Nominal angular rate against inertial space in sensor axes, (N, 3), rad/s."""
-        return self.earth_rate + self.rate[:, None] * self.table_axis
+        return self.earth_rate + self.rate[:, None] * self.table_axis if self.felt is None else self.felt[0]
 
     @cached_property
     def force(self) -> Array:
         """Nominal specific force in sensor axes on the axis of rotation, (N, 3), m/s²."""
-        return self.in_sensor_axes(self.site.specific_force_enu)
+        return self.in_sensor_axes(self.site.specific_force_enu) if self.felt is None else self.felt[1]
 
     @cached_property
     def nominal_output(self) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +84,13 @@ def design_matrix(terms: Sequence[Term], stimulus: Stimulus) -> Array:
     for k, term in enumerate(terms):
         matrix[:, k] = term.column(stimulus)
     return matrix
+
+
+class LinearModel(Protocol):
+    """A model of outputs that is linear in its coefficients."""
+
+    def columns(self, stimulus: Stimulus) -> Array:
+        """The design matrix, shape (n, p), SI."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.error_model.terms import ErrorModel
+from planrunner.error_model.terms import LinearModel
 from planrunner.estimators.interface import Setup
 from planrunner.estimators.turned_segments import DIRECTIONS, UP
 from planrunner.instruments.models import TableModel
@@ -53,7 +53,7 @@ def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
 
 
 def site_errors(
-    model: ErrorModel, segments: Sequence[Segment], site: Site, inputs: Inputs, coefficients: Array
+    model: LinearModel, segments: Sequence[Segment], site: Site, inputs: Inputs, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
     """Of latitude and gravity, where they are stated with an uncertainty. The outputs are as they are: a model that expects more of them
     is answered as if they had read less. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
@@ -71,7 +71,7 @@ def site_errors(
 
 
 def table_errors(
-    model: ErrorModel, segments: Sequence[Segment], site: Site, setup: Setup, coefficients: Array
+    model: LinearModel, segments: Sequence[Segment], site: Site, setup: Setup, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
     """Those for which the bench states an uncertainty. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
     position, azimuth = setup.inputs.get("table position"), setup.inputs.get("azimuth")
@@ -102,7 +102,7 @@ def table_errors(
 
 
 def _followed(
-    model: ErrorModel, felt: Stimulus, moves: Array, coefficients: Array, table_rate: Array | float = 0.0
+    model: LinearModel, felt: Stimulus, moves: Array, coefficients: Array, table_rate: Array | float = 0.0
 ) -> Array:
     """Change of the observations of m outputs per unit of each of r inputs, (m, n, r).
 

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from planrunner.base.findings import Findings, Mark, closest, elsewhere
 from planrunner.plan.expand import StatedSegment
-from planrunner.plan.kinds import CHANNEL, ListOf, Record, keys_of
+from planrunner.plan.kinds import CHANNEL, ListOf, MapOf, Record, keys_of
 from planrunner.plan.model import DiagnosisSpec, EstimateSpec, Limit, Plan
 from planrunner.plan.selection import Detection, Labels
 
@@ -198,5 +198,8 @@ def _named(parameters: Record) -> Iterator[tuple[str, str, str]]:
         if isinstance(kind, ListOf) and kind.item == CHANNEL:
             for k, channel in enumerate(value):
                 yield key, f"{key}[{k}]", channel
+        elif isinstance(kind, MapOf) and kind.of_channels:
+            for channel in value:
+                yield key, f"{key}.{channel}", channel
         elif kind == CHANNEL and value is not None:
             yield key, key, value

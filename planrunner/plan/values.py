@@ -272,11 +272,12 @@ class ListOf:
 
 @dataclass(frozen=True, slots=True)
 class MapOf:
-    """A mapping from names to values of one kind; `names` restricts the names."""
+    """A mapping from names to values of one kind; `names` restricts the names. of_channels: the names are channels of the sensor."""
 
     item: Kind
     names: tuple[str, ...] = ()
     pattern: str = r"[^\x00-\x1f]{1,80}"
+    of_channels: bool = False
 
     def read(self, node: source.Node, log: Findings) -> JsonObject | None:
         if not isinstance(node, source.Mapping):

@@ -35,6 +35,7 @@ ESTIMATORS = (
     _("imu_multi_position"),
     _("temperature_model"),
     _("repeatability"),
+    _("error_model"),
 )
 DESCRIPTIONS = (
     # flexure_gyro_static, compensation_residual
@@ -104,6 +105,9 @@ DESCRIPTIONS = (
     _("Rotation of the triad's own frame against the fixture's about %(axis)s"),
     _("Output %(output)s: Angular rate about the sensor's %(axis)s axis."),
     _("Output %(output)s: Product of the specific forces along %(first)s and %(second)s."),
+    # error_model
+    _("Parameter %(parameter)s of the effect %(effect)s in %(output)s"),
+    _("Scale factor of %(output)s along its own axis"),
     # allan_deviation
     _("quantisation: 3·Q²/τ²"),
     _("random walk of the integrated output: N²/τ"),

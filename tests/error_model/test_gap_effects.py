@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from planrunner.base import plugins
 from planrunner.error_model.effects.gyro_output import lagged
-from planrunner.error_model.effects.interface import Column
+from planrunner.error_model.effects.interface import Column, Explained
 from planrunner.error_model.effects.surroundings import TimeLatency
 from planrunner.error_model.observed import Observed
+from planrunner.error_model.segment_columns import estimable
+from planrunner.gap.answer.diagnosis import hypotheses
 from planrunner.plan.schedule import Rock
 from tests.gap.turntable import DEG, SITE, G, record
 
@@ -54,6 +57,20 @@ IDS = [
     "accel_scale_factor",
     "accel_misalignment",
 ]
+FOR_ESTIMATES = [
+    "gyro_scale_quadratic",
+    "gyro_bias_temperature_cubic",
+    "gyro_misalignment_temperature",
+    "gyro_bias_drift",
+    "accel_third_order",
+    "accel_asymmetry",
+    "accel_cross_coupling",
+    "accel_misalignment_temperature",
+    "accel_thermal_gradient",
+    "accel_bias_drift",
+    "accel_magnetic_sensitivity",
+]
+"""Effects that the diagnosis does not weigh unless they are named."""
 EARTH = 15.041067 * DEG / 3600 * np.array([0, np.cos(SITE.latitude), np.sin(SITE.latitude)])
 EAST, NORTH, UP = np.eye(3)
 
@@ -64,12 +81,27 @@ def observed() -> Observed:
 
 
 def test_the_whole_catalogue_is_installed() -> None:
-    assert set(plugins.names("planrunner.effects")) == set(IDS)
-    for name in IDS:
+    assert set(plugins.names("planrunner.effects")) == {*IDS, *FOR_ESTIMATES}
+    for name in (*IDS, *FOR_ESTIMATES):
         effect = plugins.load("planrunner.effects", name)()
         assert effect.id == name
         assert effect.stage in ("stimulus", "sensor", "output", "acquisition", "covariance")
         assert effect.__doc__
+
+
+def test_the_page_for_estimates_has_a_row_for_each_of_them() -> None:
+    page = (Path(__file__).parents[2] / "docs/error-models.md").read_text(encoding="utf-8")
+    for name in (*IDS, *FOR_ESTIMATES):
+        effect = plugins.load("planrunner.effects", name)()
+        if not estimable(effect):
+            assert isinstance(effect, Explained)
+            assert f"| `{name}` | {effect.shown_by} |" in page
+    assert all(f"`{name}`" in page.partition("no hypotheses")[2] for name in FOR_ESTIMATES)
+
+
+def test_effects_for_estimates_are_hypotheses_only_where_they_are_named() -> None:
+    assert {effect.id for effect in hypotheses(None)} == set(IDS)
+    assert [effect.id for effect in hypotheses(["accel_asymmetry"])] == ["accel_asymmetry"]
 
 
 @pytest.mark.parametrize("name", IDS)

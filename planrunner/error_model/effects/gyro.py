@@ -5,21 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from planrunner.error_model.effects.interface import Array, Shaped, Variant, per_axis, single
+from planrunner.error_model.effects.nominal import towards_others
+from planrunner.error_model.effects.products import products
 from planrunner.error_model.observed import Observed
 
 DEG = np.pi / 180
 G = 9.80665  # m/s²
 
 
-def _products(force: Array) -> list[tuple[str, Array]]:
-    pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)]
-    return [("xyz"[i] + "xyz"[j], force[:, i] * force[:, j]) for i, j in pairs]
-
-
 class GyroBiasTemperature:
     """Bias + c1·ΔT + c2·ΔT² per axis, ΔT from 25 degC."""
 
     id, stage = "gyro_bias_temperature", "sensor"
+    shown_by = "three temperatures; with `.c1` alone two"
 
     def variants(self, observed: Observed) -> list[Variant]:
         warm = observed.warmth
@@ -31,6 +29,7 @@ class GyroScaleTemperature:
     """Scale factor × (1 + k·ΔT) per axis."""
 
     id, stage = "gyro_scale_temperature", "sensor"
+    shown_by = "rates about the axis at two temperatures"
 
     def variants(self, observed: Observed) -> list[Variant]:
         product = observed.omega * observed.warmth[:, None]
@@ -41,6 +40,7 @@ class GyroScaleNonlinearity:
     """Output + k·ω³ per axis: the lowest odd term beyond a scale factor."""
 
     id, stage = "gyro_scale_nonlinearity", "sensor"
+    shown_by = "three rates about the axis, in both directions"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return single(per_axis(observed, "gyro", "k", "1/(deg/s)^2", DEG**-2, 1e-8 * DEG**-2, observed.omega**3))
@@ -50,6 +50,7 @@ class GyroScaleAsymmetry:
     """Output + k·|ω| per axis: a scale factor that differs between the senses of rotation."""
 
     id, stage = "gyro_scale_asymmetry", "sensor"
+    shown_by = "rates about the axis in both directions, and a segment at rest or a second rate"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return single(per_axis(observed, "gyro", "k", "ppm", 1e-6, 1e-4, np.abs(observed.omega)))
@@ -59,6 +60,7 @@ class GyroGSensitivity:
     """Output + K·f, K a 3×3 matrix (mass unbalance and its cross axes)."""
 
     id, stage = "gyro_g_sensitivity", "sensor"
+    shown_by = "each axis of the sensor up and down"
 
     def variants(self, observed: Observed) -> list[Variant]:
         columns = []
@@ -71,10 +73,13 @@ class GyroG2Sensitivity:
     """Output + K·[f_x², f_y², f_z², f_x·f_y, f_y·f_z, f_z·f_x], K a 3×6 matrix (anisoelasticity)."""
 
     id, stage = "gyro_g2_sensitivity", "sensor"
+    shown_by = (
+        "each axis level, upright and oblique: squares alone are seen on cardinal orientations, and their sum is a bias"
+    )
 
     def variants(self, observed: Observed) -> list[Variant]:
         columns = []
-        for name, product in _products(observed.force):
+        for name, product in products(observed.force):
             columns += per_axis(observed, "gyro", f"K_{name}", "deg/s/g^2", DEG / G**2, 1e-3 * DEG / G**2, product)
         return single(columns)
 
@@ -100,6 +105,7 @@ class GyroThermalHysteresis:
     """Output + h·(sign of the last temperature change; 0 before the first) per axis."""
 
     id, stage = "gyro_thermal_hysteresis", "sensor"
+    shown_by = "the same temperature reached from below and from above"
 
     def variants(self, observed: Observed) -> list[Variant]:
         if not observed.last_change.any():
@@ -112,6 +118,47 @@ class GyroThermalGradient:
     """Output + k·dT/dt per axis."""
 
     id, stage = "gyro_thermal_gradient", "sensor"
+    shown_by = "a recorded ramp of temperature beside a segment at rest at one temperature"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return single(per_axis(observed, "gyro", "k", "deg/s/(K/s)", DEG, 1e-1 * DEG, observed.temperature_rate))
+
+
+class GyroScaleQuadratic:
+    """Output + k·ω² per axis: the lowest even term beyond a scale factor that is smooth at rest."""
+
+    id, stage, hypothesis = "gyro_scale_quadratic", "sensor", False
+    shown_by = "rates about the axis in both directions, and a segment at rest or a second rate"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return single(per_axis(observed, "gyro", "k", "ppm/(deg/s)", 1e-6 / DEG, 1e-7 / DEG, observed.omega**2))
+
+
+class GyroBiasTemperatureCubic:
+    """Bias + c3·ΔT³ per axis, ΔT from 25 degC."""
+
+    id, stage, hypothesis = "gyro_bias_temperature_cubic", "sensor", False
+    shown_by = "four temperatures, beside `gyro_bias_temperature`"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return single(per_axis(observed, "gyro", "c3", "deg/s/K^3", DEG, 4e-7 * DEG, observed.warmth**3))
+
+
+class GyroMisalignmentTemperature:
+    """Output + m·ΔT·(rate about another axis of the sensor), six per triad."""
+
+    id, stage, hypothesis = "gyro_misalignment_temperature", "sensor", False
+    shown_by = "turns about the other axes at two temperatures"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return single(towards_others(observed, "gyro", "arcsec/K", 1e-5, observed.warmth))
+
+
+class GyroBiasDrift:
+    """Bias + d·t per axis, t since power-on."""
+
+    id, stage, hypothesis = "gyro_bias_drift", "sensor", False
+    shown_by = "one state early and again late"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return single(per_axis(observed, "gyro", "d", "deg/h/h", DEG / 3600**2, 1e-1 * DEG / 3600**2, observed.time))

@@ -1,19 +1,21 @@
-"""Interface of candidate effects: physics that the nominal simulation lacks, as columns over the samples of a recording.
+"""Interface of effects: the physics of a sensor's errors, and of its surroundings, as columns over the samples of a recording.
 
-An effect is a class found through the entry-point group `planrunner.effects`. Error-model terms are different: a term is one column of one
-output at segment means, and its coefficient is estimated. An effect may act on several channels at once, on samples, with a shape, or on
-the noise, and the diagnosis decides whether the data support it.
+An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds it, the estimator `error_model` fits its
+amplitudes to the means of segments, and the diagnosis decides whether the data support it. It may act on several channels at once, have a
+shape, or change the noise; an estimate takes effects without a shape.
 
     class MyEffect:
         id = "my_effect"                      # the entry point's name
         stage = "sensor"                      # stimulus, sensor, output, acquisition, covariance
+        shown_by = "two temperatures"         # which segments determine it, for the messages of an estimate
         def variants(self, observed) -> list[Variant]
 
 A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect of stage
 covariance has no columns: its `noise` names its kind, 'random walk', 'white' or 'resolution'. `each = "orientation"`: its amplitudes are
 independent for every orientation; its columns are then those of each orientation in turn, in the order of first use.
 
-An effect that becomes nonlinear when large also has a method `around` (see `Curved`).
+An effect that becomes nonlinear when large also has a method `around` (see `Curved`). `hypothesis = False`: the diagnosis does not weigh
+it unless it is named; more hypotheses change the probability of all others, so that an effect becomes one only after blind trials.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ Array = NDArray[np.float64]
 class Column:
     """One amplitude of an effect. magnitude: its prior scale in SI, relative to the effect's other columns. unit, factor: unit for
     display and its SI value. parts: channel index → signature (N,), SI output for an amplitude of 1 in SI. segments: (S,), where it
-    acts; None for everywhere. whole: the effect is either present or absent, so its amplitude is not a parameter."""
+    acts; None for everywhere. whole: the effect is either present or absent, so its amplitude is not a parameter. gain: it is the input of
+    the channel itself, so that its amplitude is the error of the scale factor. plain: its unit as that of a quantity, where `unit` also
+    names what has none, such as the strength of a field."""
 
     name: str
     unit: str
@@ -43,6 +47,8 @@ class Column:
     parts: Mapping[int, Array] = field(repr=False)
     segments: NDArray[np.bool_] | None = field(default=None, repr=False)
     whole: bool = False
+    gain: bool = False
+    plain: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +71,28 @@ class Effect(Protocol):
         """The variants of the effect for this recording; empty if it cannot act (no such channel, no rotation)."""
 
 
+@runtime_checkable
+class Explained(Effect, Protocol):
+    """An effect that says which segments determine it."""
+
+    shown_by: str
+
+
+@runtime_checkable
+class ExplainsTurning(Effect, Protocol):
+    """An effect that says what accelerometers off the axis of rotation feel while the table turns; without it, an estimate takes them at
+    rest only."""
+
+    explains_turning: Literal[True]
+
+
+@runtime_checkable
+class NoHypothesis(Effect, Protocol):
+    """An effect for simulations and estimates, which the diagnosis does not weigh unless it is named."""
+
+    hypothesis: Literal[False]
+
+
 NoiseKind = Literal["white", "resolution", "random walk"]
 
 
@@ -80,6 +108,13 @@ class PerOrientation(Effect, Protocol):
     """An effect whose amplitudes are drawn anew for every orientation."""
 
     each: Literal["orientation"]
+
+
+@runtime_checkable
+class HasShape(Effect, Protocol):
+    """An effect with several variants: its shape, a time constant or a number per turn, is a parameter beside the amplitudes."""
+
+    shape_name: str
 
 
 @runtime_checkable

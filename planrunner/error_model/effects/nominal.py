@@ -25,16 +25,23 @@ def bias(observed: Observed, kind: str) -> list[Column]:
 
 def scale_factor(observed: Observed, kind: str) -> list[Column]:
     """Output + k·(input of the axis) per axis."""
-    return per_axis(observed, kind, "k", "ppm", 1e-6, 1e-3, felt(observed, kind))
+    columns = per_axis(observed, kind, "k", "ppm", 1e-6, 1e-3, felt(observed, kind))
+    return [replace(column, gain=True) for column in columns]
 
 
 def misalignment(observed: Observed, kind: str) -> list[Column]:
     """Output + m·(input of another axis of the sensor), six per triad; in unknown orientations only three, the sums of opposite ones."""
+    return towards_others(observed, kind, "arcsec", 1e-3)
+
+
+def towards_others(
+    observed: Observed, kind: str, unit: str, magnitude: float, factor: Array | float = 1.0
+) -> list[Column]:
+    """The response of each axis to the inputs of the others, times `factor`. unit: arcsec, or arcsec per SI unit of the factor."""
     columns = []
     for other in range(3):
-        for column in per_axis(
-            observed, kind, f"towards_{'xyz'[other]}", "arcsec", DEG / 3600, 1e-3, felt(observed, kind)[:, other]
-        ):
+        signature = felt(observed, kind)[:, other] * factor
+        for column in per_axis(observed, kind, f"towards_{'xyz'[other]}", unit, DEG / 3600, magnitude, signature):
             own = "xyz".index(column.name[-1])
             if observed.along is None and own != other:
                 columns.append(column)
@@ -44,6 +51,11 @@ def misalignment(observed: Observed, kind: str) -> list[Column]:
 
 
 PARTS = {"bias": bias, "scale_factor": scale_factor, "misalignment": misalignment}
+_SHOWN_BY = {
+    "bias": "any segments",
+    "scale_factor": "opposite inputs along the axis: both rates of a turn, or the axis up and down",
+    "misalignment": "inputs along the other axes: a turn about each, or each up and down",
+}
 
 
 class _OfTriad:
@@ -53,6 +65,7 @@ class _OfTriad:
 
     def __init__(self, kind: str, part: str):
         self.id, self.kind, self.part = f"{kind}_{part}", kind, part
+        self.shown_by = _SHOWN_BY[part]
 
     def variants(self, observed: Observed) -> list[Variant]:
         return single(PARTS[self.part](observed, self.kind))
@@ -61,7 +74,7 @@ class _OfTriad:
 class EarthRate:
     """The Earth's rotation, if the nominal simulation omits it."""
 
-    id, stage = "earth_rate", "stimulus"
+    id, stage, shown_by = "earth_rate", "stimulus", "orientations that turn the axis away from the Earth's axis"
 
     def variants(self, observed: Observed) -> list[Variant]:
         parts = on_stimulus(observed, observed.earth_rate, None)

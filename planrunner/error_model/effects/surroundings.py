@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from planrunner.error_model.effects.interface import (
@@ -15,6 +17,7 @@ from planrunner.error_model.effects.interface import (
     whole,
 )
 from planrunner.error_model.observed import Observed
+from planrunner.plan.units import STANDARD_GRAVITY
 
 DEG = np.pi / 180
 
@@ -23,21 +26,40 @@ class MagneticSensitivity:
     """Gyro output + K·m, K a 3×3 matrix, m the Earth's field in sensor axes, which turns with the sensor."""
 
     id, stage = "magnetic_sensitivity", "sensor"
+    shown_by = (
+        "orientations that turn the sensor in the field, which the bench declares as `magnetic_field` of its site"
+    )
 
     def variants(self, observed: Observed) -> list[Variant]:
-        if observed.magnetic is None:
-            return []
-        field = observed.in_sensor_axes(observed.magnetic / np.linalg.norm(observed.magnetic))
-        columns = []
-        for i, name in enumerate("xyz"):
-            columns += per_axis(observed, "gyro", f"K_{name}", "deg/s/field", DEG, 1e-3 * DEG, field[:, i])
-        return single(columns)
+        return single(_response_to_field(observed, "gyro", "deg/s", DEG))
+
+
+class AccelMagneticSensitivity:
+    """Accelerometer output + K·m, K a 3×3 matrix, m the Earth's field in sensor axes."""
+
+    id, stage, hypothesis = "accel_magnetic_sensitivity", "sensor", False
+    shown_by = MagneticSensitivity.shown_by
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return single(_response_to_field(observed, "accel", "mg", 1e-3 * STANDARD_GRAVITY))
+
+
+def _response_to_field(observed: Observed, kind: str, unit: str, factor: float) -> list[Column]:
+    """A 3×3 matrix, per strength of the field; nothing where the field is not declared."""
+    if observed.magnetic is None:
+        return []
+    field = observed.in_sensor_axes(observed.magnetic / np.linalg.norm(observed.magnetic))
+    columns = []
+    for i, name in enumerate("xyz"):
+        columns += per_axis(observed, kind, f"K_{name}", f"{unit}/field", factor, 1e-3 * factor, field[:, i])
+    return [replace(column, plain=unit) for column in columns]
 
 
 class SiteLatitude:
     """The Earth rate was computed for the wrong latitude: Ω·(0, −sin φ, cos φ) per rad where the error is small."""
 
     id, stage = "site_latitude", "stimulus"
+    shown_by = "orientations that turn the axis in the meridian"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return self.around(observed, np.zeros(1))
@@ -54,6 +76,7 @@ class LeverArm:
     """Accelerometers off the axis of rotation: ω×(ω×r) + α×r, r in sensor axes, ω and α the table's."""
 
     id, stage = "lever_arm", "stimulus"
+    shown_by, explains_turning = "rates that turn the accelerometers", True
 
     def variants(self, observed: Observed) -> list[Variant]:
         if not observed.rate.any() or not observed.of_kind("accel"):

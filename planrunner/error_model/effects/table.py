@@ -36,6 +36,7 @@ class TableTilt:
     """The table's base is not level: two angles about east and north."""
 
     id, stage = "table_tilt", "stimulus"
+    shown_by = "orientations that turn the sensor about the vertical"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return self.around(observed, np.zeros(2))
@@ -49,6 +50,7 @@ class TableAzimuth:
     """The table's north is not north: one angle about up."""
 
     id, stage = "table_azimuth", "stimulus"
+    shown_by = "orientations that turn the axis about the vertical"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return self.around(observed, np.zeros(1))
@@ -105,6 +107,7 @@ class TableWobble:
     """
 
     id, stage = "table_wobble", "stimulus"
+    shown_by = "turns beside segments at rest"
 
     def variants(self, observed: Observed) -> list[Variant]:
         moving = np.array([not isinstance(motion, Rest) for motion in observed.motions])
@@ -122,6 +125,7 @@ class TableRateError:
     """True rate = commanded × (1 + ε): a nominal model with free scale factors absorbs it."""
 
     id, stage = "table_rate_error", "stimulus"
+    shown_by = "rates, and a scale factor that is not fitted beside it"
 
     def variants(self, observed: Observed) -> list[Variant]:
         if not observed.rate.any():

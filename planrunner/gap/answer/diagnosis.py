@@ -7,14 +7,14 @@ for patterns outside the catalogue (`posterior`, `open_set`); a verdict that nam
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from planrunner.base import plugins
 from planrunner.base.documents import Json, JsonObject
-from planrunner.error_model.effects.interface import ActsOnNoise, Effect
+from planrunner.error_model.effects.interface import ActsOnNoise, Effect, NoHypothesis
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer import parameters as estimates
 from planrunner.gap.answer.closure import NOT_RESOLVABLE, Closure, FoldChoice, closure
@@ -29,7 +29,6 @@ from planrunner.gap.hypotheses.whole import forms, shape_alone
 from planrunner.observation.refusals import ObservationError
 
 Forms = list[tuple[Weighed, float]]
-EFFECTS = "planrunner.effects"
 FEWEST_SEGMENTS = 4
 SHOWN_PLACES = 20
 _MOST_CHOICES = 30
@@ -125,8 +124,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
             "visible; effects of orientation, rate or temperature need more orientations, rates or temperatures"
         )
         raise ObservationError(few, hint)
-    names = plugins.names(EFFECTS) if options.effects is None else options.effects
-    effects: list[Effect] = [plugins.load(EFFECTS, name)() for name in names if name not in options.nominal]
+    effects = [effect for effect in hypotheses(options.effects) if effect.id not in options.nominal]
     weighing = Weighing(observed, options.nominal)
     candidates = candidates_of(weighing, [effect for effect in effects if not isinstance(effect, ActsOnNoise)])
     found = posterior(weighing, effects, candidates)
@@ -156,6 +154,14 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         pictures(weighing, usable, after),
         Grounds(weighing, tuple(candidates), options.nominal, tuple(choices)),
     )
+
+
+def hypotheses(names: Sequence[str] | None) -> list[Effect]:
+    """The effects of these names; without names, all installed ones that are meant for a diagnosis."""
+    if names is not None:
+        return [plugins.load(plugins.EFFECTS, name)() for name in names]
+    installed: list[Effect] = [plugins.load(plugins.EFFECTS, name)() for name in plugins.names(plugins.EFFECTS)]
+    return [effect for effect in installed if not isinstance(effect, NoHypothesis)]
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
@@ -233,4 +239,4 @@ def _finite(value: Json) -> Json:
     return value
 
 
-__all__ = ["ABSORBED", "EFFECTS", "Diagnosis", "DiagnosisOptions", "diagnose"]
+__all__ = ["ABSORBED", "Diagnosis", "DiagnosisOptions", "diagnose"]

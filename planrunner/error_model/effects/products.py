@@ -1,0 +1,11 @@
+"""Products of two components of a vector, for effects of second degree."""
+
+from __future__ import annotations
+
+from planrunner.error_model.effects.interface import Array
+
+
+def products(vector: Array) -> list[tuple[str, Array]]:
+    """Names and values (N,) of the squares xx, yy, zz, then of the products xy, yz, zx, of components of a vector (N, 3)."""
+    pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)]
+    return [("xyz"[i] + "xyz"[j], vector[:, i] * vector[:, j]) for i, j in pairs]

@@ -1,0 +1,256 @@
+"""Effects of the catalogue at the means of segments: the design matrix of an estimate, at the planned or the recorded stimulus.
+
+An effect gives its columns at single moments, and the mean of a product is not the product of means. Each segment is therefore represented
+by a few nodes: evenly spaced directions of a table that turns (over whole turns, exact up to the seventh degree in what turns with it), and
+the nodes of Gauss and Legendre along a ramp of temperature (exact up to the fifth degree in time). The weighted mean over the nodes is the
+mean over the segment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.error_model.effects.interface import ActsOnNoise, Column, Effect, HasShape, PerOrientation
+from planrunner.error_model.observed import REFERENCE_TEMPERATURE, Channel, Observed, ObservedSegment, joined
+from planrunner.physics.earth import Site
+from planrunner.physics.stimulus import Stimulus
+from planrunner.plan.schedule import Segment, Spin
+from planrunner.plan.units import ZERO_CELSIUS
+
+Array = NDArray[np.float64]
+
+KINDS = {"gyro": "rad/s", "accel": "m/s^2"}
+_TRIADS = tuple(
+    Channel(f"{kind}_{'xyz'[axis]}", kind, axis, text, 1.0, 0.0) for kind, text in KINDS.items() for axis in range(3)
+)
+_DIRECTIONS = 8  # of a turn
+_ALONG = 3  # nodes of a ramp
+_CHANGED = 1.0  # K between segments: less is no change of temperature
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SegmentStates:
+    """Time and temperature of n segments, all (n,). time: s since power-on, the middle; seconds: length; celsius: mean; ramp: change of the
+    temperature from beginning to end, K; last_change: sign of the last change of temperature, 0 before the first."""
+
+    time: Array
+    seconds: Array
+    celsius: Array
+    ramp: Array
+    last_change: Array
+
+    def at(self, rows: Sequence[int]) -> SegmentStates:
+        """Of some segments."""
+        place = list(rows)
+        return SegmentStates(
+            self.time[place], self.seconds[place], self.celsius[place], self.ramp[place], self.last_change[place]
+        )
+
+    def measured(self, celsius: Array) -> SegmentStates:
+        """With mean temperatures (n,) of a thermometer; ramps as planned."""
+        return replace(
+            self, celsius=celsius, last_change=_last_changes(celsius - self.ramp / 2, celsius + self.ramp / 2)
+        )
+
+
+def states_of(segments: Sequence[Segment], start: Array, seconds: Array) -> SegmentStates:
+    """Planned temperatures; the reference temperature where none is planned. start, seconds: (n,), s, planned or recorded."""
+    kelvin = [one.temperature for one in segments]
+    begin = np.array([REFERENCE_TEMPERATURE if one is None else one - ZERO_CELSIUS for one in kelvin])
+    ends = [one.ramp_to for one in segments]
+    end = np.array([own if to is None else to - ZERO_CELSIUS for own, to in zip(begin, ends, strict=True)])
+    return SegmentStates(start + seconds / 2, seconds, (begin + end) / 2, end - begin, _last_changes(begin, end))
+
+
+def _last_changes(begin: Array, end: Array) -> Array:
+    signs, last = np.zeros(len(begin)), 0.0
+    for row in range(len(begin)):
+        for change in (begin[row] - end[row - 1] if row else 0.0, end[row] - begin[row]):
+            last = float(np.sign(change)) if abs(change) > _CHANGED else last
+        signs[row] = last
+    return signs
+
+
+@dataclass(frozen=True, slots=True)
+class EffectPart:
+    """An effect in the model of one output. only: names of its columns without the output's axis; empty for all."""
+
+    effect: Effect
+    only: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class OutputErrors:
+    """The errors of one output. kind: gyro or accel; axis: 0, 1, 2 for the sensor's x, y, z, along which it measures."""
+
+    output: str
+    kind: str
+    axis: int
+    chosen: tuple[EffectPart, ...]
+
+    @property
+    def channel(self) -> int:
+        return 3 * list(KINDS).index(self.kind) + self.axis
+
+
+@dataclass(frozen=True, slots=True)
+class Amplitude:
+    """One coefficient of an output. name: of the column without the output's axis; several: whether the effect has others for this output;
+    alone: whether the column acts on this output only. unit, factor: for display, and its SI value. gain: it is the error of the scale
+    factor. size: the largest value of such columns of the effect at any moment, for any axis; 0 where nothing excites it."""
+
+    effect: Effect
+    name: str
+    several: bool
+    alone: bool
+    unit: str
+    factor: float
+    gain: bool
+    size: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OutputColumns:
+    """own: (n,), SI, the output of an ideal sensor; matrix: (n, p), SI per SI amplitude, a column for each amplitude. available: by effect,
+    the names of all amplitudes that it has for this output."""
+
+    own: Array
+    available: Mapping[str, tuple[str, ...]]
+    amplitudes: tuple[Amplitude, ...]
+    matrix: Array
+
+    @property
+    def magnitudes(self) -> Array:
+        """(p,), positive."""
+        return np.array([one.size or 1.0 for one in self.amplitudes])
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorsAtSegments:
+    """The model of m outputs at n segments, which rest or turn in known orientations. stimulus: mean, as planned."""
+
+    outputs: tuple[OutputErrors, ...]
+    segments: tuple[Segment, ...]
+    site: Site
+    states: SegmentStates
+    stimulus: Stimulus
+
+    def columns(self, stimulus: Stimulus) -> Array:
+        """(k·n, P), output after output: its own input, then its amplitudes. stimulus: the planned one with small changes, once or k times
+        for all segments. The change of a mean is taken for that at all nodes of the segment."""
+        n, found = len(self.segments), []
+        for low in range(0, len(stimulus), n):
+            part = slice(low, low + n)
+            changes = (
+                stimulus.omega[part] - self.stimulus.omega,
+                stimulus.specific_force[part] - self.stimulus.specific_force,
+            )
+            made = self._evaluated(changes, stimulus.table_rate[part] - self.stimulus.table_rate)
+            found.append(np.column_stack([np.column_stack([one.own, one.matrix]) for one in made]))
+        return np.vstack(found)
+
+    def of_outputs(self) -> tuple[OutputColumns, ...]:
+        """For each output, as planned."""
+        return self._evaluated((np.zeros((len(self.segments), 3)),) * 2, np.zeros(len(self.segments)))
+
+    def _evaluated(self, changes: tuple[Array, Array], faster: Array) -> tuple[OutputColumns, ...]:
+        """changes: of angular rate and specific force, each (n, 3); faster: (n,), of the table's rate."""
+        observed, owner = self._planned, self._planned.owner
+        felt = tuple(own + change[owner] for own, change in zip((observed.omega, observed.force), changes, strict=True))
+        moved = replace(observed, felt=(felt[0], felt[1]), rate=observed.rate + faster[owner])
+        effects = {id(one.effect): one.effect for output in self.outputs for one in output.chosen}
+        made = {key: _columns(effect, moved) for key, effect in effects.items()}
+        return tuple(self._of(output, moved, made) for output in self.outputs)
+
+    def _of(self, output: OutputErrors, observed: Observed, made: dict[int, tuple[Column, ...]]) -> OutputColumns:
+        felt = observed.omega if output.kind == "gyro" else observed.force
+        amplitudes, columns, available = [], [], {}
+        for one in output.chosen:
+            all_ = made[id(one.effect)]
+            here = [column for column in all_ if output.channel in column.parts]
+            available[one.effect.id] = tuple(_without_axis(column, "xyz"[output.axis])[0] for column in here)
+            for column in here:
+                name, alone = _without_axis(column, "xyz"[output.axis])
+                if one.only and name not in one.only:
+                    continue
+                alike = [part for other in all_ if other.unit == column.unit for part in other.parts.values()]
+                size = max(float(np.abs(part).max()) for part in alike)
+                text = column.plain or column.unit
+                amplitudes.append(
+                    Amplitude(one.effect, name, len(here) > 1, alone, text, column.factor, column.gain, size)
+                )
+                part = column.parts[output.channel]
+                columns.append(part if column.segments is None else part * column.segments[observed.owner])
+        matrix = self._means(np.array(columns)).T if columns else np.zeros((len(self.segments), 0))
+        return OutputColumns(self._means(felt[:, output.axis][None])[0], available, tuple(amplitudes), matrix)
+
+    def _means(self, rows: Array) -> Array:
+        """Means (k, n) over the segments of rows (k, N) at the nodes."""
+        weight = np.concatenate([weight for _, _, weight in self._nodes])
+        return np.asarray(np.add.reduceat(rows * weight, self._planned.bounds[:-1], axis=1))
+
+    @cached_property
+    def _nodes(self) -> list[tuple[Array, Array, Array]]:
+        """For each segment: angle of the table, place from −0.5 to 0.5 along the segment, and weight, all (k,)."""
+        places, weights = np.polynomial.legendre.leggauss(_ALONG)
+        found = []
+        for segment, ramp in zip(self.segments, self.states.ramp.tolist(), strict=True):
+            turning = isinstance(segment.motion, Spin)
+            angle = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS) if turning else np.zeros(1)
+            along, weight = (places / 2, weights / 2) if ramp else (np.zeros(1), np.ones(1))
+            grid = np.meshgrid(angle, along, indexing="ij")
+            found.append((grid[0].ravel(), grid[1].ravel(), np.tile(weight / len(angle), len(angle))))
+        return found
+
+    @cached_property
+    def _planned(self) -> Observed:
+        """The segments with their nodes as samples of two ideal triads."""
+        states, made = self.states, []
+        for row, (segment, (angle, along, _)) in enumerate(zip(self.segments, self._nodes, strict=True)):
+            zero = np.zeros(len(angle))
+            ramp, seconds = float(states.ramp[row]), float(states.seconds[row])
+            made.append(
+                ObservedSegment(
+                    segment.label,
+                    segment.motion,
+                    np.asarray(segment.attitude),
+                    states.time[row] + along * seconds,
+                    angle,
+                    zero + segment.rate,
+                    zero,
+                    states.celsius[row] + along * ramp,
+                    zero + (ramp / seconds if ramp else 0.0),
+                    np.zeros((len(angle), len(_TRIADS))),
+                    float(states.last_change[row]),
+                )
+            )
+        return joined(self.site, _TRIADS, made, magnetic=self.site.magnetic_field)
+
+
+def estimable(effect: Effect) -> str:
+    """Why an effect has no amplitudes that are linear in the means of segments; empty where it has."""
+    if isinstance(effect, ActsOnNoise):
+        return "it acts on the noise, not on means: use allan_deviation"
+    if isinstance(effect, HasShape):
+        return f"it has a shape ({effect.shape_name}) that means of segments do not determine linearly: use `planrunner diagnose`"
+    if isinstance(effect, PerOrientation):
+        return "it differs between orientations: state it in the bench file as `position_uncertainty` of the table"
+    return ""
+
+
+def _columns(effect: Effect, observed: Observed) -> tuple[Column, ...]:
+    variants = effect.variants(observed)
+    return variants[0].columns if variants else ()
+
+
+def _without_axis(column: Column, letter: str) -> tuple[str, bool]:
+    """The name of a column without the axis of its channel, and whether the column acts on one channel alone."""
+    if len(column.parts) == 1 and column.name.endswith(f"_{letter}"):
+        return column.name.removesuffix(f"_{letter}"), True
+    return column.name, False

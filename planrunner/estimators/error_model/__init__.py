@@ -1,0 +1,1 @@
+"""Amplitudes of any effects of the catalogue from the means of segments."""

@@ -1,0 +1,296 @@
+"""Amplitudes of the effects that a plan names for each output, by generalised least squares from the means of segments.
+
+    output = input along its own axis + Σ amplitude · column
+
+The columns are those with which a simulation adds the same effects and a diagnosis looks for them (`planrunner.error_model.effects`), here
+as means over the segments. Their parameters have the catalogue's names and units, so that a result can be stated in a bench file. An
+output that is not recorded as a rate or an acceleration (pulse/s) is K · (input + Σ …), with K its fitted scale factor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.base.dataclass import dataclass
+from planrunner.error_model.segment_columns import SegmentStates, states_of
+from planrunner.estimators import rank
+from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
+from planrunner.estimators.derived import Derived, Reported, derived
+from planrunner.estimators.error_model.outputs import ModelledOutput, Together, models, shown_by
+from planrunner.estimators.error_model.parameters import ErrorModelParameters
+from planrunner.estimators.expected import Known
+from planrunner.estimators.fit_tables import bases_table, residual_table
+from planrunner.estimators.full_scale import beyond_full_scale
+from planrunner.estimators.interface import (
+    Design,
+    DesignBlock,
+    DesignRequest,
+    EstimateRequest,
+    EstimationError,
+    Remark,
+)
+from planrunner.estimators.method import Method, Quantities, Words
+from planrunner.estimators.outputs_fit import OutputsFit, coefficients_by_noise, fit_outputs
+from planrunner.estimators.planned import planned_blocks
+from planrunner.estimators.residual_plot import residual_plot
+from planrunner.estimators.resolution_influences import resolution_influences
+from planrunner.estimators.stated_errors import site_errors, table_errors
+from planrunner.observation.correlated_errors import CorrelatedError, functionals_of
+from planrunner.observation.flicker import flicker_errors
+from planrunner.observation.observations import Observations, observe, recorded_times
+from planrunner.plan.schedule import Segment, Spin
+from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, unit
+from planrunner.uncertainty.influences import Influence
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedOutput:
+    """observations: of this output alone; site: errors of the site, on them."""
+
+    model: ModelledOutput
+    observations: Observations
+    fit: OutputsFit
+    site: tuple[CorrelatedError, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelQuantities(Quantities):
+    """outputs: in the order of the plan."""
+
+    outputs: tuple[FittedOutput, ...]
+    found: Derived
+
+
+class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
+    """The plug-in."""
+
+    name = "error_model"
+    summary = "Amplitudes of any effects of the catalogue from positions, rates and temperatures"
+    Parameters = ErrorModelParameters
+
+    def design(self, request: DesignRequest[ErrorModelParameters]) -> Design:
+        """Information of the planned segments about each output. Raises `EstimationError`."""
+        parameters = request.parameters
+        _known_thermometer(parameters, {output.name: output.unit for output in request.sensor.outputs})
+        by_name: dict[str, DesignBlock] = {}
+        remarks: list[Remark] = []
+        for group in _planned(request):
+            its_own = replace(request, segments=group.segments)
+            for one in group.outputs:
+                blocks = planned_blocks(its_own, [one.name], one.names, one.columns.matrix, one.columns.magnitudes)
+                by_name[one.name] = blocks[0]
+                remarks += [*_inseparable(one, group.segments), *planned_basis(its_own, blocks, parameters.uncertainty)]
+                remarks += beyond_full_scale(its_own, [one.name], _shares(one, group.segments)[:, None])
+        if any(remark.code == "physics-rank" for remark in remarks):
+            return Design((), remarks=tuple(remarks))
+        return Design(tuple(by_name[name] for name in parameters.outputs), remarks=tuple(dict.fromkeys(remarks)))
+
+    def known(self, request: DesignRequest[ErrorModelParameters]) -> Known:
+        """The axes of the outputs."""
+        named = [one for group in _planned(request) for one in group.outputs]
+        return Known(directions={one.name: np.eye(3)[one.errors.axis] for one in named})
+
+    def quantities(self, request: EstimateRequest[ErrorModelParameters]) -> ModelQuantities:
+        """Amplitudes from the means of the segments. Raises `EstimationError`."""
+        parameters = request.parameters
+        units = {name: text for one in request.segments for name, text in one.units.items()}
+        _known_thermometer(parameters, units)
+        planned = [one.segment for one in request.segments]
+        states = _recorded_states(request.segments, parameters.temperature_channel)
+        groups = models(parameters, units, request.sensor, planned, request.site, states)
+        by_name = {one.model.name: one for group in groups for one in _fitted(request, group)}
+        outputs = tuple(by_name[name] for name in parameters.outputs)
+        basis = parameters.uncertainty
+        sizes = [len(one.model.coefficients) for one in outputs]
+
+        def formula(flat: Array) -> Array:
+            parts = np.split(flat, np.cumsum(sizes)[:-1])
+            return np.concatenate([one.model.reported(part) for one, part in zip(outputs, parts, strict=True)])
+
+        quantities = [Reported(c.name, c.unit, c.description) for one in outputs for c in one.model.coefficients]
+        # The noise of different outputs is taken for independent.
+        found = derived(quantities, formula, *(one.fit for one in outputs))
+        return ModelQuantities(
+            coefficients=found.coefficients(basis),
+            covariance=found.covariance(basis),
+            influences=found.influences([_stated(request, one) for one in outputs]),
+            extra={"effects": _as_added(outputs, found)},
+            outputs=outputs,
+            found=found,
+        )
+
+    def words(self, request: EstimateRequest[ErrorModelParameters], made: ModelQuantities) -> Words:
+        """Residuals by output, and both bases of uncertainty."""
+        basis = request.parameters.uncertainty
+        notes: dict[str, list[str]] = {}
+        warnings: list[str] = []
+        for one in made.outputs:
+            said, doubted = judge(one.fit, basis)
+            for text in said:
+                notes.setdefault(text, []).append(one.model.name)
+            warnings += doubted
+        every = len(made.outputs)
+        shared = [
+            text if len(names) == every or text.startswith(names[0]) else f"{', '.join(names)}: {text}"
+            for text, names in notes.items()
+        ]
+        at_rest = [one.model.name for one in made.outputs if len(one.model.rows) < len(request.segments)]
+        if at_rest:
+            shared.append(f"{', '.join(at_rest)}: fitted from the segments at rest alone.")
+        return Words(
+            headline=tuple(one.name for one in made.found.quantities),
+            settings={
+                "uncertainty": basis,
+                "outputs": {name: list(effects) for name, effects in request.parameters.outputs.items()},
+                "weights": {one.model.name: one.fit.noises[0].weighting for one in made.outputs},
+            },
+            tables=(
+                *(
+                    residual_table(f"Residuals of {one.model.name}", "segment", one.observations, one.fit)
+                    for one in made.outputs
+                ),
+                bases_table(made.found, basis),
+            ),
+            plots=tuple(
+                residual_plot(one.observations, one.fit, f"Residuals of {one.model.name}", "segment")
+                for one in made.outputs
+            ),
+            notes=tuple(shared),
+            warnings=tuple(warnings),
+            segments=tuple(recorded.label for recorded in request.segments),
+        )
+
+
+def _planned(request: DesignRequest[ErrorModelParameters]) -> tuple[Together, ...]:
+    start = np.array([one.start for one in request.segments])
+    seconds = np.array([one.dwell or 1.0 for one in request.segments])
+    states = states_of(request.segments, start, seconds)
+    units = {output.name: output.unit for output in request.sensor.outputs}
+    return models(request.parameters, units, request.sensor, request.segments, request.site, states)
+
+
+def _recorded_states(recording: Sequence[RecordedSegment], thermometer: str | None) -> SegmentStates:
+    start, end = recorded_times(recording)
+    states = states_of([one.segment for one in recording], start, end - start)
+    if thermometer is None:
+        return states
+    scale = unit(recording[0].units[thermometer])
+    means = np.array([one.statistics.mean[one.statistics.of(thermometer)] for one in recording])
+    return states.measured(means * scale.factor + scale.offset - ZERO_CELSIUS)
+
+
+def _known_thermometer(parameters: ErrorModelParameters, units: Mapping[str, str]) -> None:
+    name = parameters.temperature_channel
+    if name is None:
+        return
+    if name not in units:
+        raise EstimationError(
+            f"there is no channel '{name}'", "name the sensor's own thermometer", "temperature_channel"
+        )
+    if unit(units[name]).dimension != DIMENSIONS["temperature"]:
+        message = f"'{name}' is in {units[name]}, which is not a unit of temperature"
+        raise EstimationError(message, "name the sensor's own thermometer", "temperature_channel")
+
+
+def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remark]:
+    """An error for amplitudes that the planned segments do not show or separate, with what would show them."""
+    amplitudes = one.columns.amplitudes
+    seen = rank.look(one.columns.matrix / one.columns.magnitudes)
+    if not len(seen.null):
+        return []
+    names = rank.unidentifiable(seen.null, one.names)
+    effects = {item.effect.id: item.effect for item, name in zip(amplitudes, one.names, strict=True) if name in names}
+    wanted = [f"for {name}: {words}" for name, effect in effects.items() if (words := shown_by(effect))]
+    where = f"rank {seen.rank} of {len(amplitudes)} from {len(segments)} segments"
+    message = f"cannot identify {', '.join(names)} of {one.name} ({where}): {rank.explain(seen.null, one.names)}"
+    hint = f"leave terms out, or record what shows them ({'; '.join(wanted)})" if wanted else "leave terms out"
+    return [Remark("physics-rank", message, hint, f"outputs.{one.name}", error=True)]
+
+
+def _shares(one: ModelledOutput, segments: Sequence[Segment]) -> Array:
+    """The part of each segment's rate that an output feels, (n,)."""
+    shares = np.zeros(len(segments))
+    if one.errors.kind == "gyro":
+        for row, segment in enumerate(segments):
+            if isinstance(segment.motion, Spin) and segment.attitude is not None:
+                shares[row] = float(segment.attitude[one.errors.axis] @ np.array(segment.motion.about))
+    return shares
+
+
+def _fitted(request: EstimateRequest[ErrorModelParameters], group: Together) -> list[FittedOutput]:
+    """The outputs of a group. How far errors of table and site move an output depends on its amplitudes, which a first fit gives."""
+    parameters, basis = request.parameters, request.parameters.uncertainty
+    recorded = [request.segments[row] for row in group.rows]
+    seen, abouts = [], []
+    for one in group.outputs:
+        whole = observe(recorded, [one.name], request.sensor)
+        left = replace(whole, mean=whole.mean - np.reshape(one.ideal, (-1, 1)))
+        seen.append((whole, left))
+        about = coefficients_by_noise(one.columns.matrix, left, one.columns.magnitudes, one.names)
+        abouts.append(one.response(about[0]))
+    responses = _stacked(abouts)
+    inputs = request.setup.inputs
+    table = table_errors(group.model, group.segments, request.site, request.setup, responses)
+    site = site_errors(group.model, group.segments, request.site, inputs, responses)
+    found = []
+    for k, (one, (whole, left)) in enumerate(zip(group.outputs, seen, strict=True)):
+        effects = (*flicker_errors(left, inputs, parameters.drift_span.value), *_of_output(table, k))
+        fit = fit_outputs(one.columns.matrix, left, one.columns.magnitudes, one.names, basis, effects=effects)
+        require_basis(fit, basis, f"{request.name}, {one.name}")
+        found.append(FittedOutput(one, whole, fit, _of_output(site, k)))
+    return found
+
+
+def _stacked(rows: Sequence[Array]) -> Array:
+    """One output's coefficients a row, (m, P): those of the others are zero."""
+    ends = np.cumsum([len(row) for row in rows])
+    made = np.zeros((len(rows), int(ends[-1])))
+    for k, (row, end) in enumerate(zip(rows, ends, strict=True)):
+        made[k, end - len(row) : end] = row
+    return made
+
+
+def _of_output(errors: Sequence[CorrelatedError], output: int) -> tuple[CorrelatedError, ...]:
+    """As errors of an output alone."""
+    return tuple(
+        replace(
+            one,
+            changes={0: one.changes[output]},
+            within={0: one.within[output]} if output in one.within else {},
+        )
+        for one in errors
+        if output in one.changes
+    )
+
+
+def _stated(request: EstimateRequest[ErrorModelParameters], one: FittedOutput) -> tuple[Influence, ...]:
+    """On the fitted amplitudes of one output."""
+    functionals = functionals_of(one.fit.gains)
+    recorded = replace(request, segments=tuple(request.segments[row] for row in one.model.rows))
+    return (
+        *(error.through(functionals) for error in one.site),
+        *resolution_influences(recorded, [one.model.name], functionals),
+        *one.fit.influences(request.parameters.uncertainty),
+    )
+
+
+def _as_added(outputs: Sequence[FittedOutput], found: Derived) -> dict[str, dict[str, str]]:
+    """The values as a bench file states them for `driver: added_effects`: effect → parameter → value with its unit. Without scale factors
+    of outputs in other units, which are no effects."""
+    values = iter(found.values.tolist())
+    made: dict[str, dict[str, str]] = {}
+    for one in outputs:
+        letter = "xyz"[one.model.errors.axis]
+        for amplitude, coefficient in zip(one.model.columns.amplitudes, one.model.coefficients, strict=True):
+            value = next(values)
+            if one.model.direct or not amplitude.gain:
+                name = f"{amplitude.name}_{letter}" if amplitude.alone else amplitude.name
+                made.setdefault(amplitude.effect.id, {})[name] = f"{value:.9g} {coefficient.unit}"
+    return made

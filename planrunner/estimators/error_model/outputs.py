@@ -1,0 +1,254 @@
+"""Which effects act on which output, at which segments: the models of an estimate, or why there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base import plugins
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import closest
+from planrunner.error_model.effects.interface import Effect, Explained, ExplainsTurning
+from planrunner.error_model.observed import axis_of
+from planrunner.error_model.segment_columns import (
+    KINDS,
+    Amplitude,
+    EffectPart,
+    ErrorsAtSegments,
+    OutputColumns,
+    OutputErrors,
+    SegmentStates,
+    estimable,
+)
+from planrunner.estimators.error_model.parameters import AXES, ErrorModelParameters
+from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.stated_errors import mean_stimulus
+from planrunner.instruments.models import SensorModel
+from planrunner.physics.earth import Site
+from planrunner.physics.stimulus import StimulusError
+from planrunner.plan.schedule import Rest, Segment
+from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
+
+Array = NDArray[np.float64]
+
+_PER = {"gyro": "deg/s", "accel": "g"}
+_WORDS = {"gyro": "a gyro", "accel": "an accelerometer"}
+_SENSED = {"angular rate": "gyro", "acceleration": "accel"}
+
+
+@dataclass(frozen=True, slots=True)
+class ReportedAmplitude:
+    """What is reported of one amplitude. si: its SI value per `unit`."""
+
+    name: str
+    unit: str
+    si: float
+    description: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelledOutput:
+    """The linear model of one output: means = own/unit.factor + matrix · amplitudes, where the output is recorded in what it measures
+    (`direct`); otherwise the amplitude of the gain is the whole scale factor, and the other columns are scaled by it.
+
+    rows: places of its segments among those of the estimate. gain: place of the scale factor among the amplitudes, None where it is not
+    fitted.
+    """
+
+    errors: OutputErrors
+    unit: Unit
+    columns: OutputColumns
+    rows: tuple[int, ...]
+    coefficients: tuple[ReportedAmplitude, ...]
+    gain: int | None
+
+    @property
+    def name(self) -> str:
+        return self.errors.output
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(one.name for one in self.coefficients)
+
+    @property
+    def direct(self) -> bool:
+        return self.unit.dimension == unit(KINDS[self.errors.kind]).dimension
+
+    @property
+    def ideal(self) -> Array | float:
+        """The part of the means (n,), in the output's unit, that is not fitted: an ideal sensor's, where no scale factor is."""
+        return 0.0 if self.gain is not None else self.columns.own / self.unit.factor
+
+    def reported(self, fitted: Array) -> Array:
+        """The coefficients in their units, (p, n), from fitted ones (p, n) in the output's unit per SI."""
+        if self.direct:
+            values = fitted * self.unit.factor
+            if self.gain is not None:
+                values = values - (np.arange(len(fitted)) == self.gain)[:, None]
+        else:
+            assert self.gain is not None
+            scale = fitted[self.gain]
+            values = np.stack([one if place == self.gain else one / scale for place, one in enumerate(fitted)])
+        return np.asarray(values / np.array([one.si for one in self.coefficients])[:, None])
+
+    def response(self, fitted: Array) -> Array:
+        """Coefficients (1 + p,) of own input and columns, from fitted ones (p,)."""
+        return np.concatenate([[0.0 if self.gain is not None else 1 / self.unit.factor], fitted])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Together:
+    """Outputs that use the same segments. rows: places of these among those of the estimate."""
+
+    model: ErrorsAtSegments
+    segments: tuple[Segment, ...]
+    rows: tuple[int, ...]
+    outputs: tuple[ModelledOutput, ...]
+
+
+def models(
+    parameters: ErrorModelParameters,
+    units: Mapping[str, str],
+    sensor: SensorModel,
+    segments: Sequence[Segment],
+    site: Site,
+    states: SegmentStates,
+) -> tuple[Together, ...]:
+    """units: of the outputs, as declared or recorded; states: of the segments. Raises `EstimationError`."""
+    for name in parameters.axes:
+        if name not in parameters.outputs:
+            raise EstimationError(f"`axes` names '{name}'", closest(name, parameters.outputs), f"axes.{name}")
+    effects: dict[str, Effect] = {}
+    named = [_errors(name, parameters, units, sensor, effects) for name in parameters.outputs]
+    groups: dict[tuple[int, ...], list[OutputErrors]] = {}
+    for one in named:
+        groups.setdefault(_usable(one, segments), []).append(one)
+    return tuple(_together(group, rows, units, segments, site, states) for rows, group in groups.items())
+
+
+def shown_by(effect: Effect) -> str:
+    """Which segments determine an effect, in words; empty where it does not say so."""
+    return effect.shown_by if isinstance(effect, Explained) else ""
+
+
+def _errors(
+    name: str,
+    parameters: ErrorModelParameters,
+    units: Mapping[str, str],
+    sensor: SensorModel,
+    loaded: dict[str, Effect],
+) -> OutputErrors:
+    key = f"outputs.{name}"
+    if name not in units:
+        raise EstimationError(f"there is no output '{name}'", closest(name, units), key)
+    axis = parameters.axes.get(name)
+    place = axis_of(name) if axis is None else AXES.index(axis)
+    if place is None:
+        hint = f"write for example `axes: {{{name}: z}}`"
+        raise EstimationError(f"the name '{name}' does not contain the axis along which the output measures", hint, key)
+    whole: dict[str, set[str]] = {}
+    for text in parameters.outputs[name]:
+        effect, _, part = text.partition(".")
+        whole.setdefault(effect, set()).add(part)
+    chosen = []
+    for effect, parts in whole.items():
+        if effect not in loaded:
+            made: Effect = plugins.load(plugins.EFFECTS, effect)()
+            loaded[effect] = made
+        if why := estimable(loaded[effect]):
+            raise EstimationError(f"'{effect}' cannot be estimated here: {why}", "leave it out of `outputs`", key)
+        chosen.append(EffectPart(loaded[effect], () if "" in parts else tuple(sorted(parts))))
+    return OutputErrors(name, _kind(name, units[name], sensor), place, tuple(chosen))
+
+
+def _kind(name: str, text: str, sensor: SensorModel) -> str:
+    try:
+        own = unit(text)
+    except UnknownUnitError as error:
+        raise EstimationError(str(error)) from None
+    for dimension, kind in _SENSED.items():
+        if own.dimension == DIMENSIONS[dimension]:
+            return kind
+    output = sensor.output(name)
+    if output is not None and output.senses is not None:
+        return _SENSED[output.senses]
+    if own.dimension == unit("pulse/s").dimension:
+        return "gyro"
+    hint = "name an output of angular rate, acceleration or pulses"
+    raise EstimationError(
+        f"'{name}' is in {text}, which is neither a rate nor an acceleration", hint, f"outputs.{name}"
+    )
+
+
+def _usable(one: OutputErrors, segments: Sequence[Segment]) -> tuple[int, ...]:
+    """Gyros use all segments; accelerometers those at rest, and turns where an effect explains what they feel there."""
+    turns = one.kind == "gyro" or any(isinstance(item.effect, ExplainsTurning) for item in one.chosen)
+    rows = tuple(row for row, segment in enumerate(segments) if turns or isinstance(segment.motion, Rest))
+    if not rows:
+        hint = "add segments at rest, or `lever_arm` to the effects of the output"
+        message = f"'{one.output}' needs segments at rest: off the axis of rotation it feels the turn, and every chosen segment turns"
+        raise EstimationError(message, hint, f"outputs.{one.output}")
+    return rows
+
+
+def _together(
+    group: Sequence[OutputErrors],
+    rows: tuple[int, ...],
+    units: Mapping[str, str],
+    segments: Sequence[Segment],
+    site: Site,
+    states: SegmentStates,
+) -> Together:
+    chosen = tuple(segments[row] for row in rows)
+    try:
+        felt = mean_stimulus(chosen, site)
+    except StimulusError as error:
+        raise EstimationError(str(error)) from None
+    model = ErrorsAtSegments(tuple(group), chosen, site, states.at(rows), felt)
+    parts = model.of_outputs()
+    outputs = tuple(_modelled(one, unit(units[one.output]), part, rows) for one, part in zip(group, parts, strict=True))
+    return Together(model, chosen, rows, outputs)
+
+
+def _modelled(errors: OutputErrors, own: Unit, columns: OutputColumns, rows: tuple[int, ...]) -> ModelledOutput:
+    _must_act(errors, columns)
+    gains = [place for place, one in enumerate(columns.amplitudes) if one.gain]
+    coefficients = tuple(_coefficient(errors, own, one) for one in columns.amplitudes)
+    made = ModelledOutput(errors, own, columns, rows, coefficients, gains[0] if gains else None)
+    if not made.direct and made.gain is None:
+        message = f"'{errors.output}' is recorded in {own.text}: without its scale factor its errors have no units of {_PER[errors.kind]}"
+        raise EstimationError(message, f"add `{errors.kind}_scale_factor` to its effects", f"outputs.{errors.output}")
+    return made
+
+
+def _must_act(errors: OutputErrors, columns: OutputColumns) -> None:
+    """Raises `EstimationError` for effects that do not act here, and for parameters that an effect does not have."""
+    key = f"outputs.{errors.output}"
+    for item in errors.chosen:
+        here = [one.name for one in columns.amplitudes if one.effect is item.effect]
+        missing = [name for name in item.only if name not in here]
+        effect = item.effect.id
+        if missing:
+            message = f"'{effect}' has no parameter '{missing[0]}' in {errors.output}"
+            raise EstimationError(message, closest(missing[0], columns.available[effect]), key)
+        if not here:
+            words = shown_by(item.effect)
+            message = f"'{effect}' does not act on {errors.output}, {_WORDS[errors.kind]}, in these segments"
+            hint = f"leave it out, or record what shows it ({words})" if words else "leave it out"
+            raise EstimationError(message, hint, key)
+
+
+def _coefficient(errors: OutputErrors, own: Unit, one: Amplitude) -> ReportedAmplitude:
+    letter = AXES[errors.axis]
+    effect, direct = one.effect.id, own.dimension == unit(KINDS[errors.kind]).dimension
+    stem = f"{effect}_{one.name}" if one.several else effect
+    name = f"{stem}_{letter}" if one.alone else f"{effect}_{one.name}_{errors.output}"
+    if one.gain and not direct:
+        per = _PER[errors.kind]
+        text, si = f"({own.text})/({per})", 1 / unit(per).factor
+        return ReportedAmplitude(name, text, si, f"Scale factor of {errors.output} along its own axis")
+    return ReportedAmplitude(
+        name, one.unit, one.factor, f"Parameter {one.name} of the effect {effect} in {errors.output}"
+    )

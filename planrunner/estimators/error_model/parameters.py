@@ -1,0 +1,68 @@
+"""Keys of a plan for the effects of the catalogue."""
+
+from __future__ import annotations
+
+import re
+
+from planrunner.base import plugins
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, closest
+from planrunner.estimators.outputs_fit import BASES
+from planrunner.observation.flicker import drift_span
+from planrunner.plan import source
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Record, Schema, key
+from planrunner.plan.quantity import Quantity, anchored
+
+AXES = ("x", "y", "z")
+_COLUMN = r"[A-Za-z][A-Za-z0-9_]{0,39}"
+
+
+@dataclass(frozen=True, slots=True)
+class EffectKind:
+    """The name of an installed effect, or one of its parameters after a dot."""
+
+    what: str = "an effect, or one of its parameters such as `gyro_misalignment.towards_z`"
+
+    def read(self, node: source.Node, log: Findings) -> str | None:
+        text = node.value if isinstance(node, source.Scalar) and isinstance(node.value, str) else ""
+        effect, dot, column = text.partition(".")
+        known = plugins.names(plugins.EFFECTS)
+        if effect in known and (not dot or re.fullmatch(_COLUMN, column)):
+            return text
+        shown = f"no effect '{text[:60]}' is installed" if text else "the name of an effect is expected here"
+        log.error("form-choice", node.mark, shown, closest(effect, known))
+        return None
+
+    def schema(self) -> Schema:
+        names = plugins.names(plugins.EFFECTS)
+        parts = anchored(rf"(?:{'|'.join(names)})\.{_COLUMN}")
+        return {"anyOf": [{"enum": list(names)}, {"type": "string", "pattern": parts}]}
+
+
+class ErrorModelParameters(Record):
+    """Keys of the estimator error_model."""
+
+    outputs: dict[str, tuple[str, ...]] = key(
+        MapOf(ListOf(EffectKind(), minimum=1), of_channels=True),
+        "The outputs, each with the effects that its model consists of.",
+        {"gyro_x": ["gyro_bias", "gyro_scale_factor", "gyro_misalignment.towards_z"]},
+    )
+    axes: dict[str, str] = key(
+        MapOf(Choice(AXES)),
+        "The axis of the sensor along which an output measures, where its name does not contain it or means another.",
+        {"torquer_x": "y"},
+        default_factory=dict,
+    )
+    temperature_channel: str | None = key(
+        CHANNEL,
+        "The sensor's own thermometer, whose mean is the temperature of a segment; by default the planned temperature.",
+        "temperature",
+        default=None,
+    )
+    uncertainty: str = key(
+        Choice(BASES),
+        "Basis of the uncertainties: the scatter of the segments about the model, or the noise within the segments.",
+        "residual",
+        default="residual",
+    )
+    drift_span: Quantity = drift_span()
