@@ -17,6 +17,7 @@ import simulated_imu as imu
 import test_accelerometer_and_stillness as accelerometers
 import test_allan_recording as allan
 import test_compensation_residual as compensation
+import test_error_model as models
 import test_fixture_angles as fixture
 import test_flexure_gyro_static as flexure
 import test_imu_multi_position as imu_calibration
@@ -107,6 +108,16 @@ def said_of_triads() -> Iterator[Estimate | str]:
     yield from map(accelerometer_by_magnitude._describe, gravity_magnitude.NAMES)
 
 
+def said_of_error_models() -> Iterator[Estimate | str]:
+    outputs = {"gx": ("gyro_bias", "gyro_scale_factor")}
+    yield models.estimate(imu.recorded(imu.plan(), imu.drawn_truth(np.random.default_rng(1))), outputs)
+    turning = [
+        from_means(imu.spin("z", rate), {"gz": 40.0 * rate}, "pulse/s", 0.1, start=100.0 * place)
+        for place, rate in enumerate((10.0, -10.0, 50.0, -50.0))
+    ]
+    yield models.estimate(turning, {"gz": ("gyro_bias", "gyro_scale_factor")})
+
+
 def said_of_noise() -> Iterator[Estimate | str]:
     yield allan.run(allan.record(allan.white(4000)))
     yield from allan_deviation.WORDS.values()
@@ -126,7 +137,8 @@ def said_of_repeats() -> Iterator[Estimate | str]:
 
 
 SAYING: tuple[Callable[[], Iterator[Estimate | str]], ...] = (
-    said_by_flexure_gyros, said_of_scale_factors, said_of_navigation, said_of_rocking, said_of_triads, said_of_noise,
+    said_by_flexure_gyros, said_of_scale_factors, said_of_navigation, said_of_rocking, said_of_triads, said_of_error_models,
+    said_of_noise,
     said_over_temperature, said_of_repeats,
 )  # fmt: skip
 
