@@ -1,4 +1,4 @@
-"""From a recording to results: every estimate of a plan in the order that `uses` asks for, then the limits.
+"""From a recording to results: every estimate of a plan in the order that `uses` requires, then the limits.
 
 A failure of one estimate is kept as a message; the others are still made.
 """
@@ -49,7 +49,7 @@ def analyse(
 ) -> Results:
     """All estimates and limits of a plan.
 
-    Never raises for what the data hold: failures are messages by the estimate's name, or by `limit on …`.
+    Never raises because of the data: failures are messages, by the name of the estimate or by `limit on …`.
     """
     made: dict[str, Estimate] = {}
     failures: dict[str, str] = {}
@@ -95,7 +95,7 @@ def design_of(
 ) -> Design:
     """Information of the planned segments for one estimate, and the coefficients that a run will give.
 
-    designs: of the estimates before it. Raises `EstimationError` when the segments make no sense for the estimator.
+    designs: those of the preceding estimates. Raises `EstimationError` if the segments are not suitable for the estimator.
     """
     missing = [used for used in spec.uses if used not in designs]
     if missing:

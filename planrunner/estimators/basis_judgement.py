@@ -18,8 +18,7 @@ from planrunner.uncertainty.influences import Aspect
 
 @dataclass(frozen=True, slots=True)
 class BasisComparison:
-    """F = residual variance over within-segment variance of one output; probability: of an F at least this large if there were only
-    noise."""
+    """F = residual variance over within-segment variance of one output; probability: that noise alone gives an F at least this large."""
 
     output: str
     ratio: float
@@ -42,7 +41,7 @@ def compare(fit: OutputsFit) -> tuple[BasisComparison, ...]:
 
 
 def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
-    """Raises `EstimationError` if the plan requests a basis for which its segments are insufficient, and `UnfitDataError` if the samples
+    """Raises `EstimationError` if the plan requests a basis for which its segments are insufficient, and `UnfitDataError` if its samples
     are."""
     if fit.available(basis):
         return

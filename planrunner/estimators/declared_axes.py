@@ -1,7 +1,7 @@
-"""Whether outputs respond as their declared axes, signs and units say: reversed and exchanged axes, left-handed triads, wrong units.
+"""Checks whether outputs respond as declared: detects reversed and exchanged axes, left-handed triads, and wrong units.
 
 A calibration of an output in its own unit against the true rate or specific force gives a row of ratios, close to one along its own axis
-and to zero across it. A row that is not close to this is fitted as well as any other. It is therefore compared with what was declared.
+and to zero across it. The fit does not detect a row that differs from this, so each row is compared with the declaration.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from planrunner.plan.units import DIMENSIONS, Unit, unit
 Array = NDArray[np.float64]
 
 LARGEST_DEVIATION = 0.2
-"""Of a scale factor from one. Data sheets of uncalibrated MEMS sensors state tolerances of the sensitivity of up to 10 or 20 %."""
+"""Deviation of a scale factor from one. Data sheets of uncalibrated MEMS sensors state tolerances of the sensitivity of up to 10 or 20
+%."""
 _UNIT_MATCH = 0.1  # relative: what a scale factor may differ from the ratio of two units
 _UNITS = {
     "angular rate": ("rad/s", "mrad/s", "deg/s", "deg/min", "deg/h", "rev/s", "rev/min"),
@@ -48,7 +49,7 @@ class AxisResponse:
 
 
 def contradictions(rows: Sequence[AxisResponse]) -> list[str]:
-    """Warnings about the outputs of one triad or less that were excited along their own axes."""
+    """Warnings about the outputs of one triad, or of a part of it, that were excited along their own axes."""
     excited = [row for row in rows if row.axis in row.ratios and any(row.ratios.values())]
     reversed_ = [row for row in excited if row.largest == row.axis and row.own < 0]
     found = _all_reversed(reversed_[0].unit) if len(reversed_) == 3 else [_reversed(row) for row in reversed_]

@@ -72,15 +72,16 @@ class Derived:
         )
 
     def influences(self, acting: Sequence[Sequence[Influence]]) -> tuple[Influence, ...]:
-        """On the quantities, of the influences on each fit's coefficients; an input that acts on several fits is one input."""
+        """Influences on the quantities, from the influences on each fit's coefficients; an input that acts on several fits is counted as
+        one input."""
         by_fit = zip(acting, self._by_fit(), strict=True)
         return tuple(one.through(gradient) for influences, gradient in by_fit for one in influences)
 
     def draws(self, basis: str, acting: Sequence[Sequence[Influence]]) -> Draws:
-        """Draws of the quantities through the formula, so exact but for the influences' first order.
+        """Draws of the quantities through the formula; only the influences are approximated to first order.
 
-        A fit's part is Student's t with the degrees of freedom of the variances that it rests on: one for all outputs where they are
-        pooled, else each output's own.
+        The part of a fit is drawn from Student's t with the degrees of freedom of its variance, which is common to all outputs if they are
+        pooled.
         """
         parts = [_draws(fit, basis, influences) for fit, influences in zip(self.fits, acting, strict=True)]
 
@@ -95,8 +96,8 @@ class Derived:
 
 
 def derived(quantities: Sequence[Reported], formula: Formula, *fits: OutputsFit, at: Array | None = None) -> Derived:
-    """formula: (r, n) → (q, n), of the fits' coefficients, output after output. at: (r,), their values, if the fits give only steps from
-    a nearby point. Raises the errors of the formula."""
+    """formula: (r, n) → (q, n), of the fits' coefficients, output after output. at: (r,), values of the coefficients, if the fits give only
+    steps from a nearby point. Raises the errors of the formula."""
     where = np.concatenate([fit.coefficients.ravel() for fit in fits]) if at is None else at
     return Derived(tuple(quantities), formula, formula(where[:, None])[:, 0], jacobian(formula, where), fits)
 

@@ -1,6 +1,6 @@
-"""Tables of results in format 1, whose columns had titles alone: the roles that their titles and cells meant.
+"""Tables of results in format 1, whose columns have only titles: derives the roles from titles and cells.
 
-Nothing else reads a title. Results that are written now name the roles.
+No other module interprets a title; the present format names the roles.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from planrunner.base.documents import Json
 from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 
 TERMINAL_TABLES = "terminal_tables"
-"""The setting of an estimate that named the tables for the terminal by their titles."""
+"""The setting of an estimate that lists, by their titles, the tables for the terminal."""
 _UNCERTAIN = re.compile(r"(?:^|\s)u(?:\s|\(|$)")
 _EXPANDED = re.compile(r"(?:^|\s)U(?:\s|\(|$)|^±")
 _FREEDOM = re.compile(r"\b(?:dof|d\.o\.f\.?)\b|degrees of freedom", re.IGNORECASE)
@@ -24,7 +24,7 @@ _NUMBER = re.compile(
 def earlier_table(
     title: str, titles: Sequence[str], rows: tuple[tuple[Cell, ...], ...], settings: Mapping[str, Json]
 ) -> Table:
-    """A table of format 1 with the roles that its titles meant. settings: of its estimate."""
+    """A table of format 1 with the roles derived from its titles. settings: those of its estimate."""
     columns = tuple(TableColumn(name, _role(name, [row[k] for row in rows])) for k, name in enumerate(titles))
     return Table(title, columns, rows, title in settings.get(TERMINAL_TABLES, ()))
 

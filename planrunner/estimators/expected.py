@@ -1,7 +1,7 @@
 """The recording expected from a schedule: segments with the means of a nominal sensor and the declared noise.
 
 The formula of an estimator applied to it gives every coefficient of a run at its nominal value (`planrunner.estimators.method`). Values
-that neither plan nor bench states are assumed in two ways; a coefficient that is equal for both does not depend on them.
+that neither plan nor bench states are assumed in two different ways; a coefficient that is equal in both cases does not depend on them.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ _ALONG_UP = np.eye(3)
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """An estimator's knowledge about outputs, by name. responses: in its terms, as declared for the sensor; directions: their input axes
-    in the sensor's frame, (3,), where its keys say which is which."""
+    """An estimator's knowledge about outputs, by name. responses: in its terms, as declared for the sensor; directions: their input axes in
+    the sensor's frame, (3,), if the estimator's keys assign them."""
 
     responses: Responses = field(default_factory=dict)
     directions: Mapping[str, Array] = field(default_factory=dict)
@@ -41,8 +41,8 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """Assumed values for those that are not stated. noise: of a mean, in the output's unit; gain: output per SI unit of what it senses;
-    kelvin; attitude: (3, 3)."""
+    """Assumed values for quantities that are not stated. noise: of a mean, in the output's unit; gain: output per SI unit of the sensed
+    quantity; kelvin: temperature; attitude: (3, 3)."""
 
     noise: float
     gain: float
@@ -58,7 +58,8 @@ ASSUMPTIONS = (
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """segments: as if recorded. assumed: in words, the assumptions about the used outputs; empty if plan and bench state everything."""
+    """segments: the expected recording. assumed: the assumptions about the used outputs, in words; empty if plan and bench state
+    everything."""
 
     segments: tuple[RecordedSegment, ...]
     assumed: tuple[str, ...]

@@ -20,7 +20,7 @@ from planrunner.uncertainty.influences import Influence
 
 
 class FittedFromPositions(Protocol):
-    """The keys that such an estimator has."""
+    """The keys of an estimator from positions."""
 
     @property
     def uncertainty(self) -> str: ...
@@ -50,9 +50,10 @@ def fit_positions(
     observations: Observations,
     pooled: bool = False,
 ) -> OutputsFit:
-    """Outputs against a linear model.
+    """Fits outputs by a linear model.
 
-    How far the table's errors move an output depends on its coefficients, which a first fit without them gives. Raises `EstimationError`.
+    The effect of the table's errors on an output depends on its coefficients, so a first fit without these errors gives approximate
+    coefficients. Raises `EstimationError`.
     """
     parameters = request.parameters
     model, matrix, magnitudes = design.model, design.matrix, design.magnitudes
@@ -67,7 +68,7 @@ def fit_positions(
 def site_influences(
     request: EstimateRequest[FittedFromPositions], design: PositionsDesign, fit: OutputsFit
 ) -> tuple[Influence, ...]:
-    """Of latitude and gravity on the coefficients, output after output, in SI columns and the outputs' units."""
+    """Influences of latitude and gravity on the coefficients, output after output, in SI columns and the outputs' units."""
     errors = site_errors(design.model, design.segments, request.site, request.setup.inputs, fit.coefficients)
     functionals = functionals_of(fit.gains)
     return tuple(error.through(functionals) for error in errors)

@@ -34,12 +34,12 @@ def residual_table(title: str, observed: str, observations: Observations, fit: O
 
 
 def bases_shown(chosen: str, fits: Sequence[OutputsFit]) -> list[str]:
-    """The chosen basis, and the other one where all fits give it."""
+    """The chosen basis, and the other one if all fits have it."""
     return [chosen, *(other for other in BASES if other != chosen and all(fit.available(other) for fit in fits))]
 
 
 def spread_columns(basis: str) -> tuple[TableColumn, ...]:
-    """Standard uncertainty, degrees of freedom and expanded uncertainty by one basis."""
+    """Standard uncertainty, degrees of freedom and expanded uncertainty on one basis."""
     shown = basis.replace("_", " ")
     return (
         TableColumn(f"u ({shown})", Role.STANDARD_UNCERTAINTY),
@@ -49,8 +49,7 @@ def spread_columns(basis: str) -> tuple[TableColumn, ...]:
 
 
 def bases_table(found: Derived, chosen: str, count: int | None = None) -> Table:
-    """Uncertainties by what the data show, on the basis that was chosen and on the other, where the data give both; of the first `count`
-    quantities."""
+    """Type A uncertainties of the first `count` quantities on the chosen basis, and on the other basis if the data allow both."""
     bases = bases_shown(chosen, found.fits)
     spreads = [found.spread(basis) for basis in bases]
     columns = [TableColumn("coefficient"), TableColumn("unit"), TableColumn("value", Role.VALUE)]

@@ -1,4 +1,4 @@
-"""Checks if planned rates act on the fitted outputs and stay within their full scale.
+"""Checks that planned rates act on the fitted outputs and stay within their full scale.
 
 A saturated output bends the line from which its scale factor is computed; an output with its input axis perpendicular to the rotation axis
 shows only its misalignment.
@@ -27,10 +27,10 @@ UP = (0.0, 0.0, 1.0)  # about which cycles turn
 
 
 def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], shares: Array) -> list[Remark]:
-    """An error for each output whose declared full scale is less than what the fastest planned rate would show.
+    """An error for each output whose declared full scale is below its reading at the fastest planned rate.
 
-    shares: (n, m), the part of each segment's rate that each output's axis feels. An output in another unit than that of a rate needs a
-    declared scale factor K_… to be judged; one of specific force is not judged.
+    shares: (n, m), the part of each segment's rate that each output's axis feels. An output whose unit is not a rate is checked only if a
+    scale factor K_… is declared; an output of specific force is not checked.
     """
     found = []
     rates = np.array([_rate(segment.motion) for segment in request.segments], dtype=float)
@@ -60,7 +60,7 @@ def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: A
     """A warning if the planned rates act on none of the outputs, for example because the table spins about an axis other than the fitted
     one.
 
-    shares: (n, m), as for `beyond_full_scale`. Nothing is said of orientations that are not known, or of outputs of specific force.
+    shares: (n, m), as for `beyond_full_scale`. Unknown orientations and outputs of specific force are not checked.
     """
     moving = [row for row, segment in enumerate(request.segments) if isinstance(segment.motion, Spin)]
     if not moving or any(request.segments[row].attitude is None for row in moving):
@@ -82,7 +82,7 @@ def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: A
 
 
 def _turns(request: DesignRequest[object], name: str) -> bool:
-    """Whether an output is one of rotation, as far as its unit says."""
+    """Whether an output measures rotation, judged by its unit."""
     model = request.sensor.output(name)
     rotation = (unit("rad/s").dimension, unit("pulse/s").dimension)
     return (
@@ -103,15 +103,15 @@ def _rate(motion: Motion) -> float:
 
 
 def _axis(motion: Motion) -> tuple[float, float, float] | None:
-    """In site axes; None for a motion without one axis."""
+    """The rotation axis in site axes; None for a motion without a single axis."""
     if isinstance(motion, Cycle):
         return UP
     return motion.about if isinstance(motion, Spin) else None
 
 
 def shares_by_name(segments: Sequence[Segment], mounting: Mapping[str, MountedAxis], outputs: Sequence[str]) -> Array:
-    """The fraction of the rate along each output's axis, (n, m): the axis is the sensor axis in the output's name (gyro_x: x), or
-    of the plan's `mounting`. The full rate where the name gives no axis, none where the orientation is unknown."""
+    """The fraction of the rate along each output's axis, (n, m): the axis is the sensor axis in the output's name (gyro_x: x), or the axis
+    in the plan's `mounting`. The fraction is one if the name gives no axis, and zero if the orientation is unknown."""
     shares = np.zeros((len(segments), len(outputs)))
     directions = [input_direction(mounting, name) for name in outputs]
     for row, segment in enumerate(segments):
@@ -126,7 +126,7 @@ def shares_by_name(segments: Sequence[Segment], mounting: Mapping[str, MountedAx
 
 def input_direction(mounting: Mapping[str, MountedAxis], output: str) -> Array | None:
     """The input axis of an output in the sensor's frame, (3,): that of `mounting` for the axis in its name, or that axis itself. None
-    if the name gives no axis. Without azimuth only its part along z, so that no rate is refused that may be right."""
+    if the name gives no axis. Without azimuth only its component along z, so that no possibly valid rate is refused."""
     axis = axis_of(output)
     if axis is None:
         return None

@@ -58,14 +58,14 @@ class Coefficient:
     role: CoefficientRole = CoefficientRole.LOCATION
 
     def near(self, place: float) -> float:
-        """The value, of a circular quantity that of its equals which is nearest to a place, in `unit`."""
+        """The value in `unit`; for a circular quantity, the equivalent value that is nearest to a given one."""
         return place + math.remainder(self.value - place, self.period) if math.isfinite(self.period) else self.value
 
 
 class Role(StrEnum):
-    """Kind of the cells of a column. Reports round, align and word cells by it, never by a title.
+    """Kind of the cells of a column. Reports use it, and never a title, to round, align and format cells.
 
-    A `VALUE` is rounded by the first uncertainty column to its right, and shown in five digits where there is none; a `NUMBER` is set or
+    A `VALUE` is rounded by the first uncertainty column to its right, and shown in five digits if there is none; a `NUMBER` is set or
     stated and has no uncertainty. A number of the role `SHARE` is a fraction of 1, shown in percent. `LABEL` is text.
     """
 
@@ -80,7 +80,7 @@ class Role(StrEnum):
 
     @property
     def uncertain(self) -> bool:
-        """Whether values to the left are rounded by it."""
+        """Whether it determines the rounding of values to its left."""
         return self in (Role.STANDARD_UNCERTAINTY, Role.EXPANDED_UNCERTAINTY)
 
 
@@ -97,7 +97,7 @@ class Unpredicted:
 
 @dataclass(frozen=True, slots=True)
 class TableColumn:
-    """unit: of all cells, shown beside the title; empty where there is none, or where each row has its own."""
+    """unit: of all cells, shown beside the title; empty if there is none, or if the unit differs between rows."""
 
     title: str
     role: Role = Role.LABEL
@@ -113,7 +113,7 @@ Cell = str | float | None
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table for people. rows: a cell a column. terminal: shown on the terminal as well as in reports."""
+    """A table for readers. rows: one cell per column. terminal: shown on the terminal as well as in reports."""
 
     title: str
     columns: tuple[TableColumn, ...]
@@ -127,8 +127,8 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """Points for people, one per label or over x: series name → values, with optional standard uncertainties. log: both axes are
-    logarithmic; values that are not positive are not shown. lines: values belong to a course over x, drawn as lines without points.
+    """Points for readers, one per label or over x: series name → values, with optional standard uncertainties. log: both axes are
+    logarithmic; values that are not positive are not shown. lines: values are drawn as lines over x, without points.
     """
 
     title: str
@@ -145,15 +145,15 @@ class Plot:
 class Estimate:
     """Coefficients, their covariance (m, m) in the products of their units, and the information needed to judge them.
 
-    An estimator gives the covariance that its data show (type A) and the `influences` that they do not; the analysis adds these up, so
-    that coefficients and covariance hold both, and writes the `budgets`.
+    An estimator gives the covariance from its data (type A) and the `influences`, which the data do not show; the analysis adds both to the
+    covariance of the coefficients, and writes the `budgets`.
 
-    headline: the names that the terminal shows first. settings: choices made (such as the basis of the uncertainties). extra: plain
-    data for estimates that build on this one; coefficients that are known at several temperatures, or at one that all segments held,
-    stand in extra["by_temperature"] as {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}},
-    with the uncertainty that the data show, for `temperature_model`. data_covariance: what the data show alone, kept by the analysis when
-    it has added the influences; an estimate that builds on this one starts from it and carries the influences on (`Influence.through`),
-    so that an input that acts on both counts once and with its sign. expected: of a schedule, not of a recording.
+    headline: the names that the terminal shows first. settings: choices made (such as the basis of the uncertainties). extra: plain data
+    for estimates that use this one; coefficients that are known at several temperatures, or at the common temperature of all segments, are
+    in extra["by_temperature"] as {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}}, with
+    the type A uncertainty, for `temperature_model`. data_covariance: the type A part alone, which the analysis keeps when it adds the
+    influences. An estimate that uses this one starts from it and propagates the influences (`Influence.through`), so that an input that
+    acts on both counts once and with its sign. expected: of a schedule, not of a recording.
     """
 
     name: str
@@ -185,8 +185,8 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """The test set-up except site and sensor: the table, the fixture that it is mounted in, what is stated of uncertainties, the
-    information on this run (name → text), and whether the bench plays back a recording."""
+    """The test set-up except site and sensor: the table, the fixture of the sensor, the stated uncertainties, the information on this run
+    (name → text), and whether the bench plays back a recording."""
 
     table: TableModel | None = None
     mounting: Mapping[str, MountedAxis] = field(default_factory=dict)
@@ -197,8 +197,8 @@ class Setup:
 
 @dataclass(frozen=True, slots=True)
 class EstimateRequest(Generic[P]):
-    """name: of this estimate in the plan. parameters: the record of the estimator's keys. uses: the estimates that it builds on, by their
-    names in the plan. detection: where the plan asks for spans to be found in the data (`planrunner.plan.selection.Detection`)."""
+    """name: of this estimate in the plan. parameters: the record of the estimator's keys. uses: the estimates that it uses, by their names
+    in the plan. detection: given if the plan requires spans to be found in the data (`planrunner.plan.selection.Detection`)."""
 
     name: str
     segments: tuple[RecordedSegment, ...]
@@ -212,8 +212,8 @@ class EstimateRequest(Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class DesignRequest(Generic[P]):
-    """The same before anything is recorded; where `detection` is given, spans are yet to be found. `uses` holds the designs of the
-    estimates that this one builds on."""
+    """The request before anything is recorded; if `detection` is given, the spans are not known yet. `uses` holds the designs of the
+    estimates that this one uses."""
 
     name: str
     segments: tuple[Segment, ...]
@@ -245,8 +245,8 @@ class DesignBlock:
 class Remark:
     """An error or doubt of an estimator about planned segments; `check` prints it as a finding at `key` of the estimate.
 
-    code: such as `physics-release`, listed in docs/findings.md. error: the plan must not run so. conditions: it says why the fit is
-    ill-conditioned, which is then not said again.
+    code: such as `physics-release`, listed in docs/findings.md. error: the plan must not run. conditions: the remark explains why the fit
+    is ill-conditioned, so that the general message is not repeated.
     """
 
     code: str
@@ -259,11 +259,11 @@ class Remark:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """blocks: one an output, none where there is no linear model. predicted: coefficients at their nominal values with the standard
-    uncertainty to expect; unpredicted: those that a run gives beside them. Both are empty where nothing is known of what a run will give.
-    extra: plain data for the designs of estimates that build on this one. An estimator that gives coefficients
-    by temperature says there at which `temperatures` [K], none where it will give none, and `names_by_temperature` where they are known.
-    expected: estimates of the observations that the schedule leads one to expect, for the designs of estimates that build on this one.
+    """blocks: one per output; none without a linear model. predicted: coefficients at their nominal values with their expected standard
+    uncertainties; unpredicted: the other coefficients of a run. Both are empty if the coefficients of a run are not known. extra: plain
+    data for the designs of estimates that use this one. An estimator that gives coefficients by temperature puts their `temperatures` [K]
+    there (an empty list if there are none), and `names_by_temperature` if they are known. expected: estimates of the expected observations,
+    for the designs of estimates that use this one.
     """
 
     blocks: tuple[DesignBlock, ...]
@@ -276,7 +276,7 @@ class Design:
 
     @property
     def foreseen(self) -> Mapping[str, Coefficient | Unpredicted]:
-        """What a run will give, by name; empty where that is not known."""
+        """The coefficients of a run, by name; empty if they are not known."""
         predicted: dict[str, Coefficient | Unpredicted] = {item.name: item for item in self.predicted}
         return predicted | {item.name: item for item in self.unpredicted}
 
@@ -288,7 +288,7 @@ class Design:
 
 @runtime_checkable
 class FindsSpans(Protocol):
-    """An estimator that looks for spans in the data where a plan asks for `{detect: …}`; the others take whole segments."""
+    """An estimator that can search for spans in the data if a plan has `{detect: …}`; other estimators use whole segments."""
 
     finds_spans: bool
 
@@ -304,6 +304,6 @@ class Estimator(Protocol[R]):
 
 
 def estimator_of(spec: EstimateSpec) -> Estimator[Record]:
-    """The plug-in that an estimate of a plan names. Raises `InputError`."""
+    """The plug-in that an estimate in a plan names. Raises `InputError`."""
     estimator: Estimator[Record] = plugins.load(plugins.ESTIMATORS, spec.estimator)()
     return estimator

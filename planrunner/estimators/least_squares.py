@@ -1,4 +1,4 @@
-"""Weighted linear least squares: one bare kernel with full covariance, for every estimator.
+"""Weighted linear least squares: one kernel with full covariance for all estimators.
 
 Columns are divided by their declared magnitudes, the augmented matrix [A | y] is reduced by QR, and rank, solution and covariance come
 from its small triangle (Golub and Van Loan, Matrix Computations, 5.3). Terms that the data cannot separate are an error that names
@@ -37,7 +37,7 @@ class LinearFit:
 
     @property
     def variance_factor(self) -> float:
-        """chi²/dof: about 1 when `sigma` says all; NaN without degrees of freedom."""
+        """chi²/dof: about 1 if `sigma` describes all errors; NaN without degrees of freedom."""
         return self.chi_squared / self.degrees_of_freedom if self.degrees_of_freedom else float("nan")
 
 
@@ -62,7 +62,7 @@ def fit_each(
     names: Sequence[str] = (),
     covariance: Array | None = None,
 ) -> tuple[LinearFit, ...]:
-    """Least-squares coefficients of m outputs for `matrix` (n, p) and `observed` (m, n), each output by itself.
+    """Least-squares coefficients of m outputs for `matrix` (n, p) and `observed` (m, n), each output separately.
 
     sigma: (m, n) standard uncertainties, by default all 1. magnitudes: (p,) declared column sizes, by default the root mean squares of the
     columns. covariance: (m, n, n), positive definite, of the observations, instead of `sigma`. Raises `EstimationError` for too few
@@ -102,7 +102,7 @@ def fit_each(
 
 
 def whitened(rows: Array, covariance: Array) -> Array:
-    """Combinations of the rows (…, n, k) that are uncorrelated and have variance one. covariance: (…, n, n)."""
+    """Linear combinations of the rows (…, n, k) that are uncorrelated and have variance one. covariance: (…, n, n)."""
     return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))
 
 
@@ -127,7 +127,7 @@ _BATCH = 4  # chunks scaled and reduced at a time, so that all of it stays in th
 def _triangle(matrix: Array, observed: Array, weight: Array | None, scale: Array) -> Array:
     """R of the QR factorisation of weight·[matrix·scale | observed] of many rows, shape (p + 1, p + 1).
 
-    Chunks of rows are reduced first and then their triangles together (Demmel et al., SIAM J. Sci. Comput. 34, 2012).
+    Chunks of rows are reduced first, then their triangles together (Demmel et al., SIAM J. Sci. Comput. 34, 2012).
     """
     n, p = matrix.shape
     widened = np.append(scale, 1.0)

@@ -48,8 +48,8 @@ class LimitVerdict:
 
 
 def hold(limit: Limit, estimates: Mapping[str, Estimate]) -> LimitVerdict:
-    """The verdict on one limit (`plan.model.Limit`). A circular coefficient is compared on the turn that is nearest to the middle of two
-    bounds. Raises `EstimationError` when its quantity is missing or of another dimension."""
+    """The verdict on one limit (`plan.model.Limit`). A circular coefficient is first shifted by whole turns to be nearest to the middle of
+    the two bounds. Raises `EstimationError` if its quantity is missing or has another dimension."""
     coefficient = _coefficient(limit.quantity, estimates)
     lower, upper = bounds(limit, coefficient)
     u, freedom = coefficient.standard_uncertainty, coefficient.degrees_of_freedom
@@ -84,7 +84,7 @@ def hold(limit: Limit, estimates: Mapping[str, Estimate]) -> LimitVerdict:
 def _global(
     limit: Limit, coefficient: Coefficient, tolerance: tuple[float, float], acceptance: tuple[float, float]
 ) -> GlobalRisk:
-    """NaN without a prior, or where the uncertainty is not known."""
+    """NaN without a prior, or if the uncertainty is not known."""
     if limit.prior is None or not math.isfinite(coefficient.standard_uncertainty):
         return GlobalRisk(math.nan, math.nan)
     if not limit.prior.standard_uncertainty:

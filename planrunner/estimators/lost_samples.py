@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from planrunner.archive.recording import RecordedSegment
 
 GAP_INTERVALS = 5.5
-"""Sample intervals from which a gap is reported; shorter ones are jitter, or a sample or two."""
+"""Number of sample intervals from which a gap is reported; shorter gaps are jitter or single samples."""
 NAMED = 3
 
 
 def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tuple[str, ...]:
-    """A sentence for the samples left out of the segments, one for the gaps in them. sample_rate: Hz, where a segment
-    gives none."""
+    """A sentence about the samples left out of the segments, and another about the gaps in them. sample_rate: Hz, for segments without
+    their own."""
     left_out, gaps = [], []
     for recorded in segments:
         statistics = recorded.statistics
@@ -34,6 +34,6 @@ def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tup
 
 
 def _named(texts: Sequence[str]) -> str:
-    """Names and figures without words, so that the sentence about them can be translated."""
+    """Only names and figures, so that the sentence around them can be translated."""
     more = [f"… (+{len(texts) - NAMED})"] if len(texts) > NAMED else []
     return ", ".join([*texts[:NAMED], *more])

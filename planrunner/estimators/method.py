@@ -1,11 +1,11 @@
 """The common method of estimators: a result is a function of observations, and the same function predicts the results of a run.
 
-    found = method.quantities(request)           the formula: coefficients, their covariance and what they depend on
-    words = method.words(request, found)         tables, plots and notes for people
+    found = method.quantities(request) the formula: coefficients, their covariance and what they depend on words = method.words(request,
+    found) tables, plots and notes for readers
 
 `estimate` calls both. `foresight` calls only the first, on the observations expected from the schedule. A check of a plan therefore gives
-every coefficient of the run and its uncertainty, computed with the same formula. If that would take too long, or if the samples themselves
-are needed, an estimator has a separate prediction (`ForeseesResults`), which tests compare with a run.
+every coefficient of the run and its uncertainty, computed with the same formula. If this takes too long, or if the samples themselves are
+needed, an estimator has a separate prediction (`ForeseesResults`), which tests compare with a run.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _ALIKE = 1e-6  # relative: what two assumptions give alike does not rest on what
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quantities:
     """Result of a formula. covariance: (m, m), contribution of the data, in the products of the coefficients' units; influences:
-    contributions that the data do not show. extra: plain data for estimates that build on this one, as `interface.Estimate` says."""
+    contributions that the data do not show. extra: plain data for estimates that use this one; see `interface.Estimate`."""
 
     coefficients: tuple[Coefficient, ...]
     covariance: Array
@@ -74,13 +74,13 @@ Q = TypeVar("Q", bound=Quantities)
 
 
 class Method(ABC, Generic[P, Q]):
-    """An estimator as a formula and its words. P: the record of its keys; Q: what its formula gives."""
+    """An estimator as a formula and its explanations. P: the record of its keys; Q: the result of its formula."""
 
     summary: str
     Parameters: type[P]
 
     name: str
-    """By which plans know it."""
+    """Name of the estimator in plans."""
 
     @abstractmethod
     def quantities(self, request: EstimateRequest[P]) -> Q:
@@ -91,7 +91,7 @@ class Method(ABC, Generic[P, Q]):
         """Explanations for readers."""
 
     def known(self, request: DesignRequest[P]) -> Known:
-        """Knowledge of this method about the outputs; the rest follows from their names and units."""
+        """What this method knows about the outputs; the rest follows from their names and units."""
         return Known()
 
     def estimate(self, request: EstimateRequest[P]) -> Estimate:
@@ -118,8 +118,8 @@ class Method(ABC, Generic[P, Q]):
 @dataclass(frozen=True, slots=True)
 class Foresight:
     """Prediction of a run: `predicted` coefficients at nominal values with expected uncertainties, `unpredicted` ones without. expected:
-    estimates of the expected observations, one for each way of assuming what is not stated, for those that build on this one. notes: on
-    the prediction."""
+    estimates of the expected observations, one for each set of assumed values, for estimates that use this one. notes: remarks on the
+    prediction."""
 
     predicted: tuple[Coefficient, ...] = ()
     unpredicted: tuple[Unpredicted, ...] = ()
@@ -166,7 +166,7 @@ def foresight(estimator: Estimator[P], request: DesignRequest[P]) -> Foresight:
 
 
 def by_expectation(estimator: Estimator[P], request: DesignRequest[P]) -> Foresight:
-    """The general way, for any estimator: its formula on the expected recording."""
+    """The general prediction, for any estimator: its formula applied to the expected recording."""
     used = channels_of(request.parameters) or tuple(one.name for one in request.sensor.outputs if not one.constant)
     known = estimator.known(request) if isinstance(estimator, Method) else Known()
     first, *others = ASSUMPTIONS
@@ -202,7 +202,7 @@ def _alike(one: Coefficient, others: Sequence[Coefficient]) -> bool:
 
 
 def _evaluated(estimator: Estimator[P], request: DesignRequest[P], expected: Expected, number: int) -> Estimate | None:
-    """The estimate of an expected recording, with all of its uncertainty; None where the estimator cannot make it."""
+    """The estimate from an expected recording, with its complete uncertainty; None if the estimator cannot make it."""
     uses = {
         name: design.expected[min(number, len(design.expected) - 1)]
         for name, design in request.uses.items()
@@ -244,7 +244,7 @@ def _evaluated(estimator: Estimator[P], request: DesignRequest[P], expected: Exp
 
 
 def _whole(made: Estimate) -> Estimate:
-    """With the influences added to what the data show, of which the declared noise is known without limit."""
+    """The estimate with the influences added to the contribution of the data; declared noise has infinite degrees of freedom."""
     covariance = np.array(made.covariance, dtype=float)
     for item in merged(made.influences):
         if not item.in_scatter:

@@ -1,4 +1,4 @@
-"""Segments that do not fit the others, and segments that nothing checks.
+"""Segments that do not agree with the others, and segments that the others do not check.
 
 The test is that of the mean-shift model: segment i of an output has an error δ, which is described by an additional column with a one at i.
 Its t value is the externally studentised residual (Cook and Weisberg, Residuals and Influence in Regression, 1982, 2.2.2; for correlated
@@ -23,7 +23,7 @@ from planrunner.observation.observations import SIGNIFICANCE
 Array = NDArray[np.float64]
 
 LEAST_REDUNDANCY = 0.1
-"""Below it an error must be more than three times as large as the others' to be seen (1/√0.1)."""
+"""Below this redundancy an error is visible only if it is more than three times (1/√0.1) as large as elsewhere."""
 _MOST = 5  # named of one output: more are no outliers but another model
 _ROUNDING = 1e-10  # of an output's largest fitted value: smaller errors are those of computing
 
@@ -85,8 +85,8 @@ def _of_output(fit: OutputsFit, k: int, basis: str) -> list[Outlier]:
 
 @dataclass(frozen=True, slots=True)
 class _Shifts:
-    """What one column more for each segment would do. errors, drops: (n,), its δ and by how much χ² falls, 0 for a segment that the model
-    follows whatever it reads; redundancy: (n,); chi_squared: without it."""
+    """The effect of one additional column for each segment. errors, drops: (n,), its δ and the decrease of χ², 0 for a segment that the
+    model fits regardless of its reading; redundancy: (n,); chi_squared: without the column."""
 
     errors: Array
     drops: Array
@@ -95,7 +95,7 @@ class _Shifts:
 
     @classmethod
     def of(cls, fit: OutputsFit, k: int, basis: str, taken: tuple[int, ...]) -> _Shifts:
-        """taken: segments that already have a column."""
+        """taken: segments that have a column already."""
         observed = fit.observed(k, basis)
         weights = np.linalg.inv(observed)
         scale = np.sqrt(np.einsum("ij,ij->j", fit.matrix, fit.matrix))

@@ -4,10 +4,9 @@ The prior knowledge about the observations is one covariance V for each output: 
 correlated errors (`correlated_errors`). The fit is generalised least squares with V. Two bases of uncertainty follow, which answer
 different questions:
 
-    within_segment   V is used as it is. The noise has many degrees of freedom; the effects are added as influences. Does not include what
-                     changes from segment to segment and is not stated (switch-on, an incomplete model)
-    residual         V gives the proportions, and the scatter of the segments about the model one common factor: includes what is not
-                     stated, from few degrees of freedom
+    within_segment   V is used as it is. The noise has many degrees of freedom; the effects are added as influences. Does not include
+    unstated changes from segment to segment (switch-on, an incomplete model) residual         V gives the proportions, and the scatter of
+    the segments about the model one common factor: includes unstated effects, but has few degrees of freedom
 """
 
 from __future__ import annotations
@@ -35,12 +34,12 @@ BASES = ("residual", "within_segment")
 class OutputsFit:
     """m outputs fitted by p terms each from n segments. units: of the outputs; labels: of the segments; matrix: (n, p), the terms' columns.
 
-    noises: what is known from within the segments, for each output. spreads: (m, n), the standard uncertainties that the observations were
-    weighted by beside the effects: the noises', or with a part between segments added (`between_segments`). between: (m,), that part.
-    ratios: (m,), residual variance over that expected from noise and effects. effects: those that are in the weights; the others (where
-    an output's noise is not known) are in `unweighted`. pooled: whether one variance factor holds for all outputs, as it does when their
-    noise stays in the proportion that is known beforehand; pooled_freedom: its degrees of freedom. gains: (m, p, n), coefficients from
-    observations. cofactors: by basis, (m, p, m, p), covariance of the coefficients before the variance factors.
+    noises: the noise within the segments, for each output. spreads: (m, n), the standard uncertainties in the weights, without the effects:
+    those of the noises, with or without a part between segments (`between_segments`). between: (m,), that part. ratios: (m,), residual
+    variance over that expected from noise and effects. effects: those that are in the weights; the others (if the noise of an output is not
+    known) are in `unweighted`. pooled: whether one variance factor applies to all outputs, which is true if the proportions of their noise
+    are known beforehand; pooled_freedom: its degrees of freedom. gains: (m, p, n), coefficients from observations. cofactors: by basis, (m,
+    p, m, p), covariance of the coefficients before the variance factors.
     """
 
     outputs: tuple[str, ...]
@@ -79,7 +78,7 @@ class OutputsFit:
         return np.full_like(factors, factors.mean()) if self.pooled else factors
 
     def observed(self, output: int, basis: str) -> Array:
-        """Covariance (n, n) of an output's observations that the basis rests on, before its variance factor."""
+        """Covariance (n, n) of an output's observations on this basis, before the variance factor."""
         if basis == "within_segment":
             return np.diag(self.noises[output].sigma ** 2)
         return mixed(self.spreads[output], stacked_roots(self.effects, len(self.outputs), len(self.labels))[output])
@@ -92,8 +91,8 @@ class OutputsFit:
         return covariance
 
     def influences(self, basis: str, functionals: Array | None = None) -> tuple[Influence, ...]:
-        """The effects on the coefficients, output after output, or on whatever follows the observations by functionals (q, m, n). On the
-        residual basis those that gave the weights are in the covariance already."""
+        """The effects on the coefficients, output after output, or on other linear functions of the observations, given by functionals (q,
+        m, n). On the residual basis, the covariance already includes the effects that are in the weights."""
         acting = functionals_of(self.gains) if functionals is None else functionals
         weighted = tuple(one.through(acting, basis == "residual") for one in self.effects)
         return (*weighted, *(one.through(acting) for one in self.unweighted))
@@ -115,7 +114,7 @@ class OutputsFit:
 
 
 def coefficients_by_noise(matrix: Array, observations: Observations, magnitudes: Array, names: Sequence[str]) -> Array:
-    """The coefficients (m, p) of every observed channel by the noise within the segments alone. Raises `EstimationError`."""
+    """The coefficients (m, p) of every observed channel, weighted only by the noise within the segments. Raises `EstimationError`."""
     sigma = [within_segment_noise(observations, k).sigma for k in range(len(observations.channels))]
     fits = least_squares.fit_each(matrix, observations.mean.T, np.array(sigma), magnitudes, names)
     return np.array([fit.coefficients for fit in fits])
@@ -133,10 +132,10 @@ def fit_outputs(
 ) -> OutputsFit:
     """Fit every observed channel by the same terms. Raises `EstimationError`.
 
-    Weights come from the noise within the segments and the effects. On the residual basis, where that noise differs between segments or
-    there are effects, and both do not explain the residuals, a part between segments is added first: otherwise the quietest segment
-    would draw the fit to itself although its error is as large as the others'. Outputs can be pooled only where their noise is
-    known and needs no such part. equal: all segments have the same weight instead.
+    Weights come from the noise within the segments and the effects. On the residual basis, a part between segments is added first if the
+    noise differs between segments or there are effects, and both together do not explain the residuals. Otherwise the segment with the
+    least noise would dominate the fit although its error is as large as the others'. Outputs can be pooled only if their noise is known and
+    needs no such part. equal: give all segments the same weight.
     """
     m = len(observations.channels)
     noises = [within_segment_noise(observations, k) for k in range(m)]
@@ -179,7 +178,7 @@ class _Fitted:
 @dataclass(frozen=True, slots=True)
 class _Weighting:
     """Observations (m, n) of the outputs and the effects on them in addition to noise. roots: (m, n, r), of the effects
-    (`stacked_roots`). expected: the means have no noise, so that chi² is put at its expectation."""
+    (`stacked_roots`). expected: the means have no noise, so chi² is replaced by its expectation."""
 
     matrix: Array
     observed: Array
@@ -189,7 +188,7 @@ class _Weighting:
     expected: bool = False
 
     def known(self, noises: Sequence[WithinSegmentNoise], residual: bool) -> _Fitted:
-        """By noise and effects; residual: with a part between segments where the residuals ask for it."""
+        """Fit weighted by noise and effects; residual: with a part between segments if the residuals require it."""
         spreads, between = np.array([noise.sigma for noise in noises]), np.zeros(len(noises))
         found = self._fits(spreads)
         ratios = _factors(found)
@@ -204,8 +203,8 @@ class _Weighting:
         return _Fitted(tuple(found), _gains(found, weighted), spreads, between, ratios)
 
     def equal(self, noises: Sequence[WithinSegmentNoise]) -> _Fitted:
-        """All segments alike. How large the residuals are for what is known is judged by the fit that weights them by it: of residuals of
-        unlike size a few would decide."""
+        """Fit with equal weights. Residuals are compared with the known noise in a fit that is weighted by it; in this fit a few large
+        residuals would decide."""
         sigma = np.array([noise.sigma for noise in noises])
         spreads = np.broadcast_to(np.sqrt(np.mean(sigma**2, axis=1, keepdims=True)), sigma.shape)
         found = least_squares.fit_each(self.matrix, self.observed, spreads, self.magnitudes, self.names)
@@ -236,8 +235,8 @@ def _gains(fits: Sequence[LinearFit], weighted: Array) -> Array:
 def _cofactors(
     found: _Fitted, noises: Sequence[WithinSegmentNoise], correlation: Array, effects: Array
 ) -> dict[str, Array]:
-    """By basis. The noise's correlation between outputs is that of the samples on either basis: the residuals of a few segments would
-    say next to nothing of it. effects: (m, n, r), their roots."""
+    """Cofactors by basis. On both bases, the correlation of the noise between outputs comes from the samples, because the residuals of a
+    few segments do not determine it. effects: (m, n, r), their roots."""
     m, p, _ = found.gains.shape
 
     def products(roots: Array) -> Array:
@@ -253,8 +252,8 @@ def _cofactors(
 
 
 def _pooled_freedom(matrix: Array, found: _Fitted, correlation: Array, roots: Array) -> float:
-    """Of the mean of the outputs' variance factors: that of a chi-squared variable with its mean and variance (Satterthwaite). roots:
-    (m, n, r), of the effects."""
+    """Degrees of freedom of the mean of the outputs' variance factors: those of a chi-squared variable with the same mean and variance
+    (Satterthwaite). roots: (m, n, r), of the effects."""
     m, p, n = found.gains.shape
     if not roots.size:
         return float((n - p) * m**2 / np.sum(correlation**2))
@@ -279,9 +278,10 @@ def exceeds_noise(found: LinearFit, noise: WithinSegmentNoise) -> bool:
 
 
 def between_segments(fitted: Callable[[Array], LinearFit], spread: Array) -> float:
-    """The standard deviation between segments that, beside `spread` (n,), brings chi²/dof to one (Mandel and Paule, Anal. Chem. 54, 1982).
+    """The standard deviation between segments that, together with `spread` (n,), makes chi²/dof equal to one (Mandel and Paule, Anal. Chem.
+    54, 1982).
 
-    fitted: the fit for a given spread. chi² falls steadily as it grows; found by bisection. Zero when chi²/dof does not exceed one
+    fitted: the fit for a given spread. chi² decreases monotonically with it; found by bisection. Zero if chi²/dof does not exceed one
     without it.
     """
     from scipy.optimize import brentq

@@ -23,8 +23,8 @@ def matrix_at_rest(
 ) -> Array:
     """The design matrix of positions at rest, shape (n, p), SI.
 
-    needed: what asks for rest, for the message about a segment that moves; otherwise: added to the message about an unknown
-    orientation. Raises `EstimationError` for both.
+    needed: the reason for rest, for the message about a segment that moves; otherwise: added to the message about an unknown orientation.
+    Raises `EstimationError` in both cases.
     """
     moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
     if moving:

@@ -30,7 +30,7 @@ class MatrixRank:
 
     @property
     def condition(self) -> float:
-        """Largest over smallest singular value; infinite when the rank is short."""
+        """Largest over smallest singular value; infinite if the rank is deficient."""
         if len(self.null):
             return float("inf")
         return float(self.singular[0] / self.singular[-1])
@@ -48,7 +48,7 @@ def look(scaled: Array, tolerance: float = TOLERANCE) -> MatrixRank:
 def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, float], ...], ...]:
     """The null space as a few short combinations of names whose columns add up to zero, by Gauss–Jordan elimination.
 
-    A single name means a column that is zero throughout.
+    A single name means a column of zeros.
     """
     rows = null.copy()
     done = 0
@@ -71,14 +71,14 @@ def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, fl
 
 
 def unidentifiable(null: Array, names: Sequence[str]) -> tuple[str, ...]:
-    """The names that have a part in the null space, in their own order: none of them can be determined from the data."""
+    """The names in the null space, in their original order: the data determine none of them."""
     return tuple(
         name for name, weight in zip(names, np.abs(null).max(axis=0, initial=0.0), strict=True) if weight > 1e-6
     )
 
 
 def explain(null: Array, names: Sequence[str]) -> str:
-    """The null space in words, for a quality engineer; empty when every term can be identified."""
+    """The null space in words, for a quality engineer; empty if every term can be identified."""
     if not len(null):
         return ""
     sentences = []

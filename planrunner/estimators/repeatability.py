@@ -4,8 +4,8 @@
     two levels    one-way analysis of variance of groups (ISO 5725-2, JCGM 100:2008, H.5): within groups, between groups, and both together,
                   the intermediate precision
 
-Intervals of standard deviations are those of χ²; that of both together is Graybill and Wang's (J. Am. Stat. Assoc. 75, 1980, 869), because
-χ² with Satterthwaite's degrees of freedom holds the truth in 91 % instead of 95 % of tests of five days.
+Intervals of standard deviations are χ² intervals. The interval of both together is that of Graybill and Wang (J. Am. Stat. Assoc. 75, 1980,
+869), because χ² with Satterthwaite's degrees of freedom contains the true value in only 91 % instead of 95 % of tests of five days.
 """
 
 from __future__ import annotations
@@ -69,9 +69,8 @@ class RepeatabilityParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Repeats:
-    """n values of one quantity. group: (n,), number of the group that each is of; own: (n,), their own standard uncertainties, NaN where
-    not known. expected: the variance that the values' own noise alone makes them scatter with, where they are those that a schedule leads
-    one to expect; NaN where they were measured."""
+    """n values of one quantity. group: (n,), number of the group of each value; own: (n,), standard uncertainties of the values, NaN if not
+    known. expected: for expected values, the variance of their scatter from noise alone; NaN for measured values."""
 
     name: str
     unit: str
@@ -83,7 +82,7 @@ class Repeats:
     expected: float = math.nan
 
     def on_circle(self, value: float) -> float:
-        """A value from 0 to the period, where there is one."""
+        """The value reduced to 0 … period, if there is a period."""
         if math.isinf(self.period):
             return value
         return 0.0 if abs(math.remainder(value, self.period)) < 1e-9 * self.period else value % self.period
@@ -93,8 +92,8 @@ class Repeats:
 class Variance:
     """One-way analysis of variance of k groups, n values in all.
 
-    within, between, total: variances with their degrees of freedom or standard uncertainty; between may come out below zero; terms: (2,),
-    the mean squares between and within, times their factors, whose sum the total is. ratio: F.
+    within, between, total: variances with their degrees of freedom or standard uncertainty; between can be negative; terms: (2,), the mean
+    squares between and within groups times their factors, whose sum is the total. ratio: F.
     """
 
     mean: float
@@ -111,12 +110,12 @@ class Variance:
 
     @property
     def total_interval(self) -> tuple[float, float]:
-        """Of the total at `PROBABILITY`."""
+        """Interval of the total at `PROBABILITY`."""
         return _interval_of_sum(self.terms, (self.mean_freedom, self.within_freedom))
 
     @property
     def probability(self) -> float:
-        """The chance of an F so large if groups did not differ."""
+        """The probability of an F at least this large if the groups do not differ."""
         from scipy.special import fdtrc
 
         return float(fdtrc(self.mean_freedom, self.within_freedom, self.ratio))
@@ -137,7 +136,7 @@ class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
     Parameters = RepeatabilityParameters
 
     def design(self, request: DesignRequest[RepeatabilityParameters]) -> Design:
-        """Whether there is anything to repeat. Raises `EstimationError`."""
+        """Checks that something is repeated. Raises `EstimationError`."""
         parameters = request.parameters
         names = _items(parameters, [segment.label for segment in request.segments], list(request.uses))
         _grouped(names, parameters.groups, bool(parameters.channels))
@@ -187,7 +186,7 @@ def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Seq
 
 
 def _grouped(names: Sequence[str], groups: Mapping[str, Sequence[str]], labels: bool) -> NDArray[np.int64]:
-    """The number of the group of each name. Raises `EstimationError` for a name in none or two, and a group without any."""
+    """The number of the group of each name. Raises `EstimationError` for a name in no group or in two, and for an empty group."""
     number = np.zeros(len(names), dtype=np.int64)
     if not groups:
         return number
@@ -277,7 +276,7 @@ def _expected_variance(name: str, uses: Sequence[Estimate]) -> float:
 
 
 def together(repeats: Sequence[Coefficient]) -> Array:
-    """The values, (n,); of a circular quantity those of their equals that lie around their circular mean (Mardia and Jupp, Directional
+    """The values, (n,); for a circular quantity, the equivalent values nearest to the circular mean (Mardia and Jupp, Directional
     Statistics, 2.2)."""
     period = repeats[0].period
     if math.isinf(period) or not all(math.isfinite(one.value) for one in repeats):
@@ -290,10 +289,10 @@ def together(repeats: Sequence[Coefficient]) -> Array:
 
 
 def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float = math.nan) -> Variance:
-    """One-way analysis of variance; with a single group, mean and scatter alone.
+    """One-way analysis of variance; with a single group, only mean and scatter.
 
-    The mean is that of the groups' means. Between groups: (M_b − M_w)/n₀ with n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i. expected: the
-    variance of the values about one mean, in place of what they show.
+    The mean is the mean of the group means. Between groups: (M_b − M_w)/n₀ with n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i. expected: the
+    variance of the values about their mean, used in place of their scatter.
     """
     numbers = np.unique(group)
     n, k = len(value), len(numbers)

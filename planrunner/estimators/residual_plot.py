@@ -14,7 +14,7 @@ def residual_plot(
     x_title: str = "position",
     x: tuple[float | str, ...] = (),
 ) -> Plot:
-    """One series an output, in the first output's unit, over the segments' labels unless `x` is given."""
+    """One series per output, in the unit of the first output, over the labels of the segments unless `x` is given."""
     series = {name: tuple(map(float, one.residuals)) for name, one in zip(observations.channels, fit.fits, strict=True)}
     spreads = {
         name: tuple(map(float, noise.sigma))

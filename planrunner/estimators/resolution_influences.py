@@ -1,7 +1,7 @@
 """Influence of the resolution of outputs on coefficients.
 
-Listed in budgets and never added: rounding that noise does not dither is in the standard errors of the means (see `observations`), and
-rounding that it does dither is in the scatter of the samples.
+Listed in budgets but never added: without dither by noise, rounding is in the standard errors of the means (see `observations`); with
+dither, it is in the scatter of the samples.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def resolution_influences(
 ) -> tuple[Influence, ...]:
     """One for each of the m outputs with a stated resolution. functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n).
 
-    A mean is rounded as a whole count where the noise is too small to dither it, else by the average over its samples.
+    The rounding error of a mean is that of one count if the noise is too small to dither it, otherwise the average over its samples.
     """
     found = []
     for k, name in enumerate(outputs):
@@ -38,7 +38,7 @@ def resolution_influences(
 
 
 def _left(recorded: RecordedSegment, name: str, sensor: SensorModel) -> float:
-    """The share of a count's rounding that is left in the mean."""
+    """The share of the rounding error of one count that remains in the mean."""
     statistics = recorded.statistics
     place = statistics.of(name)
     scattered = statistics.count > 1 and dithered(sensor, name, float(statistics.covariance[place, place]))

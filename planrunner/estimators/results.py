@@ -1,4 +1,4 @@
-"""Results of an analysis and their form as JSON (schemas/results.schema.json): full precision, so that floats come back bit by bit.
+"""Results of an analysis and their form as JSON (schemas/results.schema.json): full precision, so that floats are restored exactly.
 
 JSON has no infinity and no NaN: these are written as the texts "inf", "-inf" and "nan", everywhere.
 """
@@ -24,7 +24,7 @@ from planrunner.uncertainty.influences import Budget, BudgetLine
 __all__ = ["FORMAT", "DataOrigin", "Results", "segment_statistics"]
 
 FORMAT = 2
-"""2: a table's columns name their title, unit and role; 1, which had titles alone, is still read."""
+"""In format 2 the columns of a table have title, unit and role; format 1, with titles only, can still be read."""
 _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 
@@ -32,9 +32,9 @@ _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 class Results:
     """Results of an analysis.
 
-    estimates: by name, in the plan's order. limits: verdicts. failures: messages, by the name of the estimate (or limit) that could
-    not be made. segments: one mapping of statistics a recorded segment, as `segment_statistics` gives them. origin: where the samples come
-    from; None in results of versions that did not say. unfit: names in `failures` for which the recorded data are the reason, not the plan.
+    estimates: by name, in the plan's order. limits: verdicts. failures: messages, by the name of the estimate (or limit) that could not be
+    made. segments: one mapping of statistics per recorded segment, from `segment_statistics`. origin: source of the samples; None in
+    results of versions that did not record it. unfit: names in `failures` for which the recorded data are the reason, not the plan.
     """
 
     estimates: Mapping[str, Estimate]

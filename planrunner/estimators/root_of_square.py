@@ -6,10 +6,11 @@ import math
 
 
 def root_of(square: float, spread: float) -> tuple[float, float]:
-    """The quantity and its standard uncertainty from its square's estimate, which may be below zero, and standard uncertainty.
+    """The quantity and its standard uncertainty, from an estimate of its square, which can be negative, and the standard uncertainty of the
+    square.
 
-    Half of the wider side of the interval that the square ± two standard uncertainties becomes: the linear rule where the square is well
-    known, and finite where it is not.
+    The interval of the square, ± two standard uncertainties, is converted to an interval of the quantity, and the uncertainty is half of
+    its wider side. This equals the linear rule if the square is well known, and stays finite if it is not.
     """
     square = max(0.0, square)
     value = math.sqrt(square)

@@ -178,7 +178,7 @@ _ALONG = 0.5  # share of the rate along an output's axis from which its slope is
 
 
 def _rows(request: EstimateRequest[ScaleFactorParameters], found: LineQuantities) -> list[AxisResponse]:
-    """Of the outputs that measure a rate along a known axis, which all segments turn alike."""
+    """Checks the outputs that measure a rate along a known axis about which all segments turn."""
     segments = [one.segment for one in request.segments if isinstance(one.segment.motion, Spin)]
     shares = shares_by_name(segments, request.setup.mounting, found.observations.channels)
     rows = []
@@ -252,7 +252,7 @@ def _found(
 
 
 def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates: Array) -> tuple[CorrelatedError, ...]:
-    """How well the bench says that each rate is held, on outputs of these slopes (m,)."""
+    """Stated errors of each commanded rate, on outputs with the slopes (m,)."""
     stated = request.setup.inputs.get("table rate")
     return rate_errors(stated, np.outer(slopes, rates), rates) if stated else ()
 
@@ -270,7 +270,7 @@ def _common(
         return ()
 
     def answered(moved: Array) -> Array:
-        """The outputs are as they are: what is expected beyond them is answered by the opposite change."""
+        """The outputs do not change: a change of their expectation changes the fit with the opposite sign."""
         return np.asarray(-np.einsum("qmn,mn->q", functionals, coefficients @ line_through(moved)[0].T))
 
     return influences_on(answered, [StatedCondition.single(common, lambda by: rates * (1 + by))])
@@ -279,7 +279,7 @@ def _common(
 def _metrics(
     name: str, rates: Array, observations: Observations, k: int, fit: OutputsFit, basis: str
 ) -> list[tuple[Coefficient, Array]]:
-    """Each with how it answers to the means of the output, (n,).
+    """Each coefficient with its sensitivity to the means of the output, (n,).
 
     Nonlinearity: largest residual over the largest output [ppm]. Asymmetry: 2·(K₊ − K₋)/(K₊ + K₋) [ppm] of two half-lines that meet
     at zero rate; it needs both signs and three different rates."""

@@ -7,7 +7,7 @@ from planrunner.plan.units import Unit, UnknownUnitError, unit
 
 
 def rate_and_output(rate_unit: str, output_unit: str) -> tuple[Unit, Unit]:
-    """Raises `EstimationError` for texts that are no units, and for a `rate_unit` that is none of angular rate."""
+    """Raises `EstimationError` for texts that are not units, and for a `rate_unit` that is not a unit of angular rate."""
     try:
         rate, own = unit(rate_unit), unit(output_unit)
     except UnknownUnitError as error:

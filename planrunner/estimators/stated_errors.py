@@ -3,7 +3,7 @@
 Latitude and gravity change the columns of the model. They cause no scatter between segments, so their contribution is added to that of the
 data. Positions, azimuth, right angles between the table's axes, and rates differ between segments and cause scatter, so they belong to the
 weights of a fit (`correlated_errors`). The size of each change depends on the coefficients of the output.
-Signs are those of a stated value that is too large; of positions, those of the turn.
+Signs are those for a stated value that is too large; for positions, those of the rotation error.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _STEP = 1e-4  # of an input; central differences of terms up to the second degre
 
 
 def mean_poses(segments: Sequence[Segment]) -> Poses:
-    """How the segments stand, spins over whole turns: at which angle recording begins in a spin is not known."""
+    """The attitudes of the segments, for spins over whole turns: the angle at which recording begins is not known."""
     return Poses.of(segments, [None if isinstance(one.motion, Spin) else one.dwell for one in segments])
 
 
@@ -45,7 +45,8 @@ def mean_stimulus(segments: Sequence[Segment], site: Site) -> Stimulus:
 
 
 def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
-    """Latitude and gravity, where they are stated with an uncertainty. The azimuth turns what stands on the table, not the site."""
+    """Latitude and gravity, if they are stated with an uncertainty. The azimuth is not included: it turns the sensor on the table, not the
+    site."""
     if latitude := inputs.get("latitude"):
         yield StatedCondition.single(latitude, lambda by: replace(site, latitude=site.latitude + by))
     if gravity := inputs.get("gravity"):
@@ -55,8 +56,8 @@ def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
 def site_errors(
     model: LinearModel, segments: Sequence[Segment], site: Site, inputs: Inputs, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """Of latitude and gravity, where they are stated with an uncertainty. The outputs are as they are: a model that expects more of them
-    is answered as if they had read less. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
+    """Influences of latitude and gravity, if they are stated with an uncertainty. The outputs do not change: if the model expects more, the
+    effect is the same as if the outputs had read less. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
     poses = mean_poses(segments)
 
     def felt(at: Site) -> Array:
@@ -73,7 +74,7 @@ def site_errors(
 def table_errors(
     model: LinearModel, segments: Sequence[Segment], site: Site, setup: Setup, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """Those for which the bench states an uncertainty. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
+    """The effects for which the bench states an uncertainty. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
     position, azimuth = setup.inputs.get("table position"), setup.inputs.get("azimuth")
     orthogonality, rate = setup.inputs.get("table orthogonality"), setup.inputs.get("table rate")
     poses = mean_poses(segments)
@@ -127,7 +128,7 @@ def _followed(
 
 
 def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[CorrelatedError, ...]:
-    """A relative error of each commanded rate, the same whenever that rate comes again; nothing where nothing turns.
+    """A relative error of each commanded rate, the same for all segments with that rate; nothing if nothing turns.
 
     moved: (m, n), change of the observations per relative change of their rates; rates: (n,), rad/s.
     """
@@ -140,14 +141,14 @@ def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[Co
 
 
 def common_rate(estimate: str, stated: Quantity | None) -> InputQuantity:
-    """The error that all rates share, as the plan states it for an estimate."""
+    """The error common to all rates, as stated in the plan for an estimate."""
     source = f"plan estimates.{estimate}.rate_uncertainty"
     width = stated.value if stated else 0.0
     return InputQuantity("table rate, common", 0.0, "1", width, source=source, shown="ppm", shown_factor=1e-6)
 
 
 def rate_part(rate: float) -> str:
-    """Name of the error of one commanded rate [rad/s], so that it is known for the same wherever it acts."""
+    """Name of the error of one commanded rate [rad/s]; the same name identifies it wherever it acts."""
     return f"{np.degrees(rate):.9g} deg/s"
 
 
@@ -161,9 +162,9 @@ def orthogonality_tilts(
 ) -> tuple[Array, ...]:
     """How a table turns the sensor when neighbouring axes are not at right angles: for each pair, (n, 3), rad per rad.
 
-    A vector v in the sensor's axes becomes v + tilt × v per radian by which the inner axis of the pair leans out of its right angle, about
-    c = outer × inner. The table reads zero where it is aligned, so that at joint angle q of the inner axis the error is c − R(inner, −q)·c
-    in its own frame, carried inwards by the joints beyond. The joints go from one attitude to the next the quickest way. Raises
+    A vector v in the sensor's axes becomes v + tilt × v per radian of deviation of the inner axis of the pair from its right angle, about c
+    = outer × inner. The table reads zero where it is aligned, so that at joint angle q of the inner axis the error is c − R(inner, −q)·c in
+    its own frame, carried inwards by the joints beyond. The joints move from one attitude to the next by the quickest way. Raises
     `Unreachable`.
     """
     if any(attitude is None for attitude in attitudes):
@@ -195,8 +196,9 @@ def _orthogonality_tilts(
 
 
 def _positions(position: InputQuantity, segments: Sequence[Segment], moved: Array) -> CorrelatedError:
-    """About each direction at each orientation, the same whenever that orientation is taken. It acts across a vector and not along it: an
-    accelerometer that points up feels nothing of it, one that lies level all. moved: (m, n, 3), by direction."""
+    """Position errors about each direction at each orientation; the error is the same whenever the orientation is the same. They change a
+    vector only across its direction: they have no effect on an accelerometer that points up, and their full effect on a level one. moved:
+    (m, n, 3), by direction."""
     names = list(dict.fromkeys(segment.orientation for segment in segments))
     place = [names.index(segment.orientation) for segment in segments]
     m, n, _ = moved.shape
@@ -207,7 +209,7 @@ def _positions(position: InputQuantity, segments: Sequence[Segment], moved: Arra
 
 
 def _tilts(table: TableModel | None, segments: Sequence[Segment], site: Site) -> Array:
-    """Of one input for each pair of neighbouring axes, (pairs, n, 3); of none where the table cannot be at the orientations, or turns."""
+    """Effects of one input for each pair of neighbouring axes, (pairs, n, 3); none if the table cannot reach the orientations, or turns."""
     if table is not None and len(table.axes) > 1 and all(isinstance(segment.motion, Rest) for segment in segments):
         with suppress(Unreachable):
             attitudes = [segment.attitude for segment in segments]

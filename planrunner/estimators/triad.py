@@ -1,12 +1,12 @@
-"""The algebra of a triad: scale factors and misalignments from the matrix that three outputs were fitted by, and the triad's own frame.
+"""The algebra of a triad: scale factors and misalignments from the fitted matrix of three outputs, and the triad's own frame.
 
-An output responds to what acts along the three axes of a frame by a row of coefficients. The row's length, with the sign of the response
+An output responds to inputs along the three axes of a frame with a row of coefficients. The row's length, with the sign of the response
 along the output's own axis, is the scale factor; the row divided by it is the input direction, whose components across are the
-misalignments, to first order the angles by which the input axis leaves its nominal direction. So the matrix is S·M with S diagonal and
+misalignments, to first order the angles between the input axis and its nominal direction. Thus the matrix is S·M with S diagonal and
 rows of M of length one. A reversed output has a negative scale factor.
 
-In the triad's own frame (x along the first input axis, y in the plane of the first two) M is lower triangular; the rotation between
-that frame and the one in which the matrix was found is what a fixture and a housing add.
+In the triad's own frame (x along the first input axis, y in the plane of the first two) M is lower triangular; fixture and housing
+determine the rotation between that frame and the frame of the fitted matrix.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _FLAT = 1e-3  # volume of three unit vectors below which they count as lying in 
 
 
 def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, RowFormula]:
-    """The scale factor, in the place of the direction `own`, and the misalignments, elsewhere, from a row of responses.
+    """The scale factor, at the index of the direction `own`, and the misalignments, at the others, from a row of responses.
 
-    places: direction (0, 1, 2 for x, y, z) → which coefficient of the row responds to it. An output that was never excited along its own
-    direction keeps its responses as they are. A row of zeros has none of it.
+    places: direction (0, 1, 2 for x, y, z) → index of its coefficient in the row. The responses of an output that was never excited along
+    its own direction are returned unchanged. A row of zeros gives zeros.
     """
     listed = list(places.values())
 
@@ -52,7 +52,7 @@ def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, Ro
 def own_frame(matrix: Array) -> Array:
     """The rotations R (3, 3, n) from the frame of the matrices A (3, 3, n) to the triads' own: A = L·R with L lower triangular.
 
-    x lies along the first row and y in the plane of the first two. Raises ValueError where rows are not independent.
+    x lies along the first row and y in the plane of the first two. Raises ValueError if rows are not independent.
     """
     first, second, third = (row / length(row) for row in matrix)
     across = second - np.sum(first * second, axis=0) * first

@@ -40,7 +40,7 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
     finds_spans = True
 
     def design(self, request: DesignRequest[AccelerometerMultiPositionParameters]) -> Design | None:
-        """The design of each axis at the planned attitudes; remarks alone where the attitudes are not planned. Raises `EstimationError`."""
+        """The design of each axis at the planned attitudes; only remarks if the attitudes are not planned. Raises `EstimationError`."""
         parameters = request.parameters
         _three(parameters.outputs)
         if parameters.reference == "gravity_magnitude":
@@ -55,7 +55,7 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
         return Known(directions=dict(zip(request.parameters.outputs, np.eye(3), strict=True)))
 
     def foresee(self, request: DesignRequest[AccelerometerMultiPositionParameters]) -> Foresight:
-        """The general way, where the attitudes are planned."""
+        """The general prediction, if the attitudes are planned."""
         if request.parameters.reference == "gravity_magnitude":
             return by_magnitude.foresee(request, lambda: by_expectation(self, request))
         return by_expectation(self, request)

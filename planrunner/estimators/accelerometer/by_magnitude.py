@@ -1,8 +1,8 @@
 """Calibration of an accelerometer triad with the magnitude of gravity: nine parameters from still spans or segments in unknown attitudes.
 
-Where Gauss–Newton with equal weights ends, one step more is taken: the linear fit of |f| − g that estimators from positions share, weighted
-by the noise within the poses and the declared flicker of each channel, which reaches |f| along the direction in which the channel felt it.
-The attitude of a table does not matter, because |f| is g in any attitude.
+Gauss–Newton with equal weights is followed by one more step: the linear fit of |f| − g that all estimators from positions share, weighted
+by the noise within the poses and the declared flicker of each channel. The flicker affects |f| in proportion to the channel's component of
+gravity. The attitude of a table does not matter, because |f| is g in any attitude.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _SCALE = np.array([1 / unit(text).factor for text in _UNITS])
 
 
 def design(request: DesignRequest[AccelerometerMultiPositionParameters]) -> Design:
-    """Whether the planned poses can give the nine parameters, as far as attitudes and the number of poses are planned. Raises
+    """Checks that the planned poses can determine the nine parameters, if attitudes or the number of poses are planned. Raises
     `EstimationError`."""
     outputs, detection = request.parameters.outputs, request.detection
     if detection is not None:
@@ -91,7 +91,7 @@ def design(request: DesignRequest[AccelerometerMultiPositionParameters]) -> Desi
 def foresee(
     request: DesignRequest[AccelerometerMultiPositionParameters], general: Callable[[], Foresight]
 ) -> Foresight:
-    """The general way where all poses are planned; else the names alone, as which poses will be found is not known."""
+    """The general prediction if all poses are planned; otherwise only the names, because the poses to be found are not known."""
     if all(segment.attitude is not None for segment in request.segments):
         seen = general()
         if seen.known:
@@ -195,7 +195,7 @@ def _along(effect: CorrelatedError, directions: Array) -> CorrelatedError:
 
 
 def _gravity(request: EstimateRequest[AccelerometerMultiPositionParameters], fit: OutputsFit) -> tuple[Influence, ...]:
-    """The magnitude that |f| is held against."""
+    """The magnitude with which |f| is compared."""
     gravity = request.setup.inputs.get("gravity")
     return (Influence(gravity, fit.gains[0].sum(axis=1)[:, None]),) if gravity else ()
 
@@ -203,7 +203,7 @@ def _gravity(request: EstimateRequest[AccelerometerMultiPositionParameters], fit
 def _fitted(
     request: EstimateRequest[AccelerometerMultiPositionParameters], poses: Observations, basis: str
 ) -> tuple[GravityFit, OutputsFit]:
-    """Raises `EstimationError` for segments that are too few or too alike, `UnfitDataError` for spans that were found and are so."""
+    """Raises `EstimationError` if segments are too few or too similar, `UnfitDataError` if the spans found are."""
     factors = _factors(poses)
     try:
         if len(poses.labels) < len(NAMES):
@@ -251,7 +251,7 @@ def _found(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Ob
 
 
 def _recorded(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Observations:
-    """Whole segments as poses; of a schedule, those in which one will be found."""
+    """Whole segments as poses; for a schedule, the segments in which a pose will be found."""
     poses = [
         recorded
         for recorded in request.segments
@@ -266,7 +266,7 @@ def _factors(poses: Observations) -> Array:
 
 
 def _factors_of(units: Mapping[str, str]) -> Array:
-    """units: by channel. Raises `EstimationError` for one that is no acceleration."""
+    """units: by channel. Raises `EstimationError` for a channel that is not an acceleration."""
     for name, text in units.items():
         if unit(text).dimension != DIMENSIONS["acceleration"]:
             raise EstimationError(f"channel '{name}' is recorded in {text}, which is not a unit of acceleration")

@@ -1,8 +1,8 @@
 """Calibration of an accelerometer triad with gravity in known attitudes: a linear fit for each axis.
 
 From F_i = b_i + Σ_j S_ij·f_j come the bias, the scale factor as the length of the row S_i (the sensitivity along the axis's own input
-direction, whatever the attitude's constant offset from the one that was planned) and the misalignments S_ij/|S_i|, to first order
-the angles of the input axis out of the planned frame.
+direction, which a constant attitude error does not change) and the misalignments S_ij/|S_i|, to first order the angles between the input
+axis and its planned direction.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _AXES = ("x", "y", "z")
 
 
 def design_of(terms: Sequence[str], segments: Sequence[Segment], site: Site) -> PositionsDesign:
-    """Of each axis at positions at rest. Raises `EstimationError`."""
+    """The design of each axis at positions at rest. Raises `EstimationError`."""
     model, needed = error_model(terms), "an accelerometer can be compared with gravity only at rest"
     matrix = matrix_at_rest(model, segments, site, needed, " (for example `reference: gravity_magnitude`)")
     return PositionsDesign(model, tuple(segments), matrix, model.magnitudes)

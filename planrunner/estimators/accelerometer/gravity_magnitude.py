@@ -64,7 +64,7 @@ def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
 
 
 def too_few(count: int) -> str:
-    """That so many poses are fewer than the parameters."""
+    """The message that there are fewer poses than parameters."""
     return f"{count} poses cannot determine {len(NAMES)} parameters"
 
 

@@ -114,7 +114,7 @@ class AllanDeviation:
     Parameters = AllanDeviationParameters
 
     def design(self, request: DesignRequest[AllanDeviationParameters]) -> Design:
-        """Whether the planned record can serve. Raises `EstimationError`."""
+        """Checks that the planned record is suitable. Raises `EstimationError`."""
         parameters = request.parameters
         names = parameters.outputs or tuple(output.name for output in request.sensor.outputs)
         moving = [segment.label for segment in request.segments if not isinstance(segment.motion, Rest)]
@@ -134,7 +134,7 @@ class AllanDeviation:
         return Design((), notes=tuple(notes), remarks=remarks)
 
     def foresee(self, request: DesignRequest[AllanDeviationParameters]) -> Foresight:
-        """From the noise that is declared and the record that is planned: the samples themselves are not simulated. Raises
+        """Prediction from the declared noise and the planned record; samples are not simulated. Raises
         `EstimationError` for scale factors that do not fit their outputs."""
         parameters = request.parameters
         names = parameters.outputs or tuple(output.name for output in request.sensor.outputs)
@@ -388,7 +388,7 @@ def _table(name: str, unit: str, kind: str, rows: Sequence[Deviation], probabili
 
 
 def _plot(result: _Result, found: DescribedRange) -> Plot:
-    """Deviations over all averaging times and the model's."""
+    """Plot of the deviations and of the model over all averaging times."""
     rows = [row for row in result.rows if row.value > 0]
     factors = np.array([row.factor for row in found.fitted], dtype=np.int64)
     variances = model_matrix(factors) @ found.fit.squares
@@ -436,7 +436,7 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
 def _foreseen(
     request: DesignRequest[AllanDeviationParameters], name: str
 ) -> tuple[list[Coefficient], list[Unpredicted]]:
-    """N and B as declared, with the uncertainty expected from the planned record; the other terms, and these without a declaration, are
+    """N and B as declared, with the uncertainty expected from the planned record; the other terms, and N and B without a declaration, are
     unpredicted."""
     parameters = request.parameters
     output = request.sensor.output(name)

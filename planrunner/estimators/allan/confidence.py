@@ -6,8 +6,8 @@ frequency (random walk of the angle), −1 flicker frequency (bias instability),
 Sources: W. J. Riley and C. A. Greenhall, Power law noise identification using the lag 1 autocorrelation, 18th EFTF, 2004 (also NIST SP
 1065, 5.5.6); C. A. Greenhall and W. J. Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003 (SP 1065,
 5.4.1). Phase computed from rate samples is an exact integral, not an average over a sample, so the filter factor is F = ∞ for α ≤ 0; for
-white noise this is SP 1065's own empirical formula also at the shortest averaging times. Where the sums grow with the averaging factor they
-are taken over a coarser grid with the same number of averaging times.
+white noise this equals the empirical formula of SP 1065, even at the shortest averaging times. Sums whose length grows with the averaging
+factor are computed on a coarser grid with the same number of averaging times.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ _GRID = 600  # terms of a sum over lags
 
 
 def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None) -> int | None:
-    """α of the averages over `factor` samples, from the phase runs; None where there are fewer than `LEAST_POINTS`.
+    """α of the averages over `factor` samples, from the phase runs; None if there are fewer than `LEAST_POINTS`.
 
-    before: α at the next shorter averaging time. It is kept unless the averages differ from it by more than half a step and two standard
-    deviations of what they can tell, because thirty averages alone mistake white noise for its neighbours one time in four.
+    before: α at the next shorter averaging time. It is kept unless the α of the averages differs from it by more than half a step and by
+    more than two of its standard deviations, because thirty averages alone mistake white noise for a neighbouring type one time in four.
     """
     averages, count = [], 0
     for run in runs:
@@ -75,9 +75,10 @@ def _delta(parts: Sequence[Array]) -> float:
 
 
 def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modified: bool = False) -> float:
-    """EDF of a fully overlapped variance. order: 2 for Allan, 3 for Hadamard; points: of the phase run; 0 where no term fits.
+    """EDF of a fully overlapped variance. order: 2 for Allan, 3 for Hadamard; points: of the phase run; 0 if the run is too short for one
+    term.
 
-    alpha beyond what the variance converges for (α > 1 − 2·order) is taken at the limit.
+    An alpha for which the variance does not converge (α > 1 − 2·order) is replaced by the limit.
     """
     alpha = min(2, max(alpha, 2 - 2 * order))
     terms = points - order * factor - (factor if modified else 0) + (1 if modified else 0)
@@ -114,7 +115,7 @@ def freedom_of_runs(alpha: int, order: int, factor: int, lengths: Integers, modi
 
 
 def _white_phase(order: int, factor: int, terms: int) -> float:
-    """Differences of white noise are correlated at whole averaging times alone."""
+    """Differences of white noise are correlated only at whole averaging times."""
     binomials = [math.comb(2 * order, order + k) for k in range(order + 1)]
     total = binomials[0] ** 2 + 2 * sum(
         max(0.0, 1 - k * factor / terms) * binomials[k] ** 2 for k in range(1, order + 1)

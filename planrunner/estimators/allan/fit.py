@@ -10,10 +10,10 @@ random walk. The Hadamard variance, of third instead of second differences, does
 
     Hσ²(τ) = (10/3)·Q²/τ² + N²/τ + ((8·ln2 − 3·ln3)/(2π))·B² + K²·τ/6
 
-The overlapping variances at two averaging times share their data. Their covariance is that of sums of squares of Gaussian differences,
-2·Σ_p Σ_q C(q − p)²/(M_i·M_j), where C is the covariance of a difference at one averaging time with one at the other; it follows from the
-generalised autocovariance of the phase, which is a sum over the four kinds of noise (Greenhall and Riley, 2003). It depends on the
-coefficients, so that fit and covariance are repeated until they agree.
+The overlapping variances at two averaging times share their data. Their covariance is the covariance of sums of squares of Gaussian
+differences, 2·Σ_p Σ_q C(q − p)²/(M_i·M_j), where C is the covariance of a difference at one averaging time with one at the other; it
+follows from the generalised autocovariance of the phase, which is a sum over the four kinds of noise (Greenhall and Riley, 2003). It
+depends on the coefficients, so fit and covariance are iterated until they agree.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _MOST_LENGTHS = 40
 class NoiseFit:
     """squares: (4,) of Q²/τ0², N²/τ0, B², K²·τ0 in unit², 0 where left out; an absent noise type may have either sign, because a fit
     restricted to positive values would bias the others. covariance: (4, 4) of them; fitted: (k,) variances of the model; chi_square with
-    `freedom`; terms: that were fitted."""
+    `freedom` degrees of freedom; terms: the fitted terms."""
 
     squares: Array
     covariance: Array
@@ -94,7 +94,7 @@ class VarianceCovariance:
 
 @lru_cache(maxsize=4)
 def _covariance(factors: tuple[int, ...], lengths: tuple[int, ...], order: int) -> VarianceCovariance:
-    """Kept for the next output, which mostly has the same runs."""
+    """Cached, because the next output usually has the same runs."""
     return VarianceCovariance(np.array(factors, dtype=np.int64), np.array(lengths, dtype=np.int64), order)
 
 
@@ -103,7 +103,8 @@ def covariance_for(factors: Integers, lengths: Integers, order: int = ALLAN) -> 
 
 
 def _grouped(lengths: Integers) -> tuple[Integers, Array]:
-    """Distinct lengths and how often each occurs; where there are very many, lengths within some per cent count as the shortest."""
+    """Distinct lengths and the number of runs of each; if there are very many, lengths within some per cent are treated as the shortest of
+    them."""
     found, counts = np.unique(lengths, return_counts=True)
     if found.size > _MOST_LENGTHS:
         edges = np.geomspace(found[0], found[-1] + 1, _MOST_LENGTHS)
@@ -140,7 +141,7 @@ def _smooth(t: Array) -> Array:
 
 
 def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array, order: int) -> Array:
-    """How many pairs of a difference at `near` and one at `far` are `lag` samples apart, over all runs."""
+    """Number of pairs, over all runs, of a difference at `near` and a difference at `far` that are `lag` samples apart."""
     total = np.zeros(lag.shape)
     for length, count in zip(lengths, counts, strict=True):
         first, second = length - order * near, length - order * far
@@ -150,7 +151,7 @@ def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array, or
 
 
 def _nodes(near: int, far: int, lengths: Integers, order: int) -> tuple[Array, Array]:
-    """Lags and weights that sum a function with corners at a·near − b·far and features of size `near` about them."""
+    """Lags and weights for the sum of a function that has corners at a·near − b·far and features of size `near` about them."""
     longest = int(lengths.max())
     lowest, highest = -min(longest - order * near, 8 * far), min(longest - order * far, 8 * far)
     edges = {lowest, highest + 1}
@@ -185,10 +186,10 @@ def fit_noise(
     order: int = ALLAN,
     covariance: VarianceCovariance | None = None,
 ) -> NoiseFit:
-    """Fit of `terms` to Allan (or Hadamard) variances (k,) at `factors`, not all 0; `freedom` (k,): degrees of freedom, for the first
+    """Fit of `terms` to Allan (or Hadamard) variances (k,) at `factors`, not all 0; `freedom` (k,): degrees of freedom, for the initial
     weights. covariance: of these variances, computed for runs of these lengths where it is not given.
 
-    Raises `ValueError` when there are fewer averaging times than terms.
+    Raises `ValueError` if there are fewer averaging times than terms.
     """
     from scipy.optimize import nnls
 
@@ -230,8 +231,8 @@ def fit_noise(
 def _not_too_sure(
     full: Array, free: Array, squares: Array, chosen: Sequence[int], covariance_of: VarianceCovariance, gains: Array
 ) -> Array:
-    """The covariance (4, 4) where a coefficient not distinguished from zero is judged by its upper bound, two standard uncertainties up,
-    and not by the little that was found: a coefficient found too small by chance would seem too certain as well."""
+    """The covariance (4, 4), in which a coefficient that cannot be distinguished from zero is replaced by its upper bound, two standard
+    uncertainties above the estimate. Otherwise a coefficient that is too small by chance would also seem too certain."""
     widening = np.ones(4)
     for place, k in enumerate(chosen):
         spread = math.sqrt(full[k, k])
@@ -243,7 +244,7 @@ def _not_too_sure(
 
 
 def expected_covariance(factors: Integers, squares: Array, lengths: Integers, terms: Sequence[str] = TERMS) -> Array:
-    """(4, 4) covariance of the squares that `fit_noise` would find with noise as given; before anything is recorded."""
+    """(4, 4) covariance of the squares that `fit_noise` would find for the given noise; used before anything is recorded."""
     chosen = [TERMS.index(name) for name in TERMS if name in terms]
     covariance = _sound(covariance_for(factors, lengths)(squares))
     white = np.linalg.solve(np.linalg.cholesky(covariance), model_matrix(factors)[:, chosen])

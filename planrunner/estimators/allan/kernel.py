@@ -2,8 +2,8 @@
 
 The module is imported only where such sums are needed (see `planrunner.base.compiled`).
 
-The overlapping sums go through the record in short pieces, all averaging times per piece: with octave averaging times a piece that one
-averaging time has fetched from memory is the next one's middle, so that memory is read once an octave instead of three times.
+The overlapping sums go through the record in short pieces, all averaging times per piece: with octave averaging times, a piece that one
+averaging time has read is the middle part for the next one, so memory is read once per octave instead of three times.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def _modified_serial(x, factors, sums):  # type: ignore[no-untyped-def]
 
 
 def integrate(values: Array, offset: float, carry: float, out: Array) -> float:
-    """Running sum of `values − offset` from `carry` on into `out`; returns where it ends."""
+    """Writes the running sum of `values − offset`, which starts at `carry`, to `out`; returns its last value."""
     return float(_integrate(values, offset, carry, out))
 
 

@@ -1,8 +1,8 @@
 """Phase of one output: its running integral over each stretch of regular samples, read block by block.
 
 A gap (missing or not-finite samples) ends a stretch and the next begins a new one; no difference is ever taken across a gap. Gaps up to
-`bridge` seconds may instead be filled on a straight line. Of a record with more than `LONGEST` samples only every D-th phase point is
-kept, which leaves deviations at averaging times of D samples and more as they are and those below unknown.
+`bridge` seconds may instead be filled by linear interpolation. If a record has more than `LONGEST` samples, only every D-th phase point is
+kept: this does not change deviations at averaging times of D samples or more, and shorter averaging times are not available.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _PAUSE = 1.5  # sample intervals between two samples that make a gap
 @dataclass(frozen=True)
 class Phase:
     """runs: phase points [unit · sample intervals], each run beginning with 0. interval: s between phase points. decimation: samples
-    between them. samples: used; lost: in runs too short for one difference, or beyond a run's last whole phase point; missing: counted in
-    the gaps; gaps: that ended a run; bridged: samples filled in."""
+    between them. samples: used; lost: in runs too short for one difference, or beyond a run's last whole phase point; missing: samples in
+    the gaps; gaps: number of gaps that ended a run; bridged: samples filled in."""
 
     runs: tuple[Array, ...]
     interval: float
@@ -46,7 +46,7 @@ class Phase:
 
 
 class _Integrator:
-    """Grows the runs in one array, so that memory is that of the phase itself."""
+    """Collects the runs in one array, so that no more memory is needed than for the phase itself."""
 
     def __init__(self, capacity: int, decimation: int):
         self.flat = np.empty(capacity)
@@ -102,7 +102,7 @@ class _Stretches:
         self.missing, self.gaps, self.bridged, self.samples = 0, 0, 0, 0
 
     def segment(self, recorded: RecordedSegment, output: str) -> None:
-        """All samples of one segment: never joined to those before it."""
+        """Adds all samples of one segment, which are never joined to the preceding segment."""
         statistics = recorded.statistics
         offset = float(statistics.mean[statistics.of(output)]) if output in statistics.channels else 0.0
         offset = offset if math.isfinite(offset) else 0.0

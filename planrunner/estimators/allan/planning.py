@@ -1,4 +1,4 @@
-"""Which averaging times a record gives, recorded or planned: how many averages it holds of each, and whether these are enough to fit.
+"""The averaging times of a recorded or planned record: the number of averages at each, and whether they are enough for a fit.
 
 The same rules check a planned record and refuse a recorded one.
 """
@@ -32,7 +32,7 @@ class PlannedRecord:
 
 
 def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
-    """The record that the segments will leave; None where a dwell is not known. Raises `EstimationError` for several sample rates."""
+    """The record that the segments will give; None if a dwell is not known. Raises `EstimationError` for several sample rates."""
     hertz = {segment.sample_rate or request.sensor.sample_rate for segment in request.segments}
     if not request.segments or any(segment.dwell is None for segment in request.segments):
         return None
@@ -45,7 +45,8 @@ def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
 
 
 def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: float, name: str) -> Integers:
-    """The averaging factors to use: those of `taus` that the longest run holds twice, or octaves. Raises `EstimationError` for none."""
+    """The averaging factors to use: those of `taus` that fit twice into the longest run, or octaves. Raises `EstimationError` if there are
+    none."""
     if not taus:
         return octave_factors(lengths)
     wanted = np.unique([max(1, round(tau.value / interval)) for tau in taus]).astype(np.int64)
@@ -64,7 +65,7 @@ def takes_part(tau: float, freedom: float, fit_up_to: Quantity | None) -> bool:
 
 
 def require_averaging_times(name: str, count: int) -> None:
-    """Raises `EstimationError` for fewer than two."""
+    """Raises `EstimationError` if fewer than two averaging times can be fitted."""
     if count < 2:
         raise EstimationError(
             f"'{name}' has {count} averaging times that are known well enough to fit: record longer, or raise `fit_up_to`"
@@ -77,7 +78,8 @@ def planned_averaging(
     taus: Sequence[Quantity],
     fit_up_to: Quantity | None,
 ) -> tuple[Remark, ...]:
-    """Remarks about averaging times that the planned record cannot give. Raises `EstimationError` as the estimate would."""
+    """Remarks about averaging times for which the planned record is too short. Raises `EstimationError` in the same cases as the
+    estimate."""
     record = planned_record(request)
     if record is None or not names:
         return ()
@@ -121,7 +123,7 @@ def planned_averaging(
 
 
 def _least_freedom(factor: int, lengths: Integers) -> float:
-    """Degrees of freedom of an Allan variance whatever the noise is; the fewest of the kinds that it may turn out to be."""
+    """Degrees of freedom of an Allan variance if the type of noise is unknown: the smallest over the possible types."""
     return min(freedom_of_runs(alpha, 2, factor, lengths) for alpha in _EXPONENTS)
 
 

@@ -1,7 +1,7 @@
 """Noise coefficients of the sensed quantity, for an output in pulses or volts with a scale factor.
 
 The scale factor is a quantity in the plan, such as `0.2012 (deg/h)/(pulse/s)`, or a coefficient of an estimate that is used, such as
-`drift.SF_Y`; sensed per output or output per sensed, whichever its unit says.
+`drift.SF_Y`; its unit decides if it is sensed quantity per output or output per sensed quantity.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class ScaleFactorKind:
 class SensedBy:
     """Conversion of an output's noise coefficients to those of the sensed quantity.
 
-    units: Q, N, B, K → unit and factor from the output's unit times s, √s, 1, 1/√s to it. power: of the scale factor in that factor,
-    1 or −1. quantity: the scale factor, in its own unit.
+    units: Q, N, B, K → unit and factor from the output's unit times s, √s, 1, 1/√s to it. power: exponent of the scale factor in that
+    factor, 1 or −1. quantity: the scale factor, in its own unit.
     """
 
     units: Mapping[str, tuple[str, float]]
@@ -99,7 +99,7 @@ def _coefficient(stated: str, uses: Mapping[str, Estimate] | Mapping[str, Design
 
 
 def _foreseen(used: Design) -> tuple[Coefficient, ...]:
-    """Prediction of a run; coefficients that cannot be predicted have the right unit and the value one."""
+    """The scale factor for the prediction of a run; a coefficient that cannot be predicted gets the right unit and the value one."""
     return (*used.predicted, *(Coefficient(one.name, 1.0, one.unit, math.nan) for one in used.unpredicted))
 
 

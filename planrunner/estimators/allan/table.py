@@ -20,8 +20,8 @@ KINDS = ("overlapping", "modified", "hadamard")
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """One deviation: `kind` of `KINDS`; factor: averaging factor m; tau: s; terms: in the sum; alpha: exponent of the noise it was given
-    degrees of freedom for; carried: whether α comes from a shorter averaging time; low, high: confidence interval."""
+    """One deviation: `kind` of `KINDS`; factor: averaging factor m; tau: s; terms: in the sum; alpha: exponent of the noise for which the
+    degrees of freedom were computed; carried: whether α comes from a shorter averaging time; low, high: confidence interval."""
 
     kind: str
     factor: int
@@ -36,7 +36,8 @@ class Deviation:
 
 
 def octave_factors(lengths: Integers) -> Integers:
-    """1, 2, 4 … as long as the longest run holds four averages, and at least the factors that any run can give one difference for."""
+    """1, 2, 4 … up to the largest factor at which the longest run holds four averages; if there is none, the factors at which a run has at
+    least one difference."""
     longest = int(lengths.max()) - 1
     last = max(1, longest // 4)
     return 2 ** np.arange(int(math.log2(last)) + 1, dtype=np.int64)

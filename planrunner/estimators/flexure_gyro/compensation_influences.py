@@ -1,8 +1,8 @@
 """Influences of the declared inputs of the bench on residuals after compensation and on their sums of squares.
 
-With c the coefficients of a set, X the verification positions' design and i the outputs, the residual is r = M⁻¹·(i − X·c). An input
-that is stated wrong reaches it twice: through X, and through c, whose calibration used the same latitude, gravity, azimuth and
-table. Both ways stand in the list as influences of the same input, so that they are added with their signs. M is a part of c.
+With c the coefficients of a set, X the verification positions' design and i the outputs, the residual is r = M⁻¹·(i − X·c). A wrong input
+affects r twice: through X, and through c, whose calibration used the same latitude, gravity, azimuth and table. Both are listed as
+influences of the same input, so they are added with their signs. M is part of c.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ Array = NDArray[np.float64]
 def residual_influences(
     request: EstimateRequest[object], units: tuple[str, ...], matrix: Array, observed: Array, rate: float
 ) -> tuple[Influence, ...]:
-    """On the residuals of the sets in their order, of each first those of one rate at all positions, then of the other, (sets·2·v,).
+    """Influences on the residuals (sets·2·v,): the sets in their order; for each set, the residuals of one rate at all positions, then
+    those of the other rate.
 
     units: of the outputs; matrix: (v, p) of the verification positions, SI; observed: (v, 2), outputs, giving residuals in units of `rate`
     rad/s.
@@ -33,7 +34,7 @@ def residual_influences(
     found: list[Influence] = []
 
     def recovered(flat: Array) -> Array:
-        """By k sets of coefficients (2·p, k): (2·v, k)."""
+        """The residuals (2·v, k) for k sets of coefficients (2·p, k)."""
         rates = flexure_gyro.compensated_rates(flat.reshape(2, -1, flat.shape[1]), observed, matrix[:, 3:6])
         return np.asarray(np.swapaxes(rates, 0, 1).reshape(-1, flat.shape[1]) / rate)
 
@@ -48,8 +49,8 @@ def residual_influences(
 
 
 def recovery(coefficients: Array, positions: int, rate: float) -> Array:
-    """Rates in units of `rate` rad/s from outputs less what the coefficients (2, p) say of them, (2·v, 2·v); output, or rate, after the
-    other."""
+    """The matrix (2·v, 2·v) from outputs minus their prediction by the coefficients (2, p) to rates in units of `rate` rad/s; output after
+    output, rate after rate."""
     return np.asarray(np.kron(np.linalg.inv(coefficients[:, 1:3]), np.eye(positions)) / rate)
 
 
@@ -70,8 +71,8 @@ def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) 
 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:
-    """Influences on SI [U; V] of a set. The scatter simulated here includes flicker, but not the table's errors in the scatter of the
-    calibration."""
+    """Influences on SI [U; V] of a set. The simulated scatter includes flicker, but not the contribution of the table's errors to the
+    scatter of the calibration."""
     coefficients = np.array(used.extra["coefficients"])
     quantities, factors = reported(units, flexure_gyro.static_model(), ())
     own_noise = {aspect.of(output) for aspect in Aspect for output in used.extra["outputs"]}

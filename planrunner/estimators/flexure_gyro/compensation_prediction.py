@@ -1,9 +1,9 @@
 """Expected residuals after compensation, from the positions, their noise and the uncertainties declared in the bench.
 
-To first order the residual of a set on a verification position is M⁻¹·(e − x·δ), with e the noise of that position, x its row of the
-design and δ the error of the coefficients. All sets share the verification noise, which is why single ratios scatter less than
-independent sums would. Flicker ties calibration and verification together: what drifts slowly is in both and cancels. So does the
-table where a verification position is one of the calibration's.
+To first order the residual of a set on a verification position is M⁻¹·(e − x·δ), with e the noise of that position, x its row of the design
+and δ the error of the coefficients. All sets share the verification noise, so single ratios scatter less than ratios of independent sums.
+Flicker correlates calibration and verification: a slow drift is in both and cancels. Errors of the table cancel too if a verification
+position is also a calibration position.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """expected: residual sum of squares by set. ratios: by set, (5 %, median, 95 %) of the ratio to the first set. Both from noise and from
-    what is stated. relative_spread: by set, half of the central 68.27 % of the sum over its expectation; ratio_spread: the same of the
-    ratio, not over it; both from noise alone."""
+    """expected: residual sum of squares by set. ratios: by set, (5 %, median, 95 %) of the ratio to the first set. Both include noise and
+    declared uncertainties. relative_spread: by set, half of the central 68.27 % interval of the sum, divided by its expectation;
+    ratio_spread: half of the same interval of the ratio, not divided; both from noise alone."""
 
     expected: dict[str, float]
     ratios: dict[str, tuple[float, float, float]]
@@ -32,11 +32,11 @@ class Prediction:
 
 
 def noise_maps(verification: Array, sets: Mapping[str, Array], covariances: Array) -> dict[str, Array]:
-    """By set, (2·v, z): what z independent inputs of standard deviation one make of the outputs less what the coefficients say of them, at
-    the verification positions, output after output.
+    """By set, (2·v, z): effect of z independent inputs of standard deviation one on the outputs minus their prediction by the coefficients,
+    at the verification positions, output after output.
 
     verification: (v, p), the verification positions' design. sets: by name, (2, p, n), coefficients from the calibration's observations.
-    covariances: (2, N, N), of the observations of each output, first of the v verification positions, then of the sets in their order.
+    covariances: (2, N, N), of the observations of each output: first the v verification positions, then the sets in their order.
     """
     roots = [square_root(one) for one in covariances]
     found = {}
@@ -48,13 +48,13 @@ def noise_maps(verification: Array, sets: Mapping[str, Array], covariances: Arra
 
 
 def expected_sum(maps: Array) -> float:
-    """Expected sum of squares of what independent inputs of standard deviation one make by `maps` (r, z)."""
+    """Expected sum of squares of `maps` (r, z) times independent inputs of standard deviation one."""
     return float(np.sum(maps**2))
 
 
 def predict_residuals(noise: Mapping[str, Array], stated: Mapping[str, Array], trials: int, seed: int) -> Prediction:
-    """From seeded simulated experiments. noise, stated: by set, (r, z) and (r, s), what independent inputs of standard deviation one, which
-    all sets share, make of the residuals."""
+    """Prediction from seeded simulated experiments. noise, stated: by set, (r, z) and (r, s), effects on the residuals of independent
+    inputs of standard deviation one, which all sets share."""
     rng = np.random.default_rng(seed)
     first = next(iter(noise))
     drawn = rng.standard_normal((noise[first].shape[1], trials))
@@ -76,13 +76,13 @@ def _range(drawn: Array) -> tuple[float, float, float]:
 
 
 def _half(drawn: Array) -> float:
-    """Half of the central 68.27 %."""
+    """Half of the width of the central 68.27 %."""
     low, high = np.quantile(drawn, (0.158655, 0.841345))
     return float(high - low) / 2
 
 
 def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[Array]]:
-    """By set, for each output, (v, N): residuals of the verification positions from all observations."""
+    """By set and output, the matrix (v, N) from all observations to the residuals of the verification positions."""
     v, total = len(verification), len(verification) + sum(gains.shape[2] for gains in sets.values())
     found, start = {}, v
     for name, gains in sets.items():
@@ -96,7 +96,8 @@ def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[A
 
 
 def weighted_inverse(matrix: Array, sigma: Array) -> Array:
-    """Coefficients per unit of each position's standardised noise, shape (p, n). Columns are scaled so that SI units do no harm."""
+    """Coefficients per unit of each position's standardised noise, shape (p, n). Columns are scaled because SI units would make the matrix
+    ill-conditioned."""
     size = np.abs(matrix).max(axis=0)
     size[size == 0] = 1.0
     inverse: Array = np.linalg.pinv(matrix / sigma[:, None] / size) / size[:, None]

@@ -1,7 +1,7 @@
-"""Residuals after compensation on verification positions, for two or more sets of coefficients side by side (CN100554884C, model G0).
+"""Residuals after compensation on verification positions, for two or more sets of coefficients (CN100554884C, model G0).
 
-Each set recovers ω_Y and ω_X from the outputs; what differs from the Earth rate's components is its residual. The measured ratio of the
-residual sums of squares stands beside the ratio that the sets' positions lead one to expect.
+Each set recovers ω_Y and ω_X from the outputs; the differences from the components of the Earth rate are its residuals. The measured ratio
+of the residual sums of squares is compared with the ratio expected from the positions of the sets.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class CompensationResidual:
     Parameters = CompensationResidualParameters
 
     def design(self, request: DesignRequest[CompensationResidualParameters]) -> Design:
-        """No coefficients are fitted; the predicted ratios stand in the notes and in `extra`. Raises `EstimationError`."""
+        """No coefficients are fitted; the predicted ratios are in the notes and in `extra`. Raises `EstimationError`."""
         model = flexure_gyro.static_model()
         matrix = static_matrix(model, request.segments, request.site)
         sets, noise = {}, [np.ones((2, len(matrix)))]
@@ -110,7 +110,8 @@ class CompensationResidual:
         return Design((), (), (*notes, _CLAIM), ratios)
 
     def foresee(self, request: DesignRequest[CompensationResidualParameters]) -> Foresight:
-        """The coefficients' names: sums of a few squared residuals scatter as widely as they are large, and the notes give their ratio."""
+        """Only the names of the coefficients: sums of a few squared residuals scatter by as much as their size. The notes give their
+        expected ratio."""
         first, *others = request.uses
         why = "the noise of a few verification positions determines it"
         named = [*map(_sum, request.uses), *(_ratio(name, first) for name in others)]
@@ -168,13 +169,14 @@ def _several(sets: Sized) -> None:
 
 
 def _relative(block: DesignBlock) -> Array:
-    """The calibration's noise relative to the block's own root mean square: only proportions matter."""
+    """The noise of the calibration relative to the root mean square of the block: only proportions matter."""
     typical = float(np.sqrt(np.mean(block.sigma**2)))
     return block.sigma / typical if typical > 0 else np.ones_like(block.sigma)
 
 
 def _covariances(request: EstimateRequest[CompensationResidualParameters], observations: Observations) -> Array:
-    """Of all observations of each output, (2, N, N): noise within the segments, and declared flicker, which all segments share."""
+    """Covariances (2, N, N) of all observations of each output: noise within the segments, and declared flicker, which all segments
+    share."""
     told = [used.extra for used in request.uses.values()]
     start = np.concatenate([observations.start, *(one["start"] for one in told)])
     end = np.concatenate([observations.end, *(one["end"] for one in told)])
@@ -266,7 +268,7 @@ def _sum(name: str) -> tuple[str, str, str]:
 
 
 def _ratio(name: str, first: str) -> tuple[str, str, str]:
-    """The same of the ratio of two."""
+    """Name, unit and description of the ratio of two residual sums of squares."""
     return f"ratio_{name}_to_{first}", "1", f"Residual sum of squares of {name} over that of {first}"
 
 

@@ -178,7 +178,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
 
 
 def static_design(products: tuple[str, ...], segments: Sequence[Segment], site: Site) -> PositionsDesign:
-    """Of either output at positions at rest. Raises `EstimationError`."""
+    """The design of each output at positions at rest. Raises `EstimationError`."""
     model = flexure_gyro.static_model(products)
     return PositionsDesign(model, tuple(segments), static_matrix(model, segments, site), local_magnitudes(model, site))
 
@@ -199,7 +199,7 @@ def reported(
 ) -> tuple[tuple[Reported, ...], Array]:
     """The physical coefficients, then U0 …, V0 …, and the SI value of each one's unit, (q,).
 
-    An output's own unit is kept as it is recorded.
+    The unit of an output is the recorded unit.
 
     Raises `EstimationError` for outputs of different units.
     """
@@ -229,7 +229,7 @@ def reported(
 
 
 def static_coefficients(fit: OutputsFit, units: Sequence[str], model: ErrorModel, products: tuple[str, ...]) -> Derived:
-    """Everything that is reported, from SI [U; V]. Raises ValueError where the relation cannot be inverted."""
+    """All reported quantities, from SI [U; V]. Raises ValueError if the relation cannot be inverted."""
     quantities, factors = reported(units, model, products)
 
     def formula(outputs: Array) -> Array:
@@ -251,8 +251,8 @@ def _extra(
     fit: OutputsFit,
     parameters: FlexureGyroStaticParameters,
 ) -> dict[str, object]:
-    """What an estimate that compensates with these coefficients needs, in SI: coefficients, covariance on either basis, the design, and
-    when and how noisily it was observed (bias instability: 0.0 where it is not in the weights)."""
+    """Data, in SI, for an estimate that compensates with these coefficients: coefficients, covariance on both bases, the design, and the
+    times and noise of the observations (bias instability: 0.0 if it is not in the weights)."""
     flicker = {effect.quantity.name: effect.quantity.standard_uncertainty for effect in fit.effects}
     return {
         "outputs": list(parameters.outputs),

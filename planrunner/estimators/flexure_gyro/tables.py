@@ -25,7 +25,7 @@ _DRIFT = {
 
 
 def descriptions(products: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """In words, in the order of `flexure_gyro.physical_names` and then of `flexure_gyro.output_names`."""
+    """Descriptions, in the order of `flexure_gyro.physical_names` and then of `flexure_gyro.output_names`."""
     of_drifts = (
         f"Drift D({axis}), {_DRIFT[kind]}; adds to {sensed}"
         for axis, sensed in (("X", "ω_Y"), ("Y", "ω_X"))

@@ -35,7 +35,7 @@ _DIMENSION = {"gyro": DIMENSIONS["angular rate"], "accel": DIMENSIONS["accelerat
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """How three outputs respond. kind: gyro or accel. units: (3,) that they are recorded in. values: (3, p), coefficients of the model's
+    """How three outputs respond. kind: gyro or accel. units: (3,), in which they are recorded. values: (3, p), coefficients of the model's
     terms in those units per SI column."""
 
     kind: str
@@ -53,7 +53,7 @@ class Response:
         return self.places(_SENSED[self.kind])
 
     def rows(self, channels: Sequence[str]) -> list[AxisResponse]:
-        """The responses of the outputs that are recorded in units of what they sense."""
+        """The responses of those outputs whose unit is that of the sensed quantity."""
         return [
             AxisResponse(
                 channels[axis],
@@ -68,8 +68,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class Framed:
-    """The responses in the frame that they are reported in. reference: the kind of the triad whose own frame it is, empty for the
-    fixture's."""
+    """The responses in the reported frame. reference: the kind of the triad that defines the frame; empty for the frame of the fixture."""
 
     responses: tuple[Response, ...]
     reference: str = ""
@@ -77,7 +76,7 @@ class Framed:
 
 @dataclass(frozen=True, slots=True)
 class ImuResults:
-    """Everything that is reported, as a formula of the responses as fitted, all triads' one after the other. frame: of what was fitted."""
+    """All reported quantities, as a formula of the fitted responses, triad after triad. frame: that of the fit."""
 
     frame: Framed
     quantities: tuple[Reported, ...]
@@ -85,8 +84,8 @@ class ImuResults:
 
 
 def calibration(fitted: Sequence[Response], lower_triangular: bool) -> ImuResults:
-    """In the fixture's frame, or in the own frame of the accelerometers, of the gyros where there are none. Raises `EstimationError`, also
-    for an output that does not respond."""
+    """The responses in the frame of the fixture, or in the frame of the accelerometers (of the gyros if there are no accelerometers).
+    Raises `EstimationError`, also for an output that does not respond."""
     reference = fitted[-1] if lower_triangular else None  # the accelerometers, if there are any
     if lower_triangular:
         _must_turn(fitted)
@@ -128,7 +127,7 @@ def _split(fitted: Sequence[Response], flat: Array) -> list[Array]:
 
 
 def _rotation(reference: Response, values: Array) -> Array:
-    """(3, 3, n), from the fixture's frame to the own one of a triad that responds by (3, p, n)."""
+    """Rotations (3, 3, n) from the frame of the fixture to the frame of a triad with the responses (3, p, n)."""
     factors = np.array([own.factor for own in reference.units])[:, None, None]
     try:
         return own_frame(values[:, [reference.sensed[k] for k in range(3)]] * factors)
@@ -137,7 +136,7 @@ def _rotation(reference: Response, values: Array) -> Array:
 
 
 def _turned(one: Response, values: Array, rotation: Array) -> Array:
-    """The responses (3, p, n) to rates and specific forces in the frame to which the rotation (3, 3, n) leads."""
+    """The responses (3, p, n) to rates and specific forces in the frame after the rotation (3, 3, n)."""
     turned = np.array(values)
     for places in (one.places("rate"), one.places("accel")):
         if places:
@@ -147,7 +146,7 @@ def _turned(one: Response, values: Array, rotation: Array) -> Array:
 
 
 def _must_turn(responses: Sequence[Response]) -> None:
-    """Raises `EstimationError` where a model has terms whose meaning in another frame is not known."""
+    """Raises `EstimationError` if a model has terms whose transformation to another frame is not known."""
     for one in responses:
         rates, forces = one.places("rate"), one.places("accel")
         known = {"bias", *(f"{name}_{axis}" for name in ("rate", "accel") for axis in AXES)}
@@ -180,7 +179,7 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
     found: list[_Part] = []
 
     def add(name: str, text: str, of: RowFormula, words: str, si: float = own.factor) -> None:
-        """text: the unit to report in; si: the SI value of what `of` gives."""
+        """text: the unit of the report; si: the SI value of the unit of `of`."""
         try:
             factor = si / unit(text).factor
         except UnknownUnitError as error:

@@ -1,8 +1,8 @@
 """Bias, scale factor, misalignment and g-sensitivity of an IMU's triads from positions at rest and rates about each axis.
 
 Each output is fitted by a linear model of named terms at the mean stimulus of every segment, the Earth's rotation included (IEEE Std 1431,
-IEEE Std 1293; Titterton and Weston, Strapdown Inertial Navigation Technology, chapter 8). Gyros take all segments; accelerometers take
-those at rest, because off the rotation axis they feel the centripetal acceleration of a spin.
+IEEE Std 1293; Titterton and Weston, Strapdown Inertial Navigation Technology, chapter 8). Gyros use all segments. Accelerometers use only
+segments at rest, because away from the rotation axis they sense the centripetal acceleration of a spin.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class Triad:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuQuantities(Quantities):
-    """frame: the responses in the frame that they are reported in; found: what is reported of them."""
+    """frame: the responses in the reported frame; found: the reported quantities."""
 
     triads: tuple[Triad, ...]
     frame: Framed
@@ -202,7 +202,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
 
 
 def _triads(parameters: ImuMultiPositionParameters) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
-    """(kind, channels, terms) of the triads that are there. Raises `EstimationError`."""
+    """(kind, channels, terms) of the given triads. Raises `EstimationError`."""
     stated = (
         ("gyro", parameters.gyros, parameters.gyro_terms, _RATES),
         ("accel", parameters.accelerometers, parameters.accelerometer_terms, _FORCES),
@@ -237,7 +237,7 @@ def _usable(kind: str, segments: Sequence[Segment]) -> list[Segment]:
 
 
 def _design(kind: str, terms: Sequence[str], segments: Sequence[Segment], site: Site) -> PositionsDesign:
-    """Of each output of a triad, at the segments that it can use. Raises `EstimationError`."""
+    """The design of each output of a triad, at the segments that it can use. Raises `EstimationError`."""
     model, usable = error_model(terms), _usable(kind, segments)
     try:
         matrix = model.columns(mean_stimulus(usable, site))
@@ -282,14 +282,14 @@ def _response(one: Triad) -> Response:
 
 
 def _stated(request: EstimateRequest[ImuMultiPositionParameters], one: Triad) -> tuple[Influence, ...]:
-    """On one triad's coefficients."""
+    """Influences on the coefficients of one triad."""
     return (*site_influences(request, one.design, one.fit), *one.fit.influences(request.parameters.uncertainty))
 
 
 def _earth_rate_alone(
     request: DesignRequest[ImuMultiPositionParameters], blocks: Sequence[DesignBlock]
 ) -> list[Remark]:
-    """Scale factors that nothing but the Earth's rotation shows, of which rank has nothing to say."""
+    """Warnings about scale factors that only the Earth's rotation determines; the rank of the design does not show this."""
     terms = blocks[0].terms
     alone = [
         name
@@ -310,7 +310,7 @@ def _earth_rate_alone(
 def _extra(
     request: EstimateRequest[ImuMultiPositionParameters], frame: Framed, found: Sequence[Coefficient]
 ) -> dict[str, object]:
-    """Matrices for those who build on this, and the coefficients by temperature where all segments were held at one."""
+    """Matrices for estimates that use this one, and the coefficients with their temperature if all segments had the same temperature."""
     extra: dict[str, object] = {
         one.kind: {
             "terms": list(one.model.names),
@@ -326,7 +326,7 @@ def _extra(
 
 
 def _held(planned: set[float | None]) -> float | None:
-    """The one temperature [K] of all segments; None where there is none, or more than one."""
+    """The common temperature [K] of all segments; None if there is none."""
     return next(iter(planned)) if len(planned) == 1 else None
 
 
@@ -335,7 +335,7 @@ def _inverse(one: Response) -> Array | None:
 
 
 def by_temperature(found: Sequence[Coefficient], celsius: float) -> Mapping[str, object]:
-    """The coefficients at one temperature, as `interface.Estimate` says that extra holds them."""
+    """The coefficients at one temperature, in the form of `extra` that `interface.Estimate` describes."""
     return {
         one.name: {
             "temperature_degC": [celsius],

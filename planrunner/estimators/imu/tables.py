@@ -29,7 +29,7 @@ def formula(frame: Framed) -> str:
 
 
 def matrices(one: Response) -> tuple[Table, ...]:
-    """S·M with b (and G), and the inverse, where all three axes were seen."""
+    """S·M with b (and G), and the inverse if all three axes were excited."""
     sensed = one.sensed
     if len(sensed) < 3:
         return ()
@@ -62,7 +62,7 @@ def matrices(one: Response) -> tuple[Table, ...]:
 
 
 def inverse_matrix(one: Response) -> Array | None:
-    """(S·M)⁻¹, deg/s or g per recorded unit, shape (3, 3); None where the outputs do not span space."""
+    """(S·M)⁻¹, deg/s or g per recorded unit, shape (3, 3); None if the outputs do not span space."""
     matrix = one.values[:, [one.sensed[k] for k in range(3)]] * unit(_WORDS[one.kind][1]).factor
     lengths = np.linalg.norm(matrix, axis=1, keepdims=True)
     if (lengths == 0).any() or np.linalg.cond(matrix / lengths) > 1e6:

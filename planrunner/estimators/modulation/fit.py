@@ -30,7 +30,7 @@ class TooLittleError(ValueError):
 @dataclass(frozen=True, slots=True)
 class PeriodicPart:
     """orders: (m,) positive and negative harmonics; velocities: (m,) their coefficients [m/s]; noise: (m,) standard uncertainty of each
-    [m/s], from the rest of the record; hidden: harmonics too near a free oscillation; period: s."""
+    [m/s], from the rest of the record; hidden: harmonics that are too near to a free oscillation; period: s."""
 
     orders: NDArray[np.int_]
     velocities: Complex
@@ -46,7 +46,7 @@ class PeriodicPart:
         return largest(self.orders, self.velocities * self.period / (2j * math.pi * self.orders))
 
     def position_noise(self) -> float:
-        """Its standard uncertainty [m], as if all harmonics peaked at once."""
+        """Upper bound of its standard uncertainty [m]: all harmonics have their peaks at the same time."""
         return float(np.hypot.reduce(self.noise * self.period / (2 * math.pi * np.abs(self.orders))))
 
 
@@ -59,7 +59,7 @@ def largest(orders: NDArray[np.int_], parts: Complex) -> float:
 
 
 def periodic_part(time: Array, velocity: Complex, period: float, highest: int, site: Site) -> PeriodicPart:
-    """time: (n,), s, evenly spaced, from the beginning of a cycle; velocity: (n,), m/s; highest: harmonic to fit at most.
+    """time: (n,), s, evenly spaced, from the beginning of a cycle; velocity: (n,), m/s; highest: the highest harmonic to fit.
 
     Raises `TooLittleError`.
     """

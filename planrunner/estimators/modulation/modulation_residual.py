@@ -62,7 +62,7 @@ class ModulationResidualParameters(Record):
 
     @property
     def declared(self) -> Array | None:
-        """Constant errors (6,), rad/s and m/s²; None where none are stated."""
+        """Constant errors (6,), rad/s and m/s²; None if none are stated."""
         if not self.gyro_errors and not self.accelerometer_errors:
             return None
         parts = (self.gyro_errors, self.accelerometer_errors)

@@ -28,9 +28,9 @@ _NO_REFERENCE = (
 
 @dataclass(frozen=True, slots=True)
 class Navigation:
-    """One navigation on the time that all have. course: (5, n), time [s], east, north [m], velocities [m/s]; cycle: None at rest; aligned:
-    the cycle that alignment went through, None at rest; highest: harmonic up to which the cycle is of interest; spread: relative standard
-    uncertainty of its radial error rate."""
+    """One navigation over the time common to all. course: (5, n), time [s], east, north [m], velocities [m/s]; cycle: None at rest;
+    aligned: the cycle during alignment, None at rest; highest: the highest harmonic of interest; spread: relative standard uncertainty of
+    the radial error rate."""
 
     name: str
     attitude: Array | None
@@ -70,7 +70,7 @@ def rotation(motion: Motion, table: TableModel | None) -> RotationCycle | None:
 
 
 def compared(request: EstimateRequest[object]) -> list[Navigation]:
-    """The navigations used, in their order, on the time that all of them have. Raises `EstimationError`."""
+    """The navigations used, in their order, over the time common to all. Raises `EstimationError`."""
     segments = {recorded.label: recorded.segment for recorded in request.segments}
     table = request.setup.table
     courses = {name: _course(name, used) for name, used in request.uses.items()}

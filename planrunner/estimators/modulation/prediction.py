@@ -1,7 +1,7 @@
 """Predicted errors of a navigation on a turning table from declared constant sensor errors: by the linear error equations, and by
 harmonics.
 
-An alignment at rest compensates the errors that it cannot observe by tilt and azimuth (`ErrorEquations.levelled`); at rest they then mostly
+An alignment at rest compensates unobservable errors by tilt and azimuth errors (`ErrorEquations.levelled`); at rest they then mostly
 cancel. An alignment through a cycle compensates only the residual of the cycle. Afterwards the errors of gyros and accelerometers, rotated
 with the table, drive the equations.
 """

@@ -1,7 +1,7 @@
 """Curve of the drift angle over each whole run, for readers; the two windows are parts of it.
 
-Accelerometers are averaged over bins of whole rocking periods, so that the rocking itself goes; one pass over the samples, a few hundred
-numbers a run.
+Accelerometers are averaged over bins of whole rocking periods, which removes the rocking; one pass over the samples gives a few hundred
+numbers per run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from planrunner.plan.schedule import Rock
 
 Array = NDArray[np.float64]
 POINTS = 200
-"""Of a curve, at most; fewer where that many rocking periods do not fit."""
+"""Largest number of points of a curve; fewer if the run has fewer rocking periods."""
 PLACES = ("static 1", "dynamic 1", "dynamic 2", "static 2")
 ARCSEC = math.radians(1 / 3600)
 
@@ -32,7 +32,7 @@ ARCSEC = math.radians(1 / 3600)
 @dataclass(frozen=True, slots=True)
 class StateCurves:
     """The runs of one state, averaged over its quadruples. time: (n,) s from the beginning of a record. angles: (4, n, 2) rad about the two
-    `level` axes, of static 1, dynamic 1, dynamic 2 and static 2, zero at t0; NaN where no samples are."""
+    `level` axes, of static 1, dynamic 1, dynamic 2 and static 2, zero at t0; NaN where samples are missing."""
 
     name: str
     level: tuple[int, int]
@@ -44,8 +44,8 @@ class StateCurves:
 def drift_curves(
     runs: Runs, recorded: Sequence[RecordedSegment], conditions: RockingConditions, parameters: RockingDriftParameters
 ) -> list[StateCurves]:
-    """Of each state. recorded: all chosen segments, which the runs name by their places. Raises `EstimationError` for channels that are
-    missing."""
+    """The curves of each state. recorded: all chosen segments, to which the runs refer by index. Raises `EstimationError` for channels that
+    are missing."""
     every = [reduced.run for state in runs for four in state for reduced in four]
     lasting = min(recorded[run.place].statistics.end - recorded[run.place].statistics.start for run in every)
     periods = [run.segment.motion.period for run in every if isinstance(run.segment.motion, Rock)]
@@ -73,7 +73,7 @@ def _curve(
     width: float,
     count: int,
 ) -> Array:
-    """Drift angles (count, 2) [rad] of the means over bins of `width` [s], less their mean in the first window."""
+    """Drift angles (count, 2) [rad] of the means over bins of `width` [s], minus their mean in the first window."""
     channels = parameters.accelerometers
     scales = np.array([scale(recorded, name) for name in channels])
     totals, counts = np.zeros((count, 4)), np.zeros(count)

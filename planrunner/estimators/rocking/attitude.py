@@ -1,7 +1,7 @@
 """Attitudes and tilts of a stabilised element: how gravity shows a tilt, and what an inertially fixed element does at a turning site.
 
-All matrices take components to components (v_element = C @ v_site, site axes East-North-Up) and R_k(a) is the turn of a frame by `a`
-about its own axis k, so that R_z(a) = [[cos a, sin a, 0], [−sin a, cos a, 0], [0, 0, 1]]. Angles are in rad.
+All matrices take components to components (v_element = C @ v_site, site axes East-North-Up) and R_k(a) is the turn of a frame by `a` about
+its axis k: R_z(a) = [[cos a, sin a, 0], [−sin a, cos a, 0], [0, 0, 1]]. Angles are in rad.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ def encoder_attitude(
 ) -> Array:
     """The element's attitude from ring and gimbal angles, shape (n, 3, 3).
 
-    rings, gimbals: (n,) each, outermost first. directions: where each ring's axis points with all rings at zero, before the table's
-    `azimuth` is applied. axes: of the carrying part about which each gimbal turns.
+    rings, gimbals: (n,) each, outermost first. directions: direction of each ring's axis with all rings at zero, before the table's
+    `azimuth` is applied. axes: the axis of the carrying part about which each gimbal turns.
     """
     found = np.broadcast_to(turned(2, -azimuth), (len(rings[0]), 3, 3))
     for angle, direction in zip(rings, directions, strict=True):
@@ -107,7 +107,7 @@ class LevelState:
 
     @property
     def hand(self) -> float:
-        """+1 where (vertical, sine, other) follow each other as x, y, z do."""
+        """+1 if (vertical, sine, other) is a cyclic permutation of x, y, z."""
         return 1.0 if self.sine == (self.vertical + 1) % 3 else -1.0
 
     def tilts(self, force: Array, gravity: float) -> Array:
@@ -136,7 +136,7 @@ class LevelState:
 
 
 def level_state(nominal: Array, order: str) -> LevelState | None:
-    """The state of a planned attitude, None where no axis is vertical. order: `xzy` or `zxy`, as with y up."""
+    """The state of a planned attitude; None if no axis is vertical. order: `xzy` or `zxy`, named for y up."""
     cosines = nominal @ UP
     vertical = int(np.argmax(np.abs(cosines)))
     if abs(cosines[vertical]) < 1 - UPRIGHT:

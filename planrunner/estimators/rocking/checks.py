@@ -1,7 +1,7 @@
 """Checks of a rocking test before it runs: windows, timing, pattern, caging, resolution and axes that cannot be measured.
 
-A fault is an error if it gives no rocking drift or a wrong one; it is a warning if it makes the result less accurate than the method
-promises.
+A fault is an error if the rocking drift would be missing or wrong; it is a warning if the result would only be less accurate than the
+method promises.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SMALL = 1e-6
 
 
 def span(runs: Sequence[Run]) -> float | None:
-    """The dwell [s] of the shortest run; None where one lasts as long as its recording."""
+    """The dwell [s] of the shortest run; None if a run has the dwell 'recorded'."""
     dwells = [run.segment.dwell for run in runs if run.segment.dwell is not None]
     return min(dwells) if len(dwells) == len(runs) else None
 
@@ -67,7 +67,7 @@ def _windows(parameters: RockingDriftParameters) -> list[Remark]:
 
 
 def _release_time(request: DesignRequest[RockingDriftParameters], runs: Sequence[Run]) -> list[Remark]:
-    """With a nominal azimuth the element is turned on by the Earth since its release, so the time since then must be known."""
+    """With a nominal azimuth, the Earth has turned relative to the element since its release, so the time since then must be known."""
     parameters = request.parameters
     if parameters.azimuth != "nominal":
         return []
@@ -80,8 +80,8 @@ def _release_time(request: DesignRequest[RockingDriftParameters], runs: Sequence
 
 
 def _encoders(request: DesignRequest[RockingDriftParameters]) -> list[Remark]:
-    """Gimbals that cannot be as named, and encoders that are asked for and not there. A bench without a table may play back a recording
-    with more channels than it names."""
+    """Reports impossible names of gimbals, and missing encoders. A bench without a table may play back a recording with more channels than
+    it names."""
     parameters = request.parameters
     found = []
     if any(outer == inner for outer, inner in pairwise(parameters.gimbal_axes)):
@@ -219,7 +219,7 @@ def _first_end(parameters: RockingDriftParameters) -> float:
 def count_seconds(
     request: DesignRequest[RockingDriftParameters], parameters: RockingDriftParameters
 ) -> tuple[str, float, float] | None:
-    """The coarsest accelerometer, its count [m/s^2], and the seconds in which the smallest drift moves it by a count."""
+    """The coarsest accelerometer, its count [m/s^2], and the time [s] in which the smallest drift changes its reading by one count."""
     coarsest: tuple[str, float, float] | None = None
     for name in parameters.accelerometers:
         output = request.sensor.output(name)

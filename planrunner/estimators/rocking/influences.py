@@ -1,8 +1,8 @@
-"""Influences on rocking drifts other than the data.
+"""Type B influences on rocking drifts.
 
-Whatever differs from run to run (accelerometer stability, azimuth after caging, counts) shows in the scatter of the repeats: it is listed
-in the budget, so that it can be compared with what is expected, and not added again. What all runs share (site, installation angles) is
-added; nearly all of it cancels between static and dynamic runs.
+Effects that differ from run to run (accelerometer stability, azimuth after caging, counts) appear in the scatter of the repeats. The budget
+lists them for comparison but does not add them. Effects common to all runs (site, installation angles) are added; they almost cancel
+between static and dynamic runs.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from planrunner.uncertainty.influences import Influence, InputQuantity
 
 Array = NDArray[np.float64]
 Runs = Sequence[Sequence[Sequence[ReducedRun]]]
-"""State by state, quadruple by quadruple, four runs each."""
+"""The runs, state by state, quadruple by quadruple, four runs each."""
 DEG_PER_HOUR = math.degrees(1.0) * 3600
 
 
@@ -37,7 +37,7 @@ def conditions_of(site: Site, parameters: RockingDriftParameters) -> RockingCond
 
 
 def drifts_of(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """Drifts of one run [deg/h]: two level axes by the accelerometers, then by the gimbals where there are encoders; shape (2,) or (4,)."""
+    """Drifts of one run [deg/h]: two level axes by the accelerometers, then by the gimbals if there are encoders; shape (2,) or (4,)."""
     parts = [accelerometer_drift(reduced, conditions)]
     if reduced.first.turn is not None:
         parts.append(gimbal_drift(reduced, conditions))
@@ -139,13 +139,13 @@ def _of_one_run(
 
 
 def _tilted(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """With an accelerometer that reads more by so much in the second window than in the first."""
+    """The drifts if one accelerometer reads more by this amount in the second window than in the first."""
     second = reduced.second
     return replace(reduced, second=replace(second, readings=second.readings + by * np.eye(3)[axis]))
 
 
 def _ringed(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """With an attitude by the encoders that has turned by so much from the first window to the second, and the element has not."""
+    """The drifts if the attitude from the encoders turns by this angle from the first window to the second while the element does not."""
     second = reduced.second
     assert second.turn is not None
     return replace(reduced, second=replace(second, turn=second.turn + by * np.eye(3)[axis]))
@@ -164,7 +164,7 @@ def azimuth_uncertainty(request: EstimateRequest[RockingDriftParameters]) -> Inp
 
 
 def resolution(request: EstimateRequest[RockingDriftParameters], parameters: RockingDriftParameters) -> float:
-    """One count of the coarsest accelerometer [m/s^2], as the bench declares it; 0 where it does not."""
+    """One count of the coarsest accelerometer [m/s^2], as declared in the bench file; 0 without a declaration."""
     counts = [0.0]
     for name in parameters.accelerometers:
         output = request.sensor.output(name)

@@ -18,7 +18,7 @@ def _angle(description: str, example: str) -> Any:
 
 
 class Installation(Record):
-    """Installation angles of the accelerometers: how an input axis has turned about another axis of the element, right-handed."""
+    """Installation angles of the accelerometers: rotation of an input axis about another axis of the element, right-handed."""
 
     xz: Quantity = _angle("Q_xz, x accelerometer about z.", "12 arcsec ± 2 arcsec")
     xy: Quantity = _angle("Q_xy, x accelerometer about y.", "-8 arcsec ± 2 arcsec")

@@ -1,10 +1,10 @@
 """Rocking drift of an inertial platform from the gravity vector in its accelerometers, and for comparison from gimbal angles.
 
 The base rocks; the stabilised element should stay still in inertial space; its drift shows as a tilt of gravity. Runs of 10 min in
-navigation, caged before each, come as static, dynamic, dynamic, static in states that differ by a turn of the base by 90°. Of each run:
-(1) low-pass filter, (2) installation angles, (3) tilts, (4) their change from a window at t0 to one at t1, (5) less the change that an
-inertially fixed element shows; then (6) dynamic less static. Reading is in `windows`, steps 2 to 5 in `solution`,
-step 6 and random pairings in `statistics`.
+navigation, caged before each, come as static, dynamic, dynamic, static in states that differ by a turn of the base by 90°. For each run:
+(1) low-pass filter, (2) installation angles, (3) tilts, (4) their change from a window at t0 to a window at t1, (5) minus the change that
+an inertially fixed element would show; then (6) dynamic minus static runs. Reading is in `windows`, steps 2 to 5 in `solution`, step 6 and
+random pairings in `statistics`.
 """
 
 from __future__ import annotations
@@ -71,12 +71,13 @@ class RockingDrift:
         return Design((), notes=tuple(notes), remarks=tuple(found))
 
     def foresee(self, request: DesignRequest[RockingDriftParameters]) -> Foresight:
-        """From stated stability, declared noise and counts, and the table's position: runs of minutes are not simulated."""
+        """Prediction from stated stability, declared noise and counts, and the table's position uncertainty: runs of several minutes are
+        not simulated."""
         runs = find_runs(request.segments, request.parameters.rotation_order)
         return _foreseen(request, by_state(quadruples(runs)), span(runs))
 
     def estimate(self, request: EstimateRequest[RockingDriftParameters]) -> Estimate:
-        """Steps 1 to 6 and both methods. Raises `EstimationError` for data that cannot serve."""
+        """Steps 1 to 6 and both methods. Raises `EstimationError` for unsuitable data."""
         parameters = request.parameters
         recorded = request.segments
         runs = find_runs([item.segment for item in request.segments], parameters.rotation_order)
@@ -129,7 +130,7 @@ class RockingDrift:
 
 
 def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParameters) -> Windows:
-    """The same for all runs: the second window ends with the shortest one, unless the plan says when it begins."""
+    """The windows, the same for all runs: the second window ends with the shortest run, unless the plan states its beginning."""
     for item in recorded:
         if item.truncated:
             raise UnfitDataError(f"'{item.label}' was cut short: repeat its quadruple")
@@ -166,7 +167,7 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
 
 
 def _encoders(request: EstimateRequest[RockingDriftParameters]) -> tuple[bool, str]:
-    """Whether rings and gimbals can be used, and why not."""
+    """Whether rings and gimbals can be used; if not, the reason."""
     parameters = request.parameters
     names = (*parameters.rings, *parameters.gimbals)
     missing = [name for name in names if any(name not in item.units for item in request.segments)]
@@ -257,7 +258,7 @@ def _extra(
 def _foreseen(
     request: DesignRequest[RockingDriftParameters], groups: Sequence[Sequence[Quadruple]], dwell: float | None
 ) -> Foresight:
-    """dwell: s, None where it is not known."""
+    """dwell: s; None if it is not known."""
     parameters = request.parameters
     table = request.setup.table
     angles = {False: _angle_by_gravity(request)}

@@ -18,7 +18,7 @@ WORDS = {False: "static", True: "dynamic"}
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run in navigation. place: among the chosen segments; caged_before: None where that cannot be determined from them."""
+    """One run in navigation. place: its index among the chosen segments; caged_before: None if they do not show it."""
 
     segment: Segment
     place: int
@@ -35,39 +35,39 @@ class Run:
 
     @property
     def planned_lead(self) -> float:
-        """Planned seconds from the release to the beginning of the record: settling, and what the rocking fades in before it."""
+        """Planned time [s] from the release to the beginning of the record: settling, and the part of the rocking's fade-in before it."""
         motion = self.segment.motion
         return self.segment.settle + (motion.lead_in if isinstance(motion, Rock) else 0.0)
 
     @property
     def rest_before(self) -> float:
-        """Seconds of the record before the base begins to rock; 0 where it rocks already, or never."""
+        """Seconds of the record before the base begins to rock; 0 if it rocks from the beginning, or never."""
         motion = self.segment.motion
         return motion.delay if isinstance(motion, Rock) else 0.0
 
     @property
     def rocking_ends(self) -> float:
-        """Seconds from the beginning of the record until the rings stand, the period in which it fades out included; 0 at rest."""
+        """Seconds from the beginning of the record until the rings are at rest, including the fade-out; 0 for a run at rest."""
         motion = self.segment.motion
         return motion.over if isinstance(motion, Rock) else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Quadruple:
-    """static, dynamic, dynamic, static: its rocking drift is free of whatever changes linearly over the four."""
+    """static, dynamic, dynamic, static: linear changes over the four runs cancel in its rocking drift."""
 
     runs: tuple[Run, Run, Run, Run]
 
     @property
     def name(self) -> str:
-        """Common part of the labels of its runs."""
+        """Common part of the labels of the runs."""
         parts = [run.label.split("/") for run in self.runs]
         common = [words[0] for words in zip(*parts, strict=False) if len(set(words)) == 1]
         return "/".join(common) or f"{self.runs[0].label} …"
 
 
 def find_runs(segments: Sequence[Segment], order: str) -> list[Run]:
-    """The runs among the chosen segments. Raises `EstimationError` for a segment that is no run of a rocking test."""
+    """The runs among the chosen segments. Raises `EstimationError` for a segment that is not a run of a rocking test."""
     runs = []
     before: Segment | None = None
     for place, segment in enumerate(segments):
@@ -101,7 +101,8 @@ def _run(segment: Segment, place: int, before: Segment | None, order: str) -> Ru
 
 
 def quadruples(runs: Sequence[Run]) -> list[Quadruple]:
-    """Four runs after four, each static, dynamic, dynamic, static in one orientation. Raises `EstimationError` saying where not."""
+    """Groups of four consecutive runs, each static, dynamic, dynamic, static in one orientation. Raises `EstimationError` with the place of
+    the first exception."""
     found = []
     for first in range(0, len(runs), 4):
         four = tuple(runs[first : first + 4])

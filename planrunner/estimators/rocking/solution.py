@@ -1,6 +1,6 @@
 """Drift of one run from its two windows: from gravity in the accelerometers, and from gimbal and ring angles.
 
-Drift is that of the element against inertial space: the tilt that an inertially fixed element shows, C(t0)·R(Ω_ie·t), is subtracted.
+Drift means that of the element relative to inertial space: the tilt that an inertially fixed element shows, C(t0)·R(Ω_ie·t), is subtracted.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, slots=True)
 class RockingConditions:
     """Conditions of the solution. earth: (3,) rad/s, East-North-Up; gravity: m/s^2; installation: (6,) rad, in the order of
-    `Installation.stated`; turned: rad, by which the table's azimuth is really farther east."""
+    `Installation.stated`; turned: rad, error of the table's azimuth, positive if the true azimuth is farther east."""
 
     earth: Array
     gravity: float
@@ -63,9 +63,9 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class ReducedRun:
-    """A run as its windows. before: the one that ends as the base begins to rock, where there is one. lead: s from the release to the
-    beginning of the record; None where the azimuth at t0 is that of the encoders, else it is that of the planned orientation, turned on
-    since the release. off: rad, by which the azimuth of this run is taken to be wrong, for sensitivities."""
+    """The windows of a run. before: the window that ends when the base begins to rock, if there is one. lead: s from the release to the
+    beginning of the record; None if the azimuth at t0 comes from the encoders, otherwise it is the azimuth of the planned orientation,
+    turned with the Earth since the release. off: rad, assumed error of the azimuth of this run, for sensitivities."""
 
     run: Run
     first: Window
@@ -87,7 +87,7 @@ def reduce_run(
     windows: Windows,
     encoders: bool,
 ) -> ReducedRun:
-    """Read, filter and cut one recorded run. Raises `EstimationError` for data that cannot serve."""
+    """Read, filter and cut one recorded run. Raises `EstimationError` for unsuitable data."""
     parameters = request.parameters
     channels = [*parameters.accelerometers, *((*parameters.rings, *parameters.gimbals) if encoders else ())]
     made = []
@@ -114,7 +114,7 @@ def reduce_run(
 
 def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode: float | None = None) -> float:
     """Seconds from the release to the beginning of the record: as stated, as recorded (`in_mode`), or as planned. Raises `EstimationError`
-    where a played-back recording leaves it open."""
+    if a played-back recording does not contain it."""
     if parameters.released_before is not None:
         return parameters.released_before.value
     if in_mode is not None:
@@ -133,7 +133,7 @@ def accelerometer_drift(reduced: ReducedRun, conditions: RockingConditions) -> A
 
 
 def drift_before_rocking(reduced: ReducedRun, conditions: RockingConditions) -> Array | None:
-    """The same [rad/s] from the first window to the one that ends as the base begins to rock; None without that window."""
+    """The same drift [rad/s] from the first window to the window that ends when the base begins to rock; None without that window."""
     return None if reduced.before is None else _drift_between(reduced, reduced.before, conditions)
 
 
@@ -145,7 +145,7 @@ def _drift_between(reduced: ReducedRun, later: Window, conditions: RockingCondit
 
 
 def drift_angles(reduced: ReducedRun, conditions: RockingConditions, time: Array, readings: Array) -> Array:
-    """Tilts (n, 2) [rad] about the two level axes that an inertially fixed element, released as it was found at t0, does not show.
+    """Tilts (n, 2) [rad] about the two level axes, minus those of an inertially fixed element with the same attitude at t0.
 
     time: (n,) s from the beginning of the record. readings: (n, 3) m/s^2, of the accelerometers at these times.
     """
@@ -160,7 +160,7 @@ def drift_angles(reduced: ReducedRun, conditions: RockingConditions, time: Array
 
 
 def gimbal_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """Drift [rad/s] about the two level axes from the attitude that rings and gimbals show, shape (2,)."""
+    """Drift [rad/s] about the two level axes from the attitude by rings and gimbals, shape (2,)."""
     state, earth = reduced.run.state, conditions.felt_earth
     zero = float(reduced.first.time.mean())
     in_space = [

@@ -1,7 +1,7 @@
 """From drifts of runs to rocking drifts with uncertainties, and the comparison of two methods over random pairings.
 
-The rocking drift of a quadruple is the mean of its dynamic runs less the mean of its static ones (step 6). Quadruples of one state are
-repeats of each other; an axis that is level in several states has the mean of the states.
+The rocking drift of a quadruple is the mean of its dynamic runs minus the mean of its static runs (step 6). Quadruples of one state are
+repeats of each other. For an axis that is level in several states, the result is the mean over these states.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ WEIGHTS = np.array([-0.5, 0.5, 0.5, -0.5])
 @dataclass(frozen=True, slots=True)
 class StateDrifts:
     """Results of one state. level: the two level axes. quadruples: q of them. drifts: (q, 4, k) deg/h, of the four runs of each; the k
-    columns are the two axes by the accelerometers, then the same by the gimbals where there are encoders."""
+    columns are the two axes by the accelerometers, then the same by the gimbals if there are encoders."""
 
     name: str
     level: tuple[int, int]
@@ -45,8 +45,8 @@ class StateDrifts:
     def scatter(self) -> tuple[Array, float]:
         """Covariance (k, k) of the mean rocking drift, and its degrees of freedom.
 
-        Of several quadruples, from their scatter. Of one alone, from the difference of its two dynamic and of its two static runs; which
-        of the two scatters more is not known, so that one degree of freedom is counted (Welch's formula gives between one and two).
+        Several quadruples: from their scatter. A single quadruple: from the differences between its two dynamic and its two static runs. It
+        is not known which of the two scatters more, so one degree of freedom is used (Welch's formula gives between one and two).
         """
         count = len(self.quadruples)
         if count > 1:
@@ -58,8 +58,8 @@ class StateDrifts:
 
 @dataclass(frozen=True, slots=True)
 class CombinedDrifts:
-    """Rocking drifts over all states, m of them: those by the accelerometers first. axes: of each. by_gimbals: (m,). share: one matrix
-    (m, k) for each state, by how much its columns count."""
+    """Rocking drifts over all states, m of them: those by the accelerometers first. axes: of each. by_gimbals: (m,). share: one matrix (m,
+    k) for each state, the weights of its columns."""
 
     axes: tuple[int, ...]
     by_gimbals: tuple[bool, ...]
@@ -91,7 +91,7 @@ def combine(states: Sequence[StateDrifts]) -> CombinedDrifts:
 
 
 def _freedom(variances: Sequence[float], degrees: Sequence[float]) -> float:
-    """Effective degrees of freedom of a sum; the fewest where nothing scatters."""
+    """Effective degrees of freedom of a sum; the smallest of its parts if nothing scatters."""
     return effective_degrees_of_freedom(np.sqrt(variances).tolist(), degrees) if any(variances) else min(degrees)
 
 
@@ -119,7 +119,7 @@ def _deviation(values: Array) -> float:
 
 
 def pair(states: Sequence[StateDrifts], most: int, seed: int) -> list[Pairings]:
-    """Random pairings within each state, one entry for each level axis: all pairs where there are at most `most` of them in a state."""
+    """Random pairings within each state, one entry for each level axis; all pairs if a state has at most `most` of them."""
     draw = np.random.default_rng(seed)
     found: dict[int, list[Array]] = {}
     for state in states:

@@ -1,8 +1,8 @@
 """A recorded run reduced to its two windows: accelerometers and encoders after a zero-phase low-pass filter.
 
 Only samples within a few filter lengths of a window are read into memory, so that long runs need no more memory than short ones. The filter
-is a Butterworth low-pass of fourth order, run forwards and backwards; before it, a parabola is taken from each piece, and after it given
-back, so that the slow turn of the element against gravity does not press on the ends of the piece.
+is a Butterworth low-pass of fourth order, run forwards and backwards; a parabola is subtracted from each piece before the filter and added
+afterwards, so that the slow turn of the element relative to gravity does not distort the ends of the piece.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ LONGEST_GAP = 0.5  # s, filled on a straight line
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """Where the windows lie, s from the beginning of a record. before: the begin of a third window that ends as the base begins to rock,
-    between the two; None where the record has no such time. end: of the record."""
+    """Positions of the windows, s from the beginning of a record. before: the beginning of a third window between the two, which ends when
+    the base begins to rock; None if the record has no such time. end: the end of the record."""
 
     first: float
     second: float
@@ -50,8 +50,8 @@ class Windows:
         return tuple((max(0.0, begin - reach), min(self.end, begin + self.length + reach)) for begin in self.begins)
 
     def with_rest(self, rest: float) -> Windows:
-        """For a run whose base is at rest for the first `rest` [s] of its record: a third window, where a filter length lies between
-        it and the first one."""
+        """The windows of a run whose base is at rest for the first `rest` [s] of its record: with a third window if there is a filter
+        length between it and the first one."""
         before = rest - self.length
         apart = before >= self.first + self.length + 1 / self.cutoff
         return replace(self, before=before) if apart else self
@@ -66,7 +66,7 @@ class RecordPiece:
 
 
 def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Windows) -> list[RecordPiece]:
-    """The pieces of a run, one a window, with the channels as columns. Raises `EstimationError` for data that cannot serve."""
+    """The pieces of a run, one per window, with the channels as columns. Raises `EstimationError` for unsuitable data."""
     scales = [scale(recorded, name) for name in channels]
     statistics = recorded.statistics
     rate = (statistics.count + statistics.rejected - 1) / max(statistics.end - statistics.start, 1e-9)
@@ -116,12 +116,12 @@ def _sections(ratio: float) -> Array:
 
 
 def passed(frequency: float, cutoff: float) -> float:
-    """The share of a sine's amplitude that the filter lets through, forwards and backwards."""
+    """The share of a sine's amplitude that passes the filter forwards and backwards."""
     return 1 / (1 + (frequency / cutoff) ** (2 * ORDER))
 
 
 def within(piece: RecordPiece, begin: float, length: float) -> NDArray[np.bool_]:
-    """Which samples of a piece lie in a window, (n,)."""
+    """Mask (n,) of the samples of a piece that are in a window."""
     return (piece.time >= begin - 1e-6) & (piece.time < begin + length - 1e-6)
 
 
@@ -136,7 +136,7 @@ def scale(recorded: RecordedSegment, name: str) -> float:
 
 
 def _even(label: str, time: Array, values: Array, begin: float, end: float) -> RecordPiece:
-    """Samples that are missing or no number are filled on a straight line where the gap is short."""
+    """Samples that are missing or not a number are filled by linear interpolation if the gap is short."""
     sound = np.isfinite(values).all(axis=1)
     time, values = time[sound], values[sound]
     if time.size < 16:

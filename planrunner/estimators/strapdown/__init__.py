@@ -1,1 +1,1 @@
-"""Strapdown navigation: alignment, position errors and what predicts them."""
+"""Strapdown navigation: alignment, position errors and their prediction."""

@@ -1,5 +1,5 @@
-"""Alignment of a recorded segment, at rest or turned from stop to stop: what must hold for it, the coarse attitude and the noise from its
-first stop, the fine attitude from all of it."""
+"""Alignment of a recorded segment, at rest or turned from stop to stop: its preconditions, the coarse attitude and the noise from its first
+stop, and the fine attitude from the whole segment."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ _MOVED = 0.1  # m/s; a unit on a floor or in a parked vehicle does not change it
 
 @dataclass(frozen=True, slots=True)
 class Aligned:
-    """alignment: with covariance as used. last: (6,), the last increments. density: (6, 6), variance per second of the integrated
-    sensors in navigation axes, from the scatter at rest. white: (6,), its square roots in body axes. seconds: s. turned: whether the
-    unit was turned from stop to stop meanwhile, so that its constant errors were estimated too."""
+    """alignment: with the covariance used. last: (6,), the last increments. density: (6, 6), variance per second of the integrated
+    sensors in navigation axes, from the scatter at rest. white: (6,), its square roots in body axes. seconds: s. turned: whether the unit
+    was turned from stop to stop during alignment, so that its constant errors were estimated too."""
 
     alignment: Alignment
     last: Array
@@ -59,7 +59,7 @@ def align(
     recorded: RecordedSegment, reader: IncrementReader, site: Site, gravity_factor: float, constant: Array
 ) -> Aligned:
     """The attitude at the end of a segment. site: with latitude, height and gravity of the place. constant: (6,), standard uncertainty of
-    the constant errors, rad/s and m/s², for a unit that is turned meanwhile. Raises `EstimationError`."""
+    the constant errors, rad/s and m/s², for a unit that is turned during alignment. Raises `EstimationError`."""
     seconds = recorded.statistics.duration
     still = stillness(recorded.segment, seconds)
     _check_stop(recorded, seconds, still, site)
@@ -110,14 +110,14 @@ def align(
 
 
 def stillness(segment: Segment, seconds: float) -> float:
-    """Seconds from the beginning in which the unit stands still, of `seconds`: those that the coarse attitude is taken from."""
+    """Seconds from the beginning, at most `seconds`, in which the unit is at rest; the coarse attitude is computed from them."""
     first = segment.motion.stop if isinstance(segment.motion, Cycle) else seconds
     return min(first, seconds, _COARSE)
 
 
 def end_attitude(segment: Segment, table: TableModel | None, seconds: float | None = None) -> Array | None:
-    """The planned attitude at the end of a segment (3, 3), rows are the sensor's axes; None where it is not known. seconds: how long it was
-    recorded; it dwells as planned without that."""
+    """The planned attitude at the end of a segment (3, 3), rows are the sensor's axes; None if it is not known. seconds: the recorded
+    length; by default the planned dwell."""
     if segment.attitude is None or not isinstance(segment.motion, Cycle):
         return segment.attitude if isinstance(segment.motion, Rest) else None
     dwell = segment.dwell if seconds is None else seconds
@@ -130,7 +130,7 @@ def end_attitude(segment: Segment, table: TableModel | None, seconds: float | No
 
 
 def same_attitude(one: Array | None, other: Array | None) -> bool:
-    """Whether both are known and the same, to a microradian."""
+    """Whether both are known and equal, to a microradian."""
     return one is not None and other is not None and bool(np.allclose(one, other, atol=1e-6))
 
 
@@ -147,7 +147,7 @@ def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
 
 
 def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, Array]:
-    """Mean (6,), rad/s and m/s², over the first so many seconds, and white noise (6,), rad/√s and m/s/√s: the Allan deviation of means over
+    """Mean (6,), rad/s and m/s², over the first `seconds`, and white noise (6,), rad/√s and m/s/√s: the Allan deviation of means over
     one second, which slow motion does not enlarge."""
     values = np.hstack([piece.values for piece in pieces] or [np.zeros((6, 0))])
     interval = np.concatenate([piece.interval for piece in pieces] or [np.zeros(0)])
@@ -207,13 +207,13 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
 
 
 def _rate_error(mean: Array, site: Site) -> float:
-    """How far the mean rate at rest, its horizontal and its upward part, lies from the Earth's, rad/s. mean: (6,), rad/s and m/s²."""
+    """Difference between the mean rate at rest and the Earth's rate, horizontal and upward component, rad/s. mean: (6,), rad/s and m/s²."""
     found, earth = _rates(mean, site)
     return float(np.linalg.norm(found - earth))
 
 
 def _rates(mean: Array, site: Site) -> tuple[Array, Array]:
-    """Horizontal and upward part of the mean rate, (2,), and of the Earth's, rad/s."""
+    """Horizontal and upward component of the mean rate, (2,), and of the Earth's rate, rad/s."""
     rate = float(np.linalg.norm(mean[:3]))
     up = float(mean[:3] @ mean[3:]) / float(np.linalg.norm(mean[3:]))
     earth = site.earth_rate * np.array([math.cos(site.latitude), math.sin(site.latitude)])

@@ -1,7 +1,7 @@
 """Checks and predictions of a strapdown navigation before it is recorded: suitability of its segments, and expected errors.
 
 Expected errors follow from the declared white noise and the constant errors that the plan states as uncertainties: the filter of the
-alignment predicts the remaining errors, then both drive the linear error equations, turned as the table turns.
+alignment predicts the remaining errors; noise and errors, rotated with the table, then drive the linear error equations.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _COARSE_TURN = 0.05  # rad from sample to sample; beyond, what coning and sculli
 
 
 def design(request: DesignRequest[StrapdownNavigationParameters]) -> Design:
-    """Remarks. Raises `EstimationError` for segments or outputs that make no sense."""
+    """Remarks. Raises `EstimationError` for unsuitable segments or outputs."""
     parameters = request.parameters
     for name in (*parameters.gyros, *parameters.accelerometers):
         if request.sensor.output(name) is None:
@@ -74,7 +74,7 @@ def design(request: DesignRequest[StrapdownNavigationParameters]) -> Design:
 
 
 def foresee(request: DesignRequest[StrapdownNavigationParameters]) -> Foresight:
-    """Errors to expect by the linear error equations: hours of navigation are not simulated."""
+    """Expected errors by the linear error equations: hours of navigation are not simulated."""
     labels = [segment.label for segment in request.segments]
     predicted, note = _expected(request, *parts(request.segments, labels, request.parameters.align))
     if predicted:
@@ -157,7 +157,7 @@ def _on_navigation(request: DesignRequest[StrapdownNavigationParameters], moving
 def _expected(
     request: DesignRequest[StrapdownNavigationParameters], stop: Segment, moving: Sequence[Segment]
 ) -> tuple[tuple[Coefficient, ...], str]:
-    """And a note on them; without any, why there are none."""
+    """The expected errors and a note on them; without errors, the note gives the reason."""
     parameters = request.parameters
     white, constant = _declared(request), _stated(parameters)
     dwells = [segment.dwell for segment in (stop, *moving)]

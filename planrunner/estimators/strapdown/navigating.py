@@ -105,7 +105,8 @@ class StrapdownNavigationParameters(Record):
 
     @property
     def constant_errors(self) -> Array:
-        """Standard uncertainty of the constant errors (6,), rad/s and m/s²: as stated, else so large that the data determine them."""
+        """Standard uncertainty of the constant errors (6,), rad/s and m/s²: as stated, otherwise so large that the data determine the
+        errors."""
         gyro = self.gyro_uncertainty.value if self.gyro_uncertainty else _GYRO
         accelerometer = self.accelerometer_uncertainty.value if self.accelerometer_uncertainty else _ACCELEROMETER
         return np.array([gyro] * 3 + [accelerometer] * 3)
@@ -113,7 +114,7 @@ class StrapdownNavigationParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Navigated:
-    """What a navigation gave. site: place of the start. final: (4,), errors at the end [m, m, m/s, m/s]. seconds: s. start: s, when it
+    """Result of a navigation. site: place of the start. final: (4,), errors at the end [m, m, m/s, m/s]. seconds: s. start: s, when it
     began. gap: s without samples after the alignment."""
 
     site: Site
@@ -144,7 +145,7 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
 
 
 def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: RecordedSegment, factor: float) -> Site:
-    """The position of alignment: from run information, else as the reference channels show, else the bench's site. factor: on normal
+    """The position of alignment: from run information, otherwise from the reference channels, otherwise the bench's site. factor: of normal
     gravity. Raises `EstimationError`."""
     places: dict[str, float] = {}
     for name, dimension in _POSITION.items():
@@ -165,7 +166,7 @@ def _at(site: Site, places: Mapping[str, float]) -> Site:
 
 
 def _told(name: str, text: str, dimension: str) -> float:
-    """A plain number is in degrees or metres, as receivers show it. Raises `EstimationError` for what is no position."""
+    """A plain number is in degrees or metres, as in displays of receivers. Raises `EstimationError` for text that is not a position."""
     try:
         value = math.radians(float(text)) if dimension == "angle" else float(text)
     except ValueError:
@@ -206,7 +207,7 @@ def _gap(
     moving: Sequence[RecordedSegment],
     reader: IncrementReader,
 ) -> float:
-    """Seconds between alignment and navigation; the attitude is carried over them where nothing can have turned. Raises
+    """Seconds between alignment and navigation; the attitude is carried over this time if the unit cannot have turned. Raises
     `EstimationError`."""
     first = moving[0]
     gap = first.statistics.start - stop.statistics.end - reader.interval
@@ -270,7 +271,7 @@ def _begin(
     aligned: Aligned,
     every: int,
 ) -> tuple[Navigator, Site]:
-    """The navigator at the beginning of the first interval, and the place where that is."""
+    """The navigator at the beginning of the first interval, and its place."""
     parameters = request.parameters
     first = {name: _before(values) for name, values in piece.reference.items()}
     told = request.setup.information
@@ -297,12 +298,12 @@ def _begin(
 
 
 def _before(values: Array) -> float:
-    """A reference channel one interval before its first sample, on a straight line."""
+    """A reference channel extrapolated linearly to one interval before its first sample."""
     return float(2 * values[0] - values[1]) if len(values) > 1 else float(values[0])
 
 
 def _truth(piece: Increments, site: Site, at: NDArray[np.int64]) -> Truth:
-    """Where the unit was at some samples of a block: the reference channels, else the place of the start, at rest."""
+    """The true position at some samples of a block: from the reference channels, otherwise the place of the start, at rest."""
     reference = piece.reference
 
     def of(name: str, otherwise: float) -> Array:

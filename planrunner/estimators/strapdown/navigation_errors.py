@@ -1,9 +1,9 @@
-"""Errors of a navigation relative to the true position, collected knot by knot, and the usual figures.
+"""Errors of a navigation relative to the true position, collected knot by knot, and the usual performance figures.
 
 Position errors are arcs on the ellipsoid between the navigated and the true position. The radial error rate of a run is the slope of the
-straight line through the origin that fits radial error over time by least squares; the CEP rate that one run gives is √(ln 2) = 0.8326 of
-it, which is the median of the radial error where its two components are normal with one variance and zero mean (Titterton and Weston,
-"Strapdown Inertial Navigation Technology", 2nd ed., appendix B), as one takes √(ln 2) of the root mean square over several runs.
+straight line through the origin that fits radial error over time by least squares; the CEP rate of one run is √(ln 2) = 0.8326 times this
+slope. This is the median of the radial error if its two components are normal with equal variances and zero mean (Titterton and Weston,
+"Strapdown Inertial Navigation Technology", 2nd ed., appendix B), in the same way as √(ln 2) times the root mean square over several runs.
 """
 
 from __future__ import annotations
@@ -27,18 +27,19 @@ NAUTICAL_MILE = 1852.0  # m
 
 
 def _sigma_quantile(probability: float) -> float:
-    """True over found standard deviation for two components, from χ² with two degrees of freedom: the quantile of one run's figure."""
+    """Quantile, for one run, of the true over the found standard deviation for two components, from χ² with two degrees of freedom."""
     return math.sqrt(-1 / math.log(probability))
 
 
 CEP_SPREAD = (_sigma_quantile(0.8413447) - _sigma_quantile(0.1586553)) / 2
-"""Standard uncertainty of one run's CEP rate over its value: half of the central 68 %."""
+"""Relative standard uncertainty of the CEP rate of one run: half of the central 68 % interval."""
 CEP_INTERVAL = (_sigma_quantile(0.025), _sigma_quantile(0.975))
 """Ends of the 95 % interval of the CEP rate over one run's value."""
 
 
 def stride(knots: int) -> int:
-    """Knots from point to point of a course of at most `POINTS`: a divisor of 3600, so that whole hours are among its points."""
+    """Number of knots between two points of a course of at most `POINTS` points: a divisor of 3600, so that whole hours are among the
+    points."""
     wanted = max(1, -(-knots // POINTS))
     divisors = [k for k in range(1, int(HOUR) + 1) if int(HOUR) % k == 0]
     return next((k for k in divisors if k >= wanted), wanted)
@@ -46,7 +47,7 @@ def stride(knots: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """Where it really was at m moments: latitude, longitude [rad], height [m]; velocity (m, 2), m/s, east and north."""
+    """The true position at m moments: latitude, longitude [rad], height [m]; velocity (m, 2), m/s, east and north."""
 
     latitude: Array
     longitude: Array
@@ -107,7 +108,7 @@ class ErrorRecord:
 
 
 def _added(total: float, values: Array) -> float:
-    """The sum, one after the other, so that it does not depend on how the values came in blocks."""
+    """The sequential sum, which does not depend on the division of the values into blocks."""
     return float(np.add.accumulate(np.append(total, values))[-1])
 
 

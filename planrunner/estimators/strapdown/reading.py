@@ -1,8 +1,8 @@
 """Increments of angle and velocity from recorded samples, block by block: units, missing samples, and the clock.
 
-A sample is the mean over the interval that ends at its time stamp, so that sample times interval is the increment; outputs that are
-increments already (angle, velocity) are taken as they are. What is missing for at most `bridge` seconds is filled on straight lines; a
-longer gap is an error, because the attitude after it is unknown.
+A sample is the mean over the interval that ends at its time stamp, so the increment is sample times interval; outputs that are increments
+(angle, velocity) are used unchanged. Gaps of at most `bridge` seconds are filled by linear interpolation; a longer gap is an error, because
+the attitude after it is unknown.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Increments:
 
 
 class IncrementReader:
-    """Reads segments that follow each other in time; keeps the clock from one to the next."""
+    """Reads consecutive segments; keeps the clock from one to the next."""
 
     def __init__(self, channels: Sequence[str], sample_rate: float, bridge: float):
         """channels: three gyros and three accelerometers in the order x, y, z. sample_rate: Hz. bridge: s."""
@@ -59,7 +59,7 @@ class IncrementReader:
         self._before: Array | None = None
 
     def part(self) -> None:
-        """What comes next does not follow on in time."""
+        """The next segment does not follow the preceding one without a gap."""
         self._last = self._before = None
 
     def blocks(self, recorded: RecordedSegment) -> Iterator[Increments]:
@@ -129,8 +129,8 @@ class IncrementReader:
 
 
 def scales(recorded: RecordedSegment, channels: Sequence[str]) -> tuple[Array, NDArray[np.bool_]]:
-    """Factors to SI (6,) and which of the channels are increments already. Raises `EstimationError` for a channel that is missing or in
-    a unit of neither kind."""
+    """Factors to SI (6,), and whether each channel is an increment. Raises `EstimationError` for a missing channel, or one whose unit is
+    neither that of a rate nor of an increment."""
     factors, integrated = np.empty(len(channels)), np.zeros(len(channels), dtype=np.bool_)
     for k, name in enumerate(channels):
         if name not in recorded.units:

@@ -100,7 +100,7 @@ def _settings(request: EstimateRequest[StrapdownNavigationParameters], found: Na
 
 
 def _table(points: Array, uncertainty: Array) -> Table:
-    """Errors at whole hours; every ten minutes, every minute or at every point where the run is shorter."""
+    """Errors at whole hours; for shorter runs every ten minutes, every minute or at every point."""
     time = points[0]
     steps = [3600.0, 600.0, 60.0, 1.0]
     step = next((seconds for seconds in steps if time[-1] >= 3 * seconds), steps[-1])
@@ -124,7 +124,7 @@ def _table(points: Array, uncertainty: Array) -> Table:
 
 
 def _constants(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> tuple[Table, ...]:
-    """Constant errors as alignment found them, where the unit was turned meanwhile."""
+    """Constant errors found by the alignment, if the unit was turned during it."""
     if not found.aligned.turned:
         return ()
     parameters = request.parameters

@@ -1,8 +1,8 @@
 """Pure inertial navigation of a recording: alignment during a stop, then attitude, velocity and position by strapdown mechanisation, and
-their errors against where the unit really was.
+the errors relative to the true position.
 
-What holds for alignment is in `alignment`, units, gaps and the clock in `reading`, the figures in `navigation_errors`
-and `results`, what can be said before a run in `design`. docs/navigation.md gives conventions and definitions.
+Conditions for alignment are in `alignment`, units, gaps and the clock in `reading`, the figures in `navigation_errors` and `results`,
+predictions in `design`. docs/navigation.md gives conventions and definitions.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class StrapdownNavigation:
         return design(request)
 
     def foresee(self, request: DesignRequest[StrapdownNavigationParameters]) -> Foresight:
-        """Errors to expect of what is declared."""
+        """Expected errors from the declared properties."""
         from planrunner.estimators.strapdown.design import foresee
 
         return foresee(request)

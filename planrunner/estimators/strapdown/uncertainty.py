@@ -1,8 +1,9 @@
 """Uncertainties of the results of a strapdown navigation.
 
-Uncertainties say how well one run determines what the constant errors of the sensors make of a navigation: white noise, as the alignment
-shows it, and the alignment that it leaves uncertain, carried through the linear error equations. Constant errors themselves are part of
-what is measured, and only enter where they hide from it, in the angles of the alignment.
+The uncertainties describe how well one run determines the navigation errors that the constant errors of the sensors cause. They come from
+white noise, estimated during alignment, and from the resulting uncertainty of the alignment, propagated through the linear error equations.
+Constant errors are part of the measured errors; they contribute to the uncertainty only in the angles of the alignment, which do not show
+them.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 
 SCHULER_PERIOD = 5064.0  # s, 84.4 min
 PERIODS = {"heading": 360.0, "roll": 360.0}
-"""Of those that are circular, in their units; pitch goes from -90 to 90 deg only."""
+"""Periods of the circular quantities, in their units; pitch is not circular: it is limited to ±90 deg."""
 NAMES = {
     "heading": ("deg", "Azimuth of the unit's y axis after alignment, from true north towards east"),
     "pitch": ("deg", "Elevation of the unit's y axis after alignment"),
@@ -50,7 +51,7 @@ RATE = HOUR / NAUTICAL_MILE
 
 
 class Spread:
-    """What noise leaves uncertain: covariance (m, m) of the coefficients in their units; radial: (n,) standard uncertainty of the radial
+    """Uncertainty from noise: covariance (m, m) of the coefficients in their units; radial: (n,) standard uncertainty of the radial
     error at the points of the course [m]."""
 
     def __init__(self, equations: ErrorEquations, found: Navigated, points: Array, turns: bool):
@@ -69,7 +70,7 @@ class Spread:
 
     @staticmethod
     def _along(errors: Array, covariances: Array) -> Array:
-        """Standard uncertainty of the length of (2, n) vectors with covariances (n, 2, 2); of the longer axis where the length is zero."""
+        """Standard uncertainty of the length of (2, n) vectors with covariances (n, 2, 2); of the longer axis if the length is zero."""
         size = np.hypot(*errors)
         unit = np.where(size > 0, errors / np.where(size > 0, size, 1.0), 0.0)
         along = np.einsum("in,nij,jn->n", unit, covariances, unit)
@@ -77,8 +78,8 @@ class Spread:
         return lengths
 
     def _joined(self, found: Navigated, points: Array, start: Array, end: Array, carried: Array) -> Array:
-        """The angles and the errors at the end follow the state linearly. Figures over time are bounded as if errors at all times went
-        together, and are given no correlation."""
+        """The angles and the errors at the end follow the state linearly. For figures over time, the uncertainty is an upper bound that
+        assumes fully correlated errors; correlations between these figures are set to zero."""
         angles = -attitude.angle_sensitivities(found.aligned.alignment.rotation) * DEGREE
         both = np.zeros((_DIRECT + 1, _DIRECT + 1))
         both[:3, :3] = angles @ start[TILT, TILT] @ angles.T
@@ -109,9 +110,9 @@ class Spread:
 def influences(
     request: EstimateRequest[StrapdownNavigationParameters], equations: ErrorEquations, found: Navigated, points: Array
 ) -> tuple[Influence, ...]:
-    """Constant sensor errors, for the angles alone, and the latitude, whose error makes the Earth's rate wrong: for the errors and the
-    figures over time, as the alignment hardly follows it. A navigation takes too long to be repeated with other conditions, so that the
-    error equations give the sensitivities; a test compares them with repeated navigations. points: as `ErrorRecord.points`."""
+    """Influences of constant sensor errors, only on the angles, and of the latitude, whose error makes the Earth's rate wrong: on the
+    errors and the figures over time, because it hardly affects the alignment. Repeating a navigation under other conditions takes too long,
+    so the error equations give the sensitivities; a test compares them with repeated navigations. points: as `ErrorRecord.points`."""
     parameters = request.parameters
     rotation = found.aligned.alignment.rotation
     turned = np.zeros((INPUTS, INPUTS))
@@ -145,7 +146,7 @@ def influences(
 
 
 def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count: int) -> Array:
-    """Errors of position [m] and velocity [m/s] per rad by which the latitude is stated too large, (4, count), after each `step` [s]."""
+    """Errors of position [m] and velocity [m/s] per rad of error of the stated latitude, (4, count), after each `step` [s]."""
     shift = np.zeros((SIZE, 1))
     shift[1] = float(radii(site.latitude)[0]) + site.height
     found = equations.responses(shift, np.zeros((count, INPUTS, 1)), step) - shift
@@ -153,7 +154,7 @@ def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count
 
 
 def _figures(course: Array) -> Array:
-    """Those of `NAMES` after the angles, (m, k), from k courses as `ErrorRecord.points`, (5, n, k), without the first point."""
+    """The figures of `NAMES` after the angles, (m, k), from k courses as `ErrorRecord.points`, (5, n, k), without the first point."""
     time, radial, speed = course[0].real, length(course[1:3]), length(course[3:5])
     largest, fastest = radial.real.argmax(axis=0), speed.real.argmax(axis=0)
     each = np.arange(course.shape[2])

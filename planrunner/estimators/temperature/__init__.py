@@ -1,1 +1,1 @@
-"""Coefficients over temperature: polynomials and splines, and the order that data support."""
+"""Coefficients over temperature: polynomials and splines, and the choice of their order."""

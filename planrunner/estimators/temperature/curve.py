@@ -1,12 +1,12 @@
 """Curves over temperature, and the choice of their order by held-out error.
 
-    polynomial   powers of T − T₀, coefficients as they are written into compensation tables
+    polynomial powers of T − T₀, with coefficients as used in compensation tables
     spline       natural cubic regression spline: straight beyond its ends, coefficients are its values at the knots (Hastie, Tibshirani
                  and Friedman, The Elements of Statistical Learning, 2nd ed., 5.2.1)
 
 The order is chosen by leaving out whole temperatures, never single values, because values at one temperature have common errors. The
 one-standard-error rule takes the simplest curve whose held-out error is within one standard error of the smallest (the same book, 7.10.1).
-No more coefficients are tried than half of the temperatures: among few, one of many curves fits by chance.
+No more coefficients are tried than half of the temperatures: with few temperatures, one of many curves fits by chance.
 
 If the data select the order, the usual interval is too narrow, because terms of about one standard deviation that were not selected are
 missing. The uncertainty of a selected curve is therefore that of the highest order tried, which does not depend on the selection; its
@@ -35,7 +35,7 @@ RULES = ("one_standard_error", "smallest_error")
 
 @dataclass(frozen=True)
 class Curve:
-    """form: of `FORMS`. order: of the polynomial, or the number of knots less one, so that order 1 is a straight line in either form.
+    """form: of `FORMS`. order: of the polynomial, or the number of knots minus one, so that order 1 is a straight line in either form.
     reference: T₀, degC; knots: degC, ascending, of a spline."""
 
     form: str
@@ -51,7 +51,7 @@ class Curve:
 
 
 def curve(form: str, order: int, reference: float, temperatures: Array) -> Curve:
-    """A curve for data at `temperatures` [degC]; a spline's knots are quantiles of the distinct ones, ends included."""
+    """A curve for data at `temperatures` [degC]; the knots of a spline are quantiles of the distinct temperatures, including both ends."""
     knots = np.quantile(np.unique(temperatures), np.linspace(0, 1, order + 1)) if form == "spline" else np.zeros(0)
     return Curve(form, order, reference, knots)
 
@@ -82,7 +82,7 @@ def natural_spline(knots: Array, at: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """How well a curve of one order foretells what was left out. error: mean square over the left-out temperatures, in the value's unit
+    """How well a curve of one order predicts held-out values. error: mean square over the held-out temperatures, in the value's unit
     squared; standard_error: of that mean."""
 
     order: int
@@ -93,7 +93,7 @@ class HeldOut:
 def held_out(
     form: str, orders: Sequence[int], reference: float, temperature: Array, value: Array, sigma: Array, fold: Integers
 ) -> tuple[HeldOut, ...]:
-    """Held-out errors of each order. sigma: (n,), for weights; fold: (n,), the fold that each value is left out with."""
+    """Held-out errors of each order. sigma: (n,), for weights; fold: (n,), the fold with which each value is held out."""
     weight = 1 / sigma**2
     found = []
     for order in orders:
@@ -110,7 +110,7 @@ def held_out(
 
 
 def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
-    """The order that a rule of `RULES` takes."""
+    """The order that a rule of `RULES` selects."""
     best = min(errors, key=lambda one: one.error)
     if rule == "smallest_error":
         return best
@@ -118,13 +118,13 @@ def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
 
 
 def fold_of(group: Integers, folds: int) -> Integers:
-    """Which fold each temperature group is left out with: each alone for folds = 0, else that many adjoining ranges of temperature, so that
-    neighbours which share a slow drift do not foretell each other."""
+    """The fold with which each temperature group is held out: each group alone for folds = 0, otherwise `folds` adjoining ranges of
+    temperature, so that neighbours with a common slow drift do not predict each other."""
     return group if folds == 0 else group * folds // (int(group.max()) + 1)
 
 
 def correlation_time(residuals: Sequence[Array]) -> float:
-    """By how much resemblance between consecutive residuals increases the variance of what is fitted, at least one.
+    """Factor, at least one, by which correlation between consecutive residuals increases the variance of the fit.
 
     1 + 2·Σ r_k over the lags up to the first at which the autocorrelation r, pooled over the series, is not positive (Geyer, Statistical
     Science 7, 1992, 473).
@@ -141,7 +141,7 @@ def correlation_time(residuals: Sequence[Array]) -> float:
 
 
 def groups_of(temperature: Array, width: float) -> Integers:
-    """Numbers of the distinct temperatures, ascending: what lies within `width` [K] of the lowest of a group belongs to it."""
+    """Group number of each temperature, ascending: a temperature within `width` [K] of the lowest of a group belongs to that group."""
     order = np.argsort(temperature, kind="stable")
     group, number, first = np.zeros(len(temperature), dtype=np.int64), -1, -np.inf
     for index in order:
@@ -153,8 +153,9 @@ def groups_of(temperature: Array, width: float) -> Integers:
 
 @dataclass(frozen=True, slots=True)
 class CurveFit:
-    """A fitted curve. covariance: (p, p) of its coefficients, degrees_of_freedom: of that; correlation: by how much it was widened because
-    consecutive residuals resemble each other. fullest: of a chosen curve, the one of the highest order tried, where that is another."""
+    """A fitted curve. covariance: (p, p) of its coefficients, degrees_of_freedom: of the covariance; correlation: factor by which it was
+    widened because consecutive residuals are correlated. fullest: for a chosen curve, the curve of the highest order tried, if it is a
+    different one."""
 
     curve: Curve
     coefficients: Array
@@ -175,7 +176,7 @@ class CurveFit:
         return value, np.hypot(u, value - full)
 
     def warmer(self, by: float) -> Array:
-        """Coefficients (p,) of the curve at T + by: those that a run gives whose temperatures are really higher by so much [K]."""
+        """Coefficients (p,) of the curve at T + by: those of a run whose true temperatures are higher by this amount [K]."""
         if self.curve.form == "spline":
             return np.asarray(self.curve.columns(self.curve.knots + by) @ self.coefficients)
         moved = np.polynomial.Polynomial(self.coefficients)(np.polynomial.Polynomial([by, 1.0])).coef
@@ -196,10 +197,10 @@ def fit_curve(
     scatter: bool,
     series: Integers,
 ) -> CurveFit:
-    """Fit a curve of the order that is given, or of the one that held-out errors choose up to `highest`.
+    """Fit a curve of the given order, or of the order up to `highest` that held-out errors select.
 
-    scatter: whether the covariance rests on the residuals' scatter, else on `sigma`. series: (n,), number of the ramp that each value
-    is of, in order, −1 for a value by itself. Raises `EstimationError`.
+    scatter: whether the covariance is based on the scatter of the residuals, otherwise on `sigma`. series: (n,), number of the ramp of each
+    value, in order; −1 for a single value. Raises `EstimationError`.
     """
     distinct = int(group.max()) + 1
 
@@ -226,7 +227,7 @@ def fit_curve(
 
 
 def _fitted(made: Curve, temperature: Array, value: Array, sigma: Array, scatter: bool, series: Integers) -> CurveFit:
-    """A curve through all values. Raises `EstimationError` where its uncertainty has nothing to rest on."""
+    """A curve through all values. Raises `EstimationError` if there is no basis for its uncertainty."""
     fit = least_squares.fit(made.columns(temperature), value, sigma)
     if not scatter:
         return CurveFit(made, fit.coefficients, fit.cofactor, np.inf)
@@ -250,7 +251,7 @@ def _fitted(made: Curve, temperature: Array, value: Array, sigma: Array, scatter
 
 
 def _as_chosen(simple: CurveFit, full: CurveFit) -> CurveFit:
-    """The simple curve with the uncertainty of the full one and the distance between them."""
+    """The simple curve with an uncertainty that combines that of the full curve and the distance between the two."""
     if simple.curve.form == "polynomial":
         reads = np.eye(simple.curve.order + 1, full.curve.order + 1)
     else:

@@ -23,8 +23,9 @@ _LEAST_IN_BIN = 3  # samples that a scatter about a line can be taken from
 
 @dataclass(frozen=True)
 class Points:
-    """One quantity at n temperatures. temperature: (n,), degC. uncertainty: (n,), standard, NaN where not known. direction: (n,), +1 on a
-    rising ramp, −1 on a falling one, 0 at a held temperature. labels: where each comes from. expected: of a schedule, without scatter."""
+    """One quantity at n temperatures. temperature: (n,), degC. uncertainty: (n,), standard, NaN if not known. direction: (n,), +1 on a
+    rising ramp, −1 on a falling one, 0 at a held temperature. labels: source of each value. expected: whether the values come from a
+    schedule, without scatter."""
 
     name: str
     unit: str
@@ -37,13 +38,13 @@ class Points:
 
     @property
     def series(self) -> NDArray[np.int64]:
-        """(n,): number of the ramp that each value is of, −1 at a held temperature."""
+        """(n,): number of the ramp of each value, −1 at a held temperature."""
         names = list(dict.fromkeys(self.labels))
         return np.where(self.direction != 0, [names.index(label) for label in self.labels], -1)
 
     @property
     def sigma(self) -> Array:
-        """Positive weights' standard uncertainties: the known ones, or all alike."""
+        """Positive standard uncertainties for weights: the known ones, or equal values."""
         known = np.isfinite(self.uncertainty).all() and bool((self.uncertainty > 0).all())
         return self.uncertainty if known else np.ones(len(self.value))
 
@@ -53,9 +54,9 @@ class Points:
 
 
 def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> list[Points]:
-    """The coefficients by temperature of the estimates that are used; the same coefficient of several is put together.
+    """The coefficients by temperature of the estimates used; values of the same coefficient from several estimates are joined.
 
-    Raises `EstimationError` for an estimate that has none by temperature, a pattern that no name fits, and unlike units.
+    Raises `EstimationError` for an estimate without coefficients by temperature, a pattern that matches no name, and different units.
     """
     gathered: dict[str, list[tuple[str, Mapping[str, object]]]] = {}
     for used, estimate in uses.items():
@@ -76,7 +77,7 @@ def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> lis
 
 
 def given_by_temperature(estimate: Estimate) -> Mapping[str, Mapping[str, object]]:
-    """The coefficients that an estimate gives by temperature, as `interface.Estimate` says; empty where it gives none."""
+    """The coefficients that an estimate gives by temperature (see `interface.Estimate`); empty if it gives none."""
     found = estimate.extra.get("by_temperature")
     return found if isinstance(found, Mapping) else {}
 
@@ -149,7 +150,7 @@ def _channel(segments: Sequence[RecordedSegment], channel: str, thermometer: str
 
 
 def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, float, float, int, str]:
-    """A segment's mean at its planned temperature, with its standard error in the place of the squares."""
+    """A segment's mean at its planned temperature, with its standard error in place of the sum of squares."""
     segment, statistics = recorded.segment, recorded.statistics
     if segment.temperature is None or segment.ramp_to is not None:
         raise EstimationError(

@@ -45,7 +45,7 @@ _WIDEST = 150.0  # K; a width written in degC comes out larger
 
 @dataclass(frozen=True, slots=True)
 class Modelled:
-    """One quantity with its curve. loop: as `hysteresis` gives it."""
+    """One quantity with its curve. loop: result of `hysteresis`."""
 
     points: Points
     fit: CurveFit
@@ -67,15 +67,15 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
     Parameters = TemperatureModelParameters
 
     def design(self, request: DesignRequest[TemperatureModelParameters]) -> Design:
-        """Whether the planned temperatures are enough, and the coefficients asked for are given. Raises `EstimationError` for keys that
-        contradict each other."""
+        """Checks that there are enough planned temperatures, and that the requested coefficients exist. Raises `EstimationError` for
+        contradictory keys."""
         parameters = request.parameters
         _one_source(parameters, bool(request.uses))
         return Design((), remarks=remarks(request))
 
     def foresee(self, request: DesignRequest[TemperatureModelParameters]) -> Foresight:
-        """The curves of expected values where their order is stated; else the coefficients of all orders that may be chosen, without
-        uncertainties, as along ramps, whose temperatures only a recording shows."""
+        """The curves of expected values if their order is stated; otherwise the coefficients of all possible orders, without uncertainties.
+        The same applies to ramps, because only a recording shows their temperatures."""
         parameters = request.parameters
         ramps = parameters.temperature_channel is not None
         if parameters.order is not None and not ramps:
@@ -139,7 +139,7 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
 
 
 def _planned_units(request: DesignRequest[TemperatureModelParameters]) -> dict[str, str]:
-    """Name → unit of what will be modelled; empty where that is not known."""
+    """Name → unit of the quantities to be modelled; empty if they are not known."""
     parameters = request.parameters
     if parameters.channels:
         outputs = [request.sensor.output(name) for name in parameters.channels]
@@ -201,7 +201,8 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
 
 
 def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], Array]:
-    """All curves' coefficients and what ramps say beside them, with their covariance, curves taken for independent of each other."""
+    """The coefficients of all curves, and the hysteresis from ramps, with their covariance; the curves are treated as independent of each
+    other."""
     rows: list[Coefficient] = []
     blocks: list[Array] = []
     for one in models:
@@ -232,8 +233,8 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
 def _influences(
     request: EstimateRequest[TemperatureModelParameters], models: Sequence[Modelled]
 ) -> tuple[Influence, ...]:
-    """If the chamber is warmer than it indicates, every curve is shifted in temperature, and the difference of ramps is as before. None if
-    the sensor's thermometer is used."""
+    """If the chamber is warmer than it indicates, every curve is shifted in temperature, and the difference between ramps does not change.
+    No influence if the sensor's thermometer is used."""
     stated = request.setup.inputs.get("temperature")
     if stated is None or request.parameters.temperature_channel is not None:
         return ()
@@ -254,8 +255,8 @@ def _per_kelvin(text: str, power: int) -> str:
 
 
 def hysteresis(points: Points) -> tuple[float, float, float] | None:
-    """Largest difference of a rising and a falling ramp at one temperature, its standard uncertainty and the temperature [degC]; None
-    without both. The falling one is read on straight lines between its values, within the range that both cover."""
+    """Largest difference between a rising and a falling ramp at one temperature, its standard uncertainty and the temperature [degC]; None
+    without both ramps. The falling ramp is interpolated linearly, within the range that both cover."""
     rising, falling = points.direction > 0, points.direction < 0
     if rising.sum() < 2 or falling.sum() < 2:
         return None

@@ -1,1 +1,1 @@
-"""Scale factors of several axes in one tilted mounting, and the fixture angles that they rest on."""
+"""Scale factors of several axes in one tilted mounting, and the fixture angles on which they depend."""

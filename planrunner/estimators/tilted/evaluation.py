@@ -24,9 +24,9 @@ K, F0, NONLINEARITY, ASYMMETRY, RESPONSE = range(len(QUANTITIES))
 
 @dataclass(frozen=True, slots=True)
 class TiltedConditions:
-    """axes: where they point. commanded: (N,), rad/s, the table's rate in each segment. along: (N, 3), the rotation axis in the fixture's
-    frame. felt: (N, 3), rad/s, mean rate with the Earth's rotation; None where that is not corrected for. rate_error: relative, of the
-    table's rate, one for all segments or (N,)."""
+    """axes: their directions. commanded: (N,), rad/s, the table's rate in each segment. along: (N, 3), the rotation axis in the fixture's
+    frame. felt: (N, 3), rad/s, mean rate with the Earth's rotation; None if the Earth's rotation is not corrected for. rate_error: relative
+    error of the table's rate, one for all segments or (N,)."""
 
     axes: MountedAxes
     commanded: Array
@@ -35,7 +35,7 @@ class TiltedConditions:
     rate_error: Array | float = 0.0
 
     def inputs(self, group: Group) -> Array:
-        """What each axis felt more than at rest, shape (q, n, m), rad/s."""
+        """Input of each axis minus its input at rest, shape (q, n, m), rad/s."""
         turning = self.along * self.commanded[:, None] * (1.0 if self.felt is None else 0.0)
         felt = turning if self.felt is None else self.felt
         felt = felt + self.along * (self.rate_error * self.commanded)[:, None]
@@ -45,10 +45,10 @@ class TiltedConditions:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """q repeats of n rates at one temperature. kelvin: measured, or planned, NaN where neither is known. spins: (q, n) rows of the
-    segments; rest: (q, N), how each segment counts in the rest value of
-    a repeat, half for the zeros before and half for those after; between: (q, N), how it counts in the end zero less the start
-    zero. outputs: F_j − F_r, (q, n, m). drift: end zero less start zero, (q, m)."""
+    """q repeats of n rates at one temperature. kelvin: measured or planned temperature, NaN if neither is known. spins: (q, n) rows of the
+    segments; rest: (q, N), weight of each segment in the rest value of a repeat, half for the zeros before and half for those after;
+    between: (q, N), its weight in the end zero minus the start zero. outputs: F_j − F_r, (q, n, m). drift: end zero minus start zero, (q,
+    m)."""
 
     label: str
     kelvin: float
@@ -68,7 +68,7 @@ class Group:
 
     @property
     def averages(self) -> Array:
-        """How each segment counts in the means over the repeats of each rate and, last, of the rest value, (n + 1, N)."""
+        """Weights (n + 1, N) of the segments in the means over the repeats: for each rate and, last, for the rest value."""
         q, n = self.spins.shape
         weights = np.zeros((n + 1, self.rest.shape[1]))
         weights[np.arange(n), self.spins] = 1 / q
@@ -78,9 +78,10 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class TiltedResults:
-    """What a change of conditions is compared by. means: (g, m, 5), over repeats, in the order of `QUANTITIES`; repeats: of each group
-    (q, m, 5); residuals: of each group (n, m), over repeats. repeatability: (g, m), s(K)/K, NaN for one repeat. coefficient: (m,), slope
-    of K over temperature by K at the reference; sensitivity: (m,), the largest |K_T − K_0|/(K_0·|T − T_0|); NaN for one temperature."""
+    """Intermediate results, for the comparison of different conditions. means: (g, m, 5), means over repeats, in the order of `QUANTITIES`;
+    repeats: of each group (q, m, 5); residuals: of each group (n, m), over repeats. repeatability: (g, m), s(K)/K, NaN for one repeat.
+    coefficient: (m,), slope of K over temperature, divided by K at the reference temperature; sensitivity: (m,), the largest |K_T −
+    K_0|/(K_0·|T − T_0|); NaN for one temperature."""
 
     means: Array
     repeats: tuple[Array, ...]
@@ -91,7 +92,7 @@ class TiltedResults:
 
     @property
     def vector(self) -> Array:
-        """All of it that is a result: means, repeatability, coefficient, sensitivity, one after the other."""
+        """The results as one vector: means, repeatability, coefficient, sensitivity, one after the other."""
         return np.concatenate(
             [self.means.ravel(), self.repeatability.ravel(), self.coefficient.ravel(), self.sensitivity.ravel()]
         )
@@ -99,7 +100,7 @@ class TiltedResults:
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """Which rate (g, m) has the largest residual and its sign, and which temperature (m,) decides the sensitivity."""
+    """The rate (g, m) with the largest residual, the sign of this residual, and the temperature (m,) that decides the sensitivity."""
 
     rate: NDArray[np.int64]
     sign: Array
@@ -131,7 +132,8 @@ def _weights(series: Sequence[RateSeries], rows: Sequence[tuple[int, ...]], mean
 def evaluate(
     groups: Sequence[Group], conditions: TiltedConditions, reference: int, worst: Worst | None = None
 ) -> TiltedResults:
-    """reference: the group whose K the others are compared with. worst: held fixed while conditions are changed."""
+    """reference: the group with which the K of the others are compared. worst: the decisive rates and temperatures, fixed while conditions
+    are changed."""
     lines = [fit_lines(conditions.inputs(group), group.outputs) for group in groups]
     residuals = [line.residuals.mean(axis=0) for line in lines]
     held = worst or _worst(residuals, np.zeros(lines[0].slope.shape[1], dtype=np.int64))
@@ -175,22 +177,23 @@ def slope_weights(kelvin: Array) -> Array:
 
 
 def answers_of(groups: Sequence[Group], conditions: TiltedConditions, worst: Worst) -> tuple[Array, ...]:
-    """How the quantities of each group answer to its outputs: ∂(mean over the repeats)/∂(output at a rate, in all repeats), (n, m, 5)."""
+    """Sensitivities of the quantities of each group to its outputs: ∂(mean over the repeats)/∂(output at a rate, in all repeats), (n, m,
+    5)."""
     return tuple(_answers(group, conditions, worst.rate[k], worst.sign[k]) for k, group in enumerate(groups))
 
 
 def answers_to_averages(answers: Array) -> Array:
-    """The same as answers to `Group.averages`, (n + 1, m, 5): the rest value is taken off every rate."""
+    """The same sensitivities to `Group.averages`, (n + 1, m, 5): the rest value is subtracted from every rate."""
     return np.concatenate([answers, -answers.sum(axis=0)[None]])
 
 
 def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64], sign: Array) -> Array:
-    """An axis follows its own output alone, so that the outputs of all axes change at once."""
+    """Each axis depends only on its own output, so the outputs of all axes can be changed at the same time."""
     x, full_scale = conditions.inputs(group), group.full_scale
     q, n, m = x.shape
 
     def means(changes: Array) -> Array:
-        """Of the outputs at each rate by so much, (n, k): (m·5, k)."""
+        """Changes (m·5, k) of the quantities for the changes (n, k) of the outputs at each rate."""
         outputs = group.outputs + changes.T[:, None, :, None]
         lines = fit_lines(np.broadcast_to(x, outputs.shape).reshape(-1, n, m), outputs.reshape(-1, n, m))
         found = quantities(lines, full_scale, rate, sign)
@@ -200,14 +203,15 @@ def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64]
 
 
 def over_temperature(values: Array, kelvin: Array, reference: int, decides: NDArray[np.int64] | int) -> Array:
-    """Coefficient and sensitivity, (2, m), of scale factors (g, m). decides: the temperature whose change is the sensitivity."""
+    """Coefficient and sensitivity, (2, m), of scale factors (g, m). decides: the temperature that decides the sensitivity."""
     base, decisive = values[reference], values[decides, np.arange(values.shape[1])]
     change = (decisive - base) / (base * (kelvin[decides] - kelvin[reference]))
     return np.stack([slope_weights(kelvin) @ values / base, np.where(change.real < 0, -1.0, 1.0) * change])
 
 
 def _decisive(values: Array, kelvin: Array, reference: int) -> NDArray[np.int64]:
-    """The temperatures (m,) at which scale factors (g, m) have changed most for their distance from the reference."""
+    """The temperatures (m,) at which the change of the scale factors (g, m) is largest relative to the distance from the reference
+    temperature."""
     apart = np.abs(kelvin - kelvin[reference])
     away = np.isfinite(apart) & (apart > 0)
     size = np.abs(values - values[reference]) / np.where(away, apart, 1.0)[:, None]

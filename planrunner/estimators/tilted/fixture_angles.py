@@ -1,9 +1,9 @@
 """Angles of a fixture's axes from spins about one rotation axis in several orientations of the fixture.
 
-An axis of scale factor K along the unit vector d answers to a rate ω along n by K·(d·n)·ω, n in the fixture's frame. So every orientation
-of the fixture on the table gives one component of the gain vector K·d. Three orientations whose n are not in one plane give all of it, and
-with it K, the angle from the fixture's z axis and the azimuth; two give K and the angle where the azimuth is stated. Orientations with the
-same n, or with n reversed, give no information on the angle. Errors common to all rates cancel in the angles.
+An axis with the scale factor K along the unit vector d responds to a rate ω along n with K·(d·n)·ω; n is in the fixture's frame. Every
+orientation of the fixture on the table gives one component of the gain vector K·d. Three orientations whose n are not in one plane give the
+complete vector, and with it K, the angle from the fixture's z axis and the azimuth; two give K and the angle if the azimuth is stated.
+Orientations with the same n, or with n reversed, give no information on the angle. Errors common to all rates cancel in the angles.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class FixtureAnglesParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixtureQuantities(Quantities):
-    """By axis: its observations and their fit."""
+    """Observations and fit, by axis."""
 
     axes: MountedAxes
     fits: tuple[tuple[Observations, OutputsFit], ...]
@@ -204,10 +204,10 @@ def _derived(
 def _acting(
     request: EstimateRequest[FixtureAnglesParameters], model: GainModel, axes: MountedAxes, k: int, fit: OutputsFit
 ) -> tuple[Influence, ...]:
-    """What acts on the offsets and gains of one axis."""
+    """Influences on the offsets and gains of one axis."""
 
     def answered(matrix: Array) -> Array:
-        """The outputs are as they are: what is stated differently is answered by the opposite change of the fit."""
+        """The outputs do not change: a change of a stated value changes the fit with the opposite sign."""
         return np.asarray(-fit.gains[0] @ matrix @ fit.coefficients[0])
 
     stated = stated_conditions(model, request.setup, request.site, axes, k, request.parameters.azimuth)

@@ -1,4 +1,4 @@
-"""Angles of a fixture from an estimate `fixture_angles` instead of from the plan: values, and what they depend on."""
+"""Angles of a fixture from an estimate `fixture_angles` instead of from the plan: values and influences."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _AZIMUTH = "azimuth_{}"
 
 
 def calibrated_axes(axes: MountedAxes, uses: Mapping[str, Estimate]) -> tuple[MountedAxes, tuple[Influence, ...]]:
-    """The axes at their calibrated angles, and influences on these angles, (m, r) in rad; as they were without a calibration.
+    """The axes at their calibrated angles, and influences on these angles, (m, r) in rad; unchanged without a calibration.
 
-    Raises `EstimationError` for an estimate that is no calibration of the fixture, or not of all axes.
+    Raises `EstimationError` for an estimate that is not a calibration of the fixture, or not of all axes.
     """
     if not uses:
         return axes, ()
@@ -39,7 +39,7 @@ def calibrated_axes(axes: MountedAxes, uses: Mapping[str, Estimate]) -> tuple[Mo
 
 
 def require_calibration(axes: MountedAxes, uses: Mapping[str, Design]) -> None:
-    """Raises `EstimationError` for an estimate that will be no calibration of the fixture, or not of all axes."""
+    """Raises `EstimationError` for an estimate that will not be a calibration of the fixture, or not of all axes."""
     if uses:
         name, used = _only(uses)
         if used.known:
@@ -71,7 +71,7 @@ def _carried(
     freedom: Sequence[float],
     name: str,
 ) -> tuple[Influence, ...]:
-    """Influences on the angles: of the calibration's data, one an axis, and of what the calibration itself depends on."""
+    """Influences on the angles: the data of the calibration, one per axis, and the influences on the calibration itself."""
     factors = np.array([unit(coefficients[row].unit).factor for row in rows])
     arcsec = unit("arcsec").factor
     found = []
@@ -105,7 +105,7 @@ def _at(axes: MountedAxes, coefficients: Sequence[Coefficient]) -> MountedAxes:
 
 
 def _data_freedom(used: Estimate, item: Coefficient) -> float:
-    """Degrees of freedom of the data alone: the analysis has combined them with those of the influences."""
+    """Degrees of freedom of the data alone, recovered because the analysis has combined them with those of the influences."""
     for budget in used.budgets:
         if budget.coefficient == item.name:
             return next((line.degrees_of_freedom for line in budget.lines if line.kind == "A"), item.degrees_of_freedom)

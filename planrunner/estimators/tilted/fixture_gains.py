@@ -1,6 +1,6 @@
-"""The gain vector K·d of an axis in a fixture: design matrix over orientations, polar form, and what it depends on beside the data.
+"""The gain vector K·d of an axis in a fixture: design matrix over orientations, polar form, and influences.
 
-Each orientation has an offset of its own, which takes the bias, its dependence on gravity, and the Earth's rotation along the axis of the
+Each orientation has a separate offset, which absorbs the bias, its dependence on gravity, and the Earth's rotation along the axis of the
 table.
 """
 
@@ -33,14 +33,14 @@ AXES = ("x", "y", "z")
 
 
 def tilt_part(orientation: str, axis: str) -> str:
-    """Name of a tilt of the fixture in one orientation, so that it is known for the same wherever it acts."""
+    """Name of a tilt of the fixture in one orientation; the same name identifies it wherever it acts."""
     return f"{orientation}, about {axis}"
 
 
 @dataclass(frozen=True, slots=True)
 class GainModel:
-    """n segments at o orientations. felt: (n, 3), mean rate in the fixture's frame, rad/s; turning: (n, 3), the table's part of it;
-    place: (n,), which orientation."""
+    """n segments at o orientations. felt: (n, 3), mean rate in the fixture's frame, rad/s; turning: (n, 3), the part from the table; place:
+    (n,), index of the orientation."""
 
     segments: tuple[Segment, ...]
     orientations: tuple[str, ...]
@@ -50,7 +50,7 @@ class GainModel:
 
     @property
     def directions(self) -> int:
-        """How many independent directions of the fixture the table has turned about."""
+        """Number of independent directions of the fixture about which the table has turned."""
         size = np.linalg.norm(self.turning, axis=1)
         units = self.turning[size > 0] / size[size > 0, None]
         return int(np.linalg.matrix_rank(units, tol=1e-6)) if len(units) else 0
@@ -60,7 +60,7 @@ class GainModel:
         return (*(f"offset {text}" for text in self.orientations), *gains)
 
     def matrix(self, basis: Array) -> Array:
-        """basis: (3, r), directions in the fixture that the gain vector is made of."""
+        """basis: (3, r), directions in the fixture that span the gain vector."""
         return np.column_stack([np.eye(len(self.orientations))[self.place], self.felt @ basis])
 
     def magnitudes(self, basis: Array) -> Array:
@@ -69,7 +69,7 @@ class GainModel:
 
 
 def gain_model(segments: Sequence[Segment], seconds: Sequence[float | None], site: Site, setup: Setup) -> GainModel:
-    """Raises `EstimationError` for a segment that neither spins nor rests, and for an unknown orientation."""
+    """Raises `EstimationError` for a segment that is neither a spin nor at rest, and for an unknown orientation."""
     for segment in segments:
         if not isinstance(segment.motion, Spin | Rest):
             kind = type(segment.motion).__name__.lower()
@@ -105,8 +105,8 @@ def gain_basis(axes: MountedAxes, k: int, azimuth: str) -> Array:
 
 def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
     """K in output unit/(rad/s), angle and, if fitted, azimuth [rad], (q, n), of gains near `gain` (r,): components along `basis` (3, r) of
-    axis k. An output whose sign is not that of its stated direction has a negative K. Raises `EstimationError` for an axis whose azimuth
-    means nothing, because it lies along z."""
+    axis k. An output whose sign is opposite to its stated direction has a negative K. Raises `EstimationError` for an axis along z, which
+    has no azimuth."""
     sign = -1.0 if float(basis @ gain @ axes.directions[k]) < 0 else 1.0
     about = 0.0 if math.isnan(axes.azimuths[k]) else float(axes.azimuths[k])
     if len(gain) == 3 and math.hypot(*gain[:2]) < 1e-9 * float(np.linalg.norm(gain)):
@@ -128,8 +128,8 @@ def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
 def stated_conditions(
     model: GainModel, setup: Setup, site: Site, axes: MountedAxes, k: int, azimuth: str
 ) -> Iterator[StatedCondition[Array]]:
-    """What is stated with an uncertainty and moves the gains of an orientation as a whole, so that hardly anything scatters for it, as a
-    condition of the design matrix of axis k."""
+    """Stated inputs that change the gains of an orientation as a whole and therefore cause almost no scatter, as conditions of the design
+    matrix of axis k."""
     basis = gain_basis(axes, k, azimuth)
 
     def seen(by: Array) -> Array:
@@ -171,14 +171,14 @@ def stated_conditions(
 
 
 def held_rates(model: GainModel, setup: Setup, vector: Array) -> tuple[CorrelatedError, ...]:
-    """How well each rate is held, on the output of an axis with the gain vector (3,): the means scatter about a line for it."""
+    """Stated errors of each rate, on the output of an axis with the gain vector (3,): they make the means scatter about a line."""
     rates = np.array([segment.rate for segment in model.segments])
     rate = setup.inputs.get("table rate")
     return rate_errors(rate, (model.turning @ vector)[None], rates) if rate else ()
 
 
 def _outermost(axes: Sequence[TableAxis], segments: Sequence[Segment], azimuth: float) -> bool:
-    """Whether the outermost axis makes every spin: only then does the table's rate lean with nothing outside it."""
+    """Whether the outermost axis makes every spin; only then is the direction of the table's rate independent of other axes."""
     for one in segments:
         if isinstance(one.motion, Spin) and one.attitude is not None:
             try:

@@ -1,6 +1,7 @@
 """Type B influences on scale factors of tilted axes: fixture, table, site, temperature, resolution, drift of the zero.
 
-Fixture, table and site are conditions of the results' formula. The others act on the means, through how the results answer to these.
+Fixture, table and site are conditions of the results' formula. The others act on the means, and through the sensitivities to the means on
+the results.
 """
 
 from __future__ import annotations
@@ -41,9 +42,10 @@ _BESIDE = 1e-6  # rad, of differences
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """Input of the results. answers: of each group, (n, m, 5), by its outputs; gradient: of `TiltedResults.vector` by the means of all
-    groups. segments: as recording begins; seconds: recorded; home: the orientation in words; units: of the outputs. fixture: influences
-    on the axes' angles from their calibration, (m, r) in rad, instead of the plan's statement."""
+    """Input for the influences. answers: for each group, sensitivities (n, m, 5) to its outputs; gradient: of `TiltedResults.vector` with
+    respect to the means of all groups. segments: in the state at which recording begins; seconds: recorded; home: the home orientation in
+    words; units: of the outputs. fixture: influences on the axes' angles from their calibration, (m, r) in rad, instead of the plan's
+    statement."""
 
     groups: tuple[Group, ...]
     conditions: TiltedConditions
@@ -60,14 +62,14 @@ class Situation:
     fixture: tuple[Influence, ...] = ()
 
     def again(self, conditions: TiltedConditions) -> Array:
-        """The results' vector under other conditions; zero where there is no such result."""
+        """The vector of the results under other conditions; zero for results that do not exist."""
         return np.nan_to_num(evaluate(self.groups, conditions, self.reference, self.worst).vector)
 
 
 @dataclass(frozen=True, slots=True)
 class Rounding:
-    """What rounding to counts leaves in the means of one output. share: of a count; in_scatter: whether the samples vary at all, so that
-    the scatter shows it."""
+    """Rounding error in the means of one output. share: of one count; in_scatter: whether the samples vary, so that the scatter includes
+    it."""
 
     share: float
     in_scatter: bool
@@ -82,9 +84,9 @@ def influences(
     flicker: Sequence[CorrelatedError] = (),
     drifts: Mapping[int, float] | None = None,
 ) -> list[Influence]:
-    """On `TiltedResults.vector`. inputs: what bench and plan state with an uncertainty; common: relative error that all rates share;
-    rounding: by output; flicker: declared, on the segments' means, where the basis takes it; drifts: by axis, half of
-    how far its zero moved."""
+    """Influences on `TiltedResults.vector`. inputs: values that bench and plan state with an uncertainty; common: relative error common to
+    all rates; rounding: by output; flicker: declared, on the segments' means, if the basis uses it; drifts: by axis, half of the change of
+    its zero."""
     found = [
         *_calibrated_fixture(situation),
         *influences_on(situation.again, _conditions(situation, inputs, common)),
@@ -99,7 +101,7 @@ def influences(
 def _conditions(
     situation: Situation, inputs: Inputs, common: InputQuantity
 ) -> Iterator[StatedCondition[TiltedConditions]]:
-    """The bench states how well each rate is held, the same whenever it comes again; the plan what all rates share."""
+    """The bench states the error of each rate, the same at every repetition; the plan states the error common to all rates."""
     conditions, site = situation.conditions, situation.site
     axes, commanded = conditions.axes, conditions.commanded
     if not situation.fixture:
@@ -133,7 +135,7 @@ def _conditions(
 
 
 def _calibrated_fixture(situation: Situation) -> Iterator[Influence]:
-    """Through the axes' angles."""
+    """Influences through the angles of the axes."""
     if situation.fixture:
         angles = range(len(situation.conditions.axes.names))
         moved = [partial(_with_angle, situation.conditions, k) for k in angles]
@@ -142,7 +144,8 @@ def _calibrated_fixture(situation: Situation) -> Iterator[Influence]:
 
 
 def _temperature(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
-    """A thermometer that reads wrong shifts all temperatures alike: K belongs to another temperature, its coefficient stays."""
+    """An error of the thermometer shifts all temperatures equally: K belongs to a different temperature, but its coefficient does not
+    change."""
     stated, found = inputs.get("temperature"), situation.found
     if stated is None or not np.isfinite(found.coefficient).all():
         return
@@ -163,7 +166,7 @@ def _resolution(situation: Situation, inputs: Inputs, rounding: Mapping[str, Rou
 
 
 def _flicker(situation: Situation, flicker: Sequence[CorrelatedError], basis: str) -> Iterator[Influence]:
-    """Through the means of all segments, at their times. On the basis `residual` the covariance holds it."""
+    """Influences through the means of all segments, at their times. On the basis `residual` the covariance includes them."""
     if not flicker:
         return
     each = [
@@ -178,8 +181,8 @@ def _flicker(situation: Situation, flicker: Sequence[CorrelatedError], basis: st
 def _zero_drift(situation: Situation, basis: str, drifts: Mapping[int, float]) -> Iterator[Influence]:
     """How far the zero during the rates may have been from the mean of the zeros before and after: half of their difference either way.
 
-    Two courses act: an offset of all rates, and a steady change from one end of the series to the other. A steady change leaves residuals
-    about the line, so that on the basis `residual` the scatter holds it; an offset leaves none.
+    Two shapes of the drift are included: an offset of all rates, and a steady change from one end of the series to the other. A steady
+    change causes residuals about the line, so on the basis `residual` the scatter includes it; an offset causes none.
     """
     courses = _offset if basis == "residual" else _drift_courses
     for axis, half in drifts.items():
@@ -204,7 +207,7 @@ def _drift_courses(n: int) -> dict[str, Array]:
 def _by_courses(
     situation: Situation, quantity: InputQuantity, axis: int, courses: Callable[[int], dict[str, Array]]
 ) -> Influence:
-    """An error of one output that takes a course over the n rates of a series, apart at each temperature."""
+    """An error of one output with a given shape over the n rates of a series, separate for each temperature."""
     columns, parts = [], []
     width = situation.answers[0].shape[1] * len(QUANTITIES)
     for k, (group, answers) in enumerate(zip(situation.groups, situation.answers, strict=True)):

@@ -37,7 +37,7 @@ class MountedAxes:
 
     @property
     def directions(self) -> Array:
-        """Unit vectors in the fixture's frame, shape (m, 3); an azimuth that is not stated counts as zero."""
+        """Unit vectors in the fixture's frame, shape (m, 3); an azimuth that is not stated is treated as zero."""
         azimuths = np.nan_to_num(self.azimuths)
         across = np.sin(self.angles)
         x, y, z = across * np.cos(azimuths), across * np.sin(azimuths), np.cos(self.angles)
@@ -45,7 +45,7 @@ class MountedAxes:
         return np.column_stack([x + about_y * z, y - about_x * z, z + about_x * y - about_y * x])
 
     def require_azimuths(self, why: str) -> None:
-        """Raises `EstimationError` when an azimuth is not stated; `why` ends the sentence."""
+        """Raises `EstimationError` if an azimuth is not stated; `why` ends the message."""
         for name, azimuth in zip(self.names, self.azimuths, strict=True):
             if math.isnan(azimuth):
                 raise EstimationError(f"mounting.{name} states no azimuth, which {why}")
@@ -54,7 +54,7 @@ class MountedAxes:
 def mounted_axes(mounting: Mapping[str, MountedAxis], available: Sequence[str], chosen: Sequence[str]) -> MountedAxes:
     """The axes whose outputs are `chosen` (all of `mounting` without a choice); an output belongs to the axis that its name ends with.
 
-    mounting: name → `planrunner.plan.model.MountedAxis`; available: the channels that there are. Raises `EstimationError` for an axis
+    mounting: name → `planrunner.plan.model.MountedAxis`; available: the existing channels. Raises `EstimationError` for an axis
     without output and an output without axis.
     """
     if not mounting:
@@ -77,7 +77,7 @@ def mounted_axes(mounting: Mapping[str, MountedAxis], available: Sequence[str], 
 
 
 def seeing(axes: MountedAxes) -> MountedAxes:
-    """The same axes. Raises `EstimationError` for one that lies across the rotation axis."""
+    """The axes, unchanged. Raises `EstimationError` for an axis perpendicular to the rotation axis."""
     for name, angle in zip(axes.names, axes.angles, strict=True):
         if abs(math.cos(angle)) < BLIND:
             raise EstimationError(
@@ -88,10 +88,10 @@ def seeing(axes: MountedAxes) -> MountedAxes:
 
 
 def rotation_axis(segments: Sequence[Segment], along_z: bool = True) -> Array:
-    """Direction that each segment spins about, in the fixture's frame, shape (n, 3); zero for one at rest.
+    """Direction about which each segment spins, in the fixture's frame, shape (n, 3); zero for a segment at rest.
 
-    An unknown orientation is taken for one with z along the rotation axis. along_z: raise `EstimationError` where z does not lie along it,
-    because the angles of the mounting count from z.
+    In an unknown orientation, z is assumed to be along the rotation axis. along_z: raise `EstimationError` if z is not along it, because
+    the angles of the mounting are measured from z.
     """
     found = np.zeros((len(segments), 3))
     for row, segment in enumerate(segments):

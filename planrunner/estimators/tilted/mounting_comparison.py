@@ -1,7 +1,8 @@
-"""One tilted mounting against one mounting an axis: how long the test takes, and what it costs in uncertainty.
+"""Comparison of one tilted mounting with one mounting per axis: duration of the test, and uncertainty.
 
-An axis along the rotation axis sees the whole rate, so its noise counts cos θ as much; and where it leans by a small δ, only 1 − cos δ is
-lost, while the tilted axis loses δ·tan θ. Each mounting takes the same schedule, its temperature cycle included, and a time for mounting.
+An axis along the rotation axis senses the whole rate, so its noise has only cos θ times the effect. If it is misaligned by a small δ, its
+relative error is only 1 − cos δ, while that of the tilted axis is δ·tan θ. Each mounting takes the same schedule, including its temperature
+cycle, and additional time for mounting.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ Array = NDArray[np.float64]
 
 
 def scheduled_seconds(segments: Sequence[Segment], seconds: Sequence[float | None]) -> float:
-    """From the first move to the end of the last segment, as planned; dwells that the plan leaves open as recorded.
+    """Time from the first move to the end of the last segment, as planned; dwells of unknown length as recorded.
 
-    seconds: recorded. Where the schedule has no times (a recording that is played back), the dwells alone.
+    seconds: recorded. If the schedule has no times (a recording that is played back), the sum of the dwells.
     """
     lasting = [segment.dwell or own or 0.0 for segment, own in zip(segments, seconds, strict=True)]
     waiting = [segment.transition + segment.soak + segment.settle for segment in segments]
@@ -32,7 +33,8 @@ def scheduled_seconds(segments: Sequence[Segment], seconds: Sequence[float | Non
 def comparison_table(axes: MountedAxes, noise: Array, angle: Array) -> Table:
     """noise: (m,), relative standard uncertainty of K from the noise within the segments; angle: (m,), standard uncertainty of θ, rad.
 
-    Alone, the axis may lean by `angle` about either of two directions: 1 − cos δ has the mean angle² and the standard deviation angle².
+    In a separate mounting, the axis may be tilted by `angle` about either of two directions: 1 − cos δ has the mean angle² and the standard
+    deviation angle².
     """
     rows: list[tuple[Cell, ...]] = []
     for k, name in enumerate(axes.names):

@@ -31,7 +31,7 @@ FEEBLE = 0.1  # cosine (84.3 deg) below which an axis sees a tenth of the rate, 
 
 
 def design(request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:
-    """Raises `EstimationError` where the plan makes no sense for the method."""
+    """Raises `EstimationError` if the plan is not suitable for the method."""
     outputs = [output.name for output in request.sensor.outputs]
     axes = seeing(mounted_axes(request.setup.mounting, outputs, request.parameters.outputs))
     require_calibration(axes, request.uses)
@@ -52,7 +52,7 @@ def design(request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:
 
 
 def _blocks(request: DesignRequest[ScaleFactorTiltedParameters], axes: MountedAxes) -> tuple[DesignBlock, ...]:
-    """A line through all planned rates, for each output; the rate of the table stands for that of the axis."""
+    """A line through all planned rates, for each output; the rate of the table replaces that of the axis."""
     spins = tuple(segment for segment in request.segments if segment.rate)
     rates = np.array([segment.rate for segment in spins])
     matrix, magnitudes = line_through(rates)

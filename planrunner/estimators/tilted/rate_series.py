@@ -1,6 +1,6 @@
 """Series of rates: a start zero, the rates one after the other, an end zero; repeats of it at each temperature.
 
-What follows the end zero begins the next series, and so does a new temperature.
+The segment after the end zero begins the next series, and so does a new temperature.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class RateSeries:
-    """Indices of the segments of one series. temperature: planned, K; None where the plan says nothing."""
+    """Indices of the segments of one series. temperature: planned, K; None if the plan does not state it."""
 
     name: str
     temperature: float | None
@@ -32,7 +32,7 @@ class RateSeries:
 
     @property
     def lacks(self) -> str:
-        """What is missing, in words; empty when the series is complete."""
+        """Description of the missing parts; empty if the series is complete."""
         missing = [what for what, held in (("start zero", self.start), ("end zero", self.end)) if not held]
         return " and no ".join(missing if self.spins else [*missing, "rates"])
 
@@ -42,10 +42,10 @@ class RateSeries:
 
 
 def split_series(segments: Sequence[Segment], zero: Sequence[str]) -> tuple[RateSeries, ...]:
-    """The series in `segments`, which stand in their own order. zero: label patterns of the segments at rest before and after the rates;
-    others at rest, such as pauses, belong to no series.
+    """The series in `segments`, which are in the order of the plan. zero: label patterns of the segments at rest before and after the
+    rates; others at rest, such as pauses, belong to no series.
 
-    Raises `EstimationError` for a motion that is no constant rate, and for rates about different directions.
+    Raises `EstimationError` for a motion that is not a constant rate, and for rates about different directions.
     """
     _one_rotation_axis(segments)
     pieces: list[tuple[list[int], list[int], list[int]]] = []
@@ -64,7 +64,7 @@ def split_series(segments: Sequence[Segment], zero: Sequence[str]) -> tuple[Rate
 
 
 def by_temperature(series: Sequence[RateSeries]) -> dict[float | None, tuple[RateSeries, ...]]:
-    """The repeats at each planned temperature [K], in the order in which the temperatures first came."""
+    """The repeats at each planned temperature [K], in the order of the first occurrence of the temperatures."""
     found: dict[float | None, list[RateSeries]] = {}
     for one in series:
         found.setdefault(one.temperature, []).append(one)
@@ -102,7 +102,7 @@ def _one_rotation_axis(segments: Sequence[Segment]) -> None:
 
 
 def _series(segments: Sequence[Segment], start: list[int], spins: list[int], end: list[int]) -> RateSeries:
-    """Named by what its labels begin with, such as `20degC/r1`."""
+    """Name of the series: the common beginning of its labels, such as `20degC/r1`."""
     every = [*start, *spins, *end]
     paths = [segments[index].label.split("/") for index in every]
     shared = [parts[0] for parts in takewhile(lambda parts: len(set(parts)) == 1, zip(*paths, strict=False))]

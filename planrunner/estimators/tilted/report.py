@@ -123,7 +123,8 @@ def _residuals(situation: Situation, units: Units) -> Table:
 
 
 def _lowest_rate(situation: Situation, units: Units, noise: NoiseOfMeans) -> Table:
-    """Response by IEEE Std 528, and the change of rate that a recording at the lowest rate distinguishes from noise: k·√2·u of its mean."""
+    """Response by IEEE Std 528, and the smallest change of rate that a recording at the lowest rate can distinguish from noise: k·√2·u of
+    its mean."""
     axes, hour = situation.conditions.axes, unit("deg/h").factor
     group, found = situation.groups[situation.reference], situation.found
     high, low = lowest_pair(group.rates)
@@ -292,7 +293,7 @@ def _warnings(situation: Situation) -> list[str]:
 
 
 def _spread(scatter: Scatter, situation: Situation) -> Array:
-    """Standard uncertainty of K that the data show, (g, m)."""
+    """Standard uncertainty of K from the data alone, (g, m)."""
     diagonal = np.diagonal(scatter.covariance, axis1=1, axis2=2)
     return np.sqrt(diagonal).reshape(situation.found.means.shape)[..., K]
 
@@ -304,7 +305,8 @@ def _relative(spread: Array, situation: Situation) -> Array:
 
 
 def _angles(situation: Situation, acting: Sequence[Influence]) -> Array:
-    """Standard uncertainty of each axis's angle [rad], from how much of K it makes uncertain; zero where nothing is stated."""
+    """Standard uncertainty of each axis's angle [rad], computed from its contribution to the uncertainty of K; zero if nothing is
+    stated."""
     axes = situation.conditions.axes
     stated = {f"fixture angle {name}": k for k, name in enumerate(axes.names)}
     found = np.zeros(len(axes.names))

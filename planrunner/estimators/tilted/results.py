@@ -42,7 +42,7 @@ HEADLINE = ("K", "temperature_coefficient", "nonlinearity", "asymmetry", "repeat
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One result: its place in `TiltedResults.vector`, and how it is shown: value × factor in `unit`."""
+    """One result: its index in `TiltedResults.vector`, and its form in reports: value × factor in `unit`."""
 
     at: int
     quantity: str
@@ -56,7 +56,7 @@ class Item:
 def items(
     found: TiltedResults, groups: Sequence[Group], axes: MountedAxes, units: Sequence[tuple[Unit, Unit]], reference: int
 ) -> tuple[Item, ...]:
-    """The results that there are, the reference temperature first. units: of the rate and of each axis's output."""
+    """The existing results, the reference temperature first. units: of the rate and of each axis's output."""
     listed = [item for k in _order(len(groups), reference) for item in _at(found, groups, axes, units, k, reference)]
     return tuple(item for item in listed if np.isfinite(found.vector[item.at]))
 
@@ -83,7 +83,7 @@ def coefficients(
 def over_temperature(
     kept: Sequence[Item], shown: Sequence[Coefficient], groups: Sequence[Group], axes: MountedAxes, reference: int
 ) -> dict[str, object]:
-    """The scale factors over temperature, as `interface.Estimate` says that extra holds them; empty where no temperature is known."""
+    """The scale factors over temperature, in the form of `extra` that `interface.Estimate` describes; empty if no temperature is known."""
     known = [k for k in range(len(groups)) if np.isfinite(groups[k].kelvin)]
     of = {item.name: one for item, one in zip(kept, shown, strict=True)}
     held: dict[str, object] = {}

@@ -1,9 +1,9 @@
 """Scale factors of several axes in one tilted mounting (提高标度因数测试效率的方法, Xi'an Aerospace Precision Electromechanical, 2022).
 
 Per temperature and repeat F_r is the mean of the zeros before and after the rates, and F_j − F_r = K·cos θ·ω_j + F_0 + ν_j is fitted by
-ordinary least squares over the rates. Metrics in the wording of IEEE 952 and 1431. The Earth's rotation, which the source passes over: its
-part along the rotation axis cancels with F_r; the rest turns with the table and is averaged out by whole turns, but stays in the zeros at
-home, so that F_0 holds it unless it is corrected for.
+ordinary least squares over the rates. Metrics in the wording of IEEE 952 and 1431. The source does not treat the Earth's rotation: its
+component along the rotation axis cancels with F_r; the rest turns with the table and is averaged out by whole turns, but remains in the
+zeros at home, so F_0 contains it unless it is corrected for.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TiltedQuantities(Quantities):
-    """kept: labels of the segments of whole series; units: of the rate and of each output. within: scatter by the noise within the segments
-    alone; acting: influences on `Findings.vector`; doubts: warnings of what was left out or moved too far."""
+    """kept: labels of the segments of complete series; units: of the rate and of each output. within: scatter from the noise within the
+    segments alone; acting: influences on `TiltedResults.vector`; doubts: warnings about omitted series and zeros that drift too much."""
 
     situation: Situation
     kept: tuple[str, ...]
@@ -101,7 +101,7 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
     Parameters = ScaleFactorTiltedParameters
 
     def design(self, request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:
-        """Lines through the planned rates, and what the plan lacks. Raises `EstimationError`."""
+        """Lines through the planned rates, and missing elements of the plan. Raises `EstimationError`."""
         return tilted_planning.design(request)
 
     def quantities(self, request: EstimateRequest[ScaleFactorTiltedParameters]) -> TiltedQuantities:
@@ -241,7 +241,7 @@ def _situation(
 def _complete(
     request: EstimateRequest[ScaleFactorTiltedParameters],
 ) -> tuple[list[RecordedSegment], tuple[RateSeries, ...], list[str]]:
-    """The recorded segments of whole series, those series, and warnings of the others."""
+    """The recorded segments of complete series, these series, and warnings about the others."""
     recorded = request.segments
     series = split_series([one.segment for one in recorded], request.parameters.zero)
     whole_ones: list[tuple[RateSeries, str]] = []
@@ -325,7 +325,7 @@ def _groups(
 
 
 def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
-    """Raises `UnfitDataError` for an output that is the same at all rates, as of a sensor without power."""
+    """Raises `UnfitDataError` for an output that is the same at all rates, for example because the sensor has no power."""
     for group in groups:
         silent = np.flatnonzero(np.any(np.ptp(group.outputs, axis=1) == 0, axis=0))
         if silent.size:
@@ -340,7 +340,7 @@ def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
 def _measured(
     request: EstimateRequest[ScaleFactorTiltedParameters], recorded: Sequence[RecordedSegment], planned: float | None
 ) -> float:
-    """Mean temperature of the sensor [K]; as planned where it is not recorded; NaN where neither is known."""
+    """Mean temperature of the sensor [K]; as planned if it is not recorded; NaN if neither is known."""
     wanted = request.parameters.temperature
     channel = wanted or THERMOMETER
     if wanted is None and any(channel not in one.statistics.channels for one in recorded):
@@ -365,7 +365,7 @@ def _sigma(
     flicker: Sequence[CorrelatedError],
 ) -> tuple[Array, Array]:
     """Noise of each segment's mean (N, m), without what flicker adds to the scatter within the segments, and its degrees of freedom (m,).
-    An output whose noise cannot be seen counts as noiseless, unless the uncertainties rest on it."""
+    An output whose noise is not visible is treated as noiseless, unless the uncertainties are based on this noise."""
     known = [within_segment_noise(observations, k, explained(flicker, k)) for k in range(len(observations.channels))]
     if request.parameters.uncertainty == "within_segment" and not all(one.known for one in known):
         raise EstimationError(
@@ -388,7 +388,7 @@ def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[str]:
 def _rounding(
     request: EstimateRequest[ScaleFactorTiltedParameters], kept: Sequence[RecordedSegment], axes: MountedAxes
 ) -> dict[str, Rounding]:
-    """A count of the samples' average where noise dithers them, else of the whole mean."""
+    """Rounding of the average over samples if noise dithers them, otherwise of the mean by one count."""
     found = {}
     for output in axes.outputs:
         variances = [float(np.diag(one.statistics.covariance)[one.statistics.of(output)]) for one in kept]

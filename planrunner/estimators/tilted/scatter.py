@@ -1,8 +1,7 @@
 """Type A uncertainty of tilted scale factors on the basis selected in the plan.
 
-repeats          scatter of each quantity from repeat to repeat: sees all that is not the same in every repeat
-residual         scatter of the rates about the line, of the means over the repeats; where flicker is declared, with what it ties together
-within_segment   noise within the segments alone
+repeats scatter of each quantity from repeat to repeat: includes all effects that differ between repeats residual scatter of the means over
+the repeats about the line; with the correlations of declared flicker within_segment noise within the segments alone
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ BASES = ("repeats", "residual", "within_segment")
 
 @dataclass(frozen=True, slots=True)
 class NoiseOfMeans:
-    """Of the means: of the rates (g, n, m) and of F_r (g, m), over the repeats, standard uncertainties in the outputs' units;
+    """Uncertainty of the means over the repeats: standard uncertainties of the rates (g, n, m) and of F_r (g, m), in the outputs' units;
     correlation: (m, m) between outputs; degrees_of_freedom: (m,)."""
 
     rates: tuple[Array, ...]
@@ -61,8 +60,8 @@ def scatter_between_repeats(
     found: TiltedResults, groups: Sequence[Group], answers: Sequence[Array], flicker: Sequence[CorrelatedError] = ()
 ) -> Scatter:
     """From the repeats. A quantity's variance is pooled over the temperatures unless Bartlett's test finds that it differs between them;
-    the correlations between quantities come from the repeats of all temperatures. What declared flicker makes repeats have in common,
-    which their scatter cannot show, is added. answers: of each group, as `answers_of` gives them."""
+    the correlations between quantities come from the repeats of all temperatures. The part of declared flicker that is common to the
+    repeats, which their scatter cannot show, is added. answers: for each group, from `answers_of`."""
     repeats = [one.reshape(len(one), -1) for one in found.repeats]
     if min(len(one) for one in repeats) < 2:
         raise EstimationError(
@@ -91,8 +90,8 @@ def scatter_between_repeats(
 
 
 def _in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) -> Array:
-    """Variances (5·m,) of the means over the repeats by what flicker gives different repeats in common: the mean of fᵣᵀCfₛ over r ≠ s, f
-    being how a repeat's quantities follow from the segments; zero where it sets them apart."""
+    """Variances (5·m,) of the means over the repeats from the part of flicker that is common to different repeats: the mean of fᵣᵀCfₛ over
+    r ≠ s, where f is the sensitivity of a repeat's quantities to the segments; zero if this mean is negative."""
     gains, q = answers_to_averages(answers), len(group.spins)
     found = np.zeros(gains.shape[1:])
     for effect in flicker:
@@ -120,8 +119,8 @@ def scatter_of_means(
     basis: str,
     flicker: Sequence[CorrelatedError] = (),
 ) -> Scatter:
-    """From the residuals of the means, or from the noise within the segments. answers: of each group, as `answers_of` gives them. flicker:
-    what of it is in the residuals. Raises `EstimationError` without residuals."""
+    """From the residuals of the means, or from the noise within the segments. answers: for each group, from `answers_of`. flicker: its part
+    in the residuals. Raises `EstimationError` without residuals."""
     covariances, freedoms = [], []
     for k, group in enumerate(groups):
         gains = answers_to_averages(answers[k])
@@ -148,12 +147,12 @@ def scatter_of_means(
 def _about_the_line(
     group: Group, residuals: Array, noise: Array, flicker: Sequence[CorrelatedError]
 ) -> tuple[Array, Array]:
-    """How the rates scatter, by their residuals (n, m): one standard uncertainty for all rates of an output, (n, m), and covariances of
+    """Scatter of the rates from their residuals (n, m): one standard uncertainty for all rates of an output, (n, m), and covariances of
     flicker between `Group.averages`, (m, n + 1, n + 1).
 
-    Without declared flicker s² = Σν²/(n − 2). With it the rates scatter as noise and flicker together do, V = σ²·1 + C with σ² the mean
-    square of `noise` (n, m), and the residuals say by how much: both are multiplied by min over β of (ν − Xβ)ᵀV⁻¹(ν − Xβ)/(n − 2), X
-    being 1 and the rates. For C = 0 that is the same.
+    Without declared flicker s² = Σν²/(n − 2). With flicker, the covariance of the rates is proportional to V = σ²·1 + C with σ² the mean
+    square of `noise` (n, m). The residuals give the factor for both parts: the minimum over β of (ν − Xβ)ᵀV⁻¹(ν − Xβ)/(n − 2), where X
+    contains 1 and the rates. For C = 0 both formulas agree.
     """
     n, m = residuals.shape
     weights = group.averages
@@ -173,14 +172,15 @@ def _about_the_line(
 
 
 def _effective(one: Array, freedom_of_one: float, other: Array, freedom_of_other: Array) -> Array:
-    """Welch–Satterthwaite (JCGM 100:2008, G.4.1) of the residuals' variance and that of the zeros' noise, which leaves no residual."""
+    """Degrees of freedom by Welch–Satterthwaite (JCGM 100:2008, G.4.1) from the variance of the residuals and that of the zeros' noise,
+    which causes no residuals."""
     known = np.where(freedom_of_other > 0, freedom_of_other, np.inf)
     squares = one**2 / freedom_of_one + other**2 / known
     return np.where(squares > 0, (one + other) ** 2 / np.where(squares > 0, squares, 1.0), freedom_of_one)
 
 
 def gradient_of(found: TiltedResults, groups: Sequence[Group], reference: int, worst: Worst) -> Array:
-    """∂`TiltedResults.vector`/∂(means of all groups), (count, g·m·5); the repeatability does not follow from the means."""
+    """∂`TiltedResults.vector`/∂(means of all groups), (count, g·m·5); the repeatability is not a function of the means."""
     g, m, p = found.means.shape
     each = m * p
     gradient = np.zeros((len(found.vector), g * each))
@@ -198,7 +198,7 @@ def gradient_of(found: TiltedResults, groups: Sequence[Group], reference: int, w
 
 
 def whole(found: TiltedResults, groups: Sequence[Group], scatter: Scatter, gradient: Array) -> tuple[Array, Array]:
-    """Covariance of `TiltedResults.vector` and degrees of freedom of its elements. gradient: as `gradient_of` gives it."""
+    """Covariance of `TiltedResults.vector` and degrees of freedom of its elements. gradient: from `gradient_of`."""
     g, m, p = found.means.shape
     count, each = len(found.vector), m * p
     blocks = np.array(

@@ -1,7 +1,7 @@
 """Mean input of the axes of a fixture over each segment, including the Earth's rotation, in the fixture's frame.
 
-Recording begins where spin-up and settling have carried the table: half of rate × spin-up time, as it speeds up evenly, and rate × settling
-time after it. Over whole turns where it began makes no difference.
+Recording begins at the angle that the table reaches by spin-up and settling: half of rate × spin-up time, because its acceleration is
+constant, plus rate × settling time. For whole turns the initial angle makes no difference.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ WHOLE = 1e-3  # of a turn, by which a dwell in whole turns may miss
 
 
 def as_recording_begins(segments: Sequence[Segment], site: Site, table: TableModel | None) -> tuple[Segment, ...]:
-    """The segments with the attitude that they have when recording begins."""
+    """The segments with their attitude when recording begins."""
     known: dict[object, float] = {}
     return tuple(_carried(segment, site, table, known) for segment in segments)
 
@@ -44,7 +44,7 @@ def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[floa
 
 
 def recorded_seconds(recorded: RecordedSegment) -> float | None:
-    """How long the mean was taken: each sample stands for one interval."""
+    """Duration of the mean: each sample represents one interval."""
     return recorded.statistics.duration if recorded.statistics.count > 1 else recorded.segment.dwell
 
 
@@ -77,7 +77,7 @@ def _carried(segment: Segment, site: Site, table: TableModel | None, known: dict
 
 
 def _acceleration(attitude: Array, motion: Spin, site: Site, table: TableModel | None) -> float:
-    """Of the table's axis that spins [rad/s²]; infinite where nothing is known of the table."""
+    """Acceleration of the spinning axis [rad/s²]; infinite if the table is not known."""
     if table is None:
         return math.inf
     try:

@@ -1,8 +1,8 @@
 """Drift of the zero between the readings before and after the rates, as far as it exceeds the effects that are already included.
 
-The zeros have noise, which the data's part of an uncertainty holds; so have zeros with declared flicker, whose drift is that flicker, seen
-once in each series. A drift counts by itself only where it is larger than these make it, or every interval would be widened by noise
-that is in it already.
+The type A uncertainty includes the noise of the zeros. With declared flicker it also includes the flicker, of which the drift of a series
+is one sample. A drift is added separately only if it is larger than both explain; otherwise every interval would include the same noise
+twice.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ Array = NDArray[np.float64]
 
 
 def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -> float:
-    """Half of the drift of an axis's zero, in root mean square over temperatures and repeats, without what its noise makes of it.
+    """Half of the drift of an axis's zero, in root mean square over temperatures and repeats, without the contribution of its noise.
 
-    sigma: (N,), standard uncertainty of each segment's mean. shared: only the part that all repeats share, noise and all.
+    sigma: (N,), standard uncertainty of each segment's mean. shared: only the part common to all repeats, including noise.
     """
     drifts = [group.drift[:, axis] for group in groups]
     if shared:
@@ -34,9 +34,9 @@ def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -
 
 
 def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[CorrelatedError]) -> set[int]:
-    """Axes whose zeros moved further than noise and declared flicker let them: χ² of all drifts, at 1 %.
+    """Axes whose zeros drifted more than noise and declared flicker explain: χ² of all drifts, at 1 %.
 
-    sigma: (N, m), standard uncertainty of each segment's mean from noise; where noise and flicker are zero, any drift is further.
+    sigma: (N, m), standard uncertainty of each segment's mean from noise; without noise and flicker, any drift is too large.
     """
     from scipy.special import chdtrc
 
@@ -53,8 +53,8 @@ def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[Corre
 
 
 def moved_alike(groups: Sequence[Group]) -> set[int]:
-    """Axes whose zeros moved alike in all repeats, further than their scatter from repeat to repeat explains: F of the mean drifts at the
-    temperatures by that scatter, at 1 %. Every group has two repeats or more."""
+    """Axes whose zeros drifted in the same way in all repeats, by more than the scatter from repeat to repeat explains: F test of the mean
+    drifts at the temperatures against that scatter, at 1 %. Every group has two repeats or more."""
     from scipy.special import fdtrc
 
     freedom = sum(len(group.drift) - 1 for group in groups)
