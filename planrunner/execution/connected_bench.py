@@ -31,8 +31,8 @@ class ConnectedBench(Protocol):
     def limits(self) -> OwnLimits: ...
 
     def take_control(self, *names: str) -> None:
-        """From now on these instruments (by default all) are commanded and must be made safe. Called before the first command. Raises
-        `InstrumentError` if no watchdog guards the bench."""
+        """Announces that these instruments (by default all) are commanded from now on and must be made safe. Called before the first
+        command. Raises `InstrumentError` if no watchdog guards the bench."""
 
     @property
     def untouched(self) -> Sequence[str]:

@@ -119,7 +119,7 @@ class Lookout:
         return self._stop.at_once or self._lost is not None
 
     def begin_segment(self) -> None:
-        """From now on doubts are reported again."""
+        """Reset, so that doubts are reported again."""
         self._doubts.clear()
         self._last = -math.inf
 

@@ -1,1 +1,1 @@
-"""From a recording to what may be fitted: samples, still spans, means with their covariance, and temperatures, beside the planned state."""
+"""From a recording to data for fits: samples, still spans, means with their covariance, and temperatures, each with the planned state."""

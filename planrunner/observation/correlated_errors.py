@@ -24,9 +24,8 @@ _RESOLVED = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorrelatedError:
-    """changes: for each output that it acts on, by its place, (n, r): change of each observation per unit of each input. parts: names of
-    the r inputs, as for `Influence`. within: for each output, (n,), what of the variance that is seen within the segments it makes, per
-    unit² of the input."""
+    """changes: (n, r) by index of the affected output: change of each observation per unit of each input. parts: names of the r inputs, as
+    for `Influence`. within: for each output, (n,), its part of the variance within the segments, per unit² of the input."""
 
     quantity: InputQuantity
     changes: Mapping[int, Array]
@@ -34,13 +33,13 @@ class CorrelatedError:
     within: Mapping[int, Array] = field(default_factory=dict)
 
     def covariance(self, one: int, other: int) -> Array | float:
-        """What it adds to the covariance between the observations of two outputs, (n, n); 0.0 where it acts on one of them alone."""
+        """Its part of the covariance between the observations of two outputs, (n, n); 0.0 if it acts on only one of them."""
         if one not in self.changes or other not in self.changes:
             return 0.0
         return np.asarray(self.quantity.standard_uncertainty**2 * (self.changes[one] @ self.changes[other].T))
 
     def through(self, functionals: Array, in_scatter: bool = False) -> Influence:
-        """On q quantities that follow the observations by functionals, (q, m, n)."""
+        """Influence on q quantities that are linear functions of the observations, given by functionals (q, m, n)."""
         moved = sum(functionals[:, output] @ change for output, change in self.changes.items())
         return Influence(self.quantity, np.asarray(moved), in_scatter, self.parts)
 
@@ -53,14 +52,14 @@ def functionals_of(gains: Array) -> Array:
 
 
 def explained(effects: Sequence[CorrelatedError], output: int) -> Array | float:
-    """What of the variance that is seen within the segments the effects make, (n,)."""
+    """Part of the variance within the segments that the effects cause, (n,)."""
     shares = (one.quantity.standard_uncertainty**2 * one.within[output] for one in effects if output in one.within)
     return sum(shares, 0.0)
 
 
 def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> Array:
     """Changes of the n observations of each output per standard uncertainty of every input, (outputs, n, r); 0 where an effect does not
-    act. With L of two outputs, L·Lᵀ is what the effects add to the covariance between their observations."""
+    act. With the L of two outputs, L·Lᵀ is the contribution of the effects to the covariance between their observations."""
     roots = []
     for effect in effects:
         columns = next(iter(effect.changes.values())).shape[1]
@@ -72,7 +71,7 @@ def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> A
 
 
 def mixed(spread: Array, roots: Array) -> Array:
-    """Covariance (…, n, n) of outputs' observations: noise of standard uncertainty `spread` (…, n), and what the effects add to it by
+    """Covariance (…, n, n) of outputs' observations: noise of standard uncertainty `spread` (…, n), and the contribution of the effects by
     `roots` (…, n, r)."""
     covariance = np.asarray(roots @ roots.swapaxes(-1, -2))
     i = np.arange(spread.shape[-1])

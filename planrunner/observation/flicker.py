@@ -1,9 +1,9 @@
-"""Bias instability of an output as it reaches the means of segments: flicker noise, whose slow part ties all segments of a test together.
+"""Effect of an output's bias instability on the means of segments: flicker noise, whose slow part correlates all segments of a test.
 
-Flicker has the one-sided density B²/(π·f) (IEEE Std 952, where B is the coefficient of bias instability). Its power has no lower
-end, so a constant has no value of its own: it is what the output drifts about over some span. Here that span is stated, and a
-constant means the average over the span around the test. Then no frequency has to be cut off: the covariance of means less the average
-over the span is finite, the kernel being −ln|t − t′|/π, whose double integrals over segments are known in closed form.
+Flicker has the one-sided density B²/(π·f) (IEEE Std 952, where B is the coefficient of bias instability). Its spectrum has no lower limit,
+so a constant is defined only as the average over some span. Here that span is stated, and a constant means the average over the span around
+the test. No cut-off frequency is then needed: the covariance of means less the average over the span is finite. Its kernel is −ln|t −
+t′|/π, whose double integrals over segments are known in closed form.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def drift_span() -> Quantity:
 
 
 def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
-    """One for each output whose bias instability is stated. span: s."""
+    """One effect for each output whose bias instability is stated. span: s."""
     outputs = observations.channels
     stated = {
         k: quantity for k, name in enumerate(outputs) if (quantity := inputs.of_output(Aspect.BIAS_INSTABILITY, name))
@@ -51,7 +51,7 @@ def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> t
 def mean_covariance(start: Array, end: Array, span: float) -> Array:
     """Covariance (n, n) of the means of flicker with B = 1 over n segments, less its average over `span` around them.
 
-    start, end: (n,), s. A span shorter than from the first start to the last end is taken to be that long.
+    start, end: (n,), s. A span shorter than the time from the first start to the last end is replaced by that time.
     """
     first, last = float(start.min()), float(end.max())
     middle, half = (first + last) / 2, max(span, last - first) / 2
@@ -64,8 +64,8 @@ def mean_covariance(start: Array, end: Array, span: float) -> Array:
 def _mean_logarithm(low: Array, high: Array) -> Array:
     """Average of ln|t − t′| over t in one interval and t′ in another, (n, n).
 
-    From the second antiderivative x²·ln|x|/2 − 3x²/4 at the four differences of the ends; of intervals that are short beside their
-    distance d, where these differences cancel, from ln d − (a² + b²)/(24·d²), whose next term is of fourth order in a/d and b/d.
+    From the second antiderivative x²·ln|x|/2 − 3x²/4 at the four differences of the ends; for intervals that are short compared with their
+    distance d, where these differences cancel, from ln d − (a² + b²)/(24·d²), with an error of fourth order in a/d and b/d.
     """
     length = high - low
 
@@ -87,9 +87,10 @@ def _mean_logarithm(low: Array, high: Array) -> Array:
 
 
 def scatter_within(batches: NDArray[np.int64]) -> Array:
-    """What flicker with B = 1 adds to the square of a mean's standard error, as it is taken from b batch means, (n,): ln b/(π·(b − 1)).
+    """Contribution (n,) of flicker with B = 1 to the square of a mean's standard error that is estimated from b batch means: ln b/(π·(b −
+    1)).
 
-    A mean over T has the variance (c − ln T + 3/2)/π, whatever c; that of a batch less that of all is ln b/π.
+    A mean over T has the variance (c − ln T + 3/2)/π with some constant c; the variance of a batch minus that of all is ln b/π.
     """
     b = np.maximum(batches, 2).astype(float)
     return np.where(batches > 1, np.log(b) / (np.pi * (b - 1)), 0.0)

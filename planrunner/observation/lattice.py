@@ -1,5 +1,5 @@
-"""Detection of a channel's count, the step of which all values are multiples: levels on a hundredth of the declared count, collected
-piece by piece."""
+"""Detection of a channel's count, the step of which all values are multiples: levels in hundredths of the declared count, collected piece
+by piece."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def settled(levels: Array) -> bool:
 
 
 def seen_levels(values: Array, step: float) -> Array:
-    """The levels of values (N,), taken piece by piece until further ones can change nothing."""
+    """The levels of values (N,), collected piece by piece until further ones cannot change the result."""
     levels = np.empty(0)
     for first in range(0, len(values), _PIECE):
         levels = np.union1d(levels, levels_of(values[first : first + _PIECE], step))

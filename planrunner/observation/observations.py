@@ -1,4 +1,4 @@
-"""Observations: the segments' means of some channels, with what the scatter within the segments says of their uncertainty."""
+"""Observations: the segments' means of some channels, with their uncertainty from the scatter within the segments."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ SIGNIFICANCE = 0.01  # of the tests that choose weights and that compare the two
 class Observations:
     """Means of k channels over n segments, in the channels' units.
 
-    mean: (n, k). standard_error: (n, k), of each mean from its own segment, NaN where the segment is too short. batches: (n,)
-    from which it comes. start, end: (n,), of what was recorded, half-open, s on the run's clock. correlation: (k, k) between the channels'
-    samples, over all segments. expected: of a schedule, not of a recording: means without noise, and the noise that is declared.
+    mean: (n, k). standard_error: (n, k), of each mean from its own segment, NaN if the segment is too short. batches: (n,), number of
+    batches for it. start, end: (n,), of the recorded interval, half-open, s on the run's clock. correlation: (k, k) between the channels'
+    samples, over all segments. expected: from a schedule, not from a recording: means without noise, and the declared noise.
     """
 
     channels: tuple[str, ...]
@@ -42,14 +42,15 @@ class Observations:
 
     @property
     def seconds(self) -> Array:
-        """Time that was recorded, (n,)."""
+        """Recorded time, (n,)."""
         return self.end - self.start
 
 
 @dataclass(frozen=True, slots=True)
 class WithinSegmentNoise:
-    """Within-segment standard uncertainty of one channel's means. sigma: (n,), all positive. known: False where nothing could be learnt
-    from within the segments; sigma is then 1. weighting: 'pooled' over the segments or 'individual'. degrees_of_freedom: of sigma."""
+    """Within-segment standard uncertainty of one channel's means. sigma: (n,), all positive. known: False if the samples within the
+    segments give no information; sigma is then 1. weighting: 'pooled' over the segments or 'individual'. degrees_of_freedom: those of
+    sigma."""
 
     sigma: Array
     known: bool
@@ -63,7 +64,7 @@ class WithinSegmentNoise:
 
 
 def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor: SensorModel) -> Observations:
-    """The observations of some channels. Raises `EstimationError` for a channel that is missing, changes its unit, or has no samples."""
+    """The observations of some channels. Raises `EstimationError` if a channel is missing, changes its unit, or has no samples."""
     if not segments:
         raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
     places: dict[tuple[str, ...], list[int]] = {}
@@ -110,7 +111,7 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
 
 
 def recorded_times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
-    """Beginnings and ends [s]; beginnings as they were planned where the recorded ones are not on one clock, so that segments overlap."""
+    """Beginnings and ends [s]; the planned beginnings if the recorded ones are not on one clock, so that segments overlap."""
     start = np.array([recorded.statistics.start for recorded in segments])
     length = np.array([max(recorded.statistics.duration, 1e-9) for recorded in segments])
     order = np.argsort(start)
@@ -125,10 +126,10 @@ def within_segment_noise(
 ) -> WithinSegmentNoise:
     """The noise of one channel's means, for weights and for uncertainties.
 
-    The variance of a mean, times its recorded time, is pooled over the segments unless Bartlett's test (Snedecor and Cochran,
-    Statistical Methods, 13.10) finds that it differs between them; then each segment keeps its own. So equal noise gives weights
-    by recorded time only, and chance differences between short segments do not become weights. explained: (n,), variance of the means' own
-    that is known to be something else, which is taken off.
+    The variance of a mean, times its recorded time, is pooled over the segments unless Bartlett's test (Snedecor and Cochran, Statistical
+    Methods, 13.10) finds that it differs between them; then each segment keeps its own. So equal noise gives weights by recorded time only,
+    and chance differences between short segments do not become weights. explained: (n,), part of the variance of the means that has another
+    known cause and is subtracted.
     """
     error = observations.standard_error[:, channel]
     if observations.expected:
@@ -149,12 +150,12 @@ def within_segment_noise(
 
 
 def _left(variance: Array, explained: Array | float) -> Array:
-    """Standard uncertainties (n,) when a part of the variance is explained, but not less than a hundredth of what was seen."""
+    """Standard uncertainties (n,) without the explained part of the variance, but at least a hundredth of the observed ones."""
     return np.sqrt(np.maximum(variance - explained, _LEAST**2 * variance))
 
 
 def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
-    """Bartlett's test of g positive variances (g,) with their degrees of freedom (g,) against their pooled one."""
+    """Bartlett's test of g positive variances (g,) with their degrees of freedom (g,) against the pooled variance."""
     from scipy.special import chdtrc
 
     total, groups = float(degrees.sum()), len(degrees)
@@ -169,7 +170,7 @@ def dithered(sensor: SensorModel, channel: str, variance: float) -> bool:
 
 
 def _rounding(sensor: SensorModel, channel: str, variance: float) -> float:
-    """What rounding to counts adds to the uncertainty of a mean: resolution/√12 where the noise is too small to dither it."""
+    """Contribution of rounding to counts to the uncertainty of a mean: resolution/√12 if the noise is too small to dither it."""
     output = sensor.output(channel)
     return output.noise.resolution / np.sqrt(12) if output and not dithered(sensor, channel, variance) else 0.0
 

@@ -1,4 +1,4 @@
-"""Why a recording cannot give what is asked of it: in a diagnosis, or in an estimate."""
+"""Errors for recordings that are not suitable for a diagnosis or an estimate."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ class ObservationError(Exception):
 
 
 class EstimationError(Exception):
-    """The data or the segments cannot give this estimate. The message says why, for a quality engineer.
+    """The data or the segments are not suitable for this estimate. The message gives the reason, for a quality engineer.
 
-    hint: what to do, where other segments or another estimator would not help. key: of the estimate, where one is to be mended.
+    hint: the remedy, if other segments or another estimator would not help. key: the key of the estimate that must be corrected, if there
+    is one.
     """
 
     def __init__(self, message: str, hint: str = "", key: str = ""):
@@ -24,4 +25,4 @@ class EstimationError(Exception):
 
 
 class UnfitDataError(EstimationError):
-    """The plan asks for what can be estimated, and what was recorded does not give it: the item or the recording is in question."""
+    """The plan is correct, but the recorded data are not suitable for the estimate: the item or the recording is in question."""

@@ -1,4 +1,4 @@
-"""Still spans in a long recording, found while it streams past: where the standard deviation in a sliding window stays small."""
+"""Still spans in a long recording, found in one pass: spans in which the standard deviation in a sliding window stays small."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class StillSpan:
 def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSpan]:
     """The still spans of a recorded segment with their means, in one pass over its samples, block by block.
 
-    A sample is still when, in the window of length `detection.window` centred on it, the standard deviation of every channel
-    stays below `detection.threshold`; a span is a run of still samples at least `at_least` long. It so keeps half a window away from
-    the motion at either end. A window across a gap in time or a missing value is not still. Raises `EstimationError`.
+    A sample is still when, in the window of length `detection.window` centred on it, the standard deviation of every channel stays below
+    `detection.threshold`; a span is a run of still samples at least `at_least` long. The span therefore stays half a window away from the
+    motion at both ends. A window across a gap in time or a missing value is not still. Raises `EstimationError`.
     """
     limits = _limits(recorded, detection)
     found: list[StillSpan] = []
@@ -70,7 +70,7 @@ def longest_span(dwell: float, detection: Detection) -> float:
 
 
 def detection_limits(detection: Detection, units: Mapping[str, str], what: str) -> Array:
-    """The threshold in each channel's own unit, shape (k,). units: of the channels that `what` has. Raises `EstimationError`."""
+    """The threshold in each channel's own unit, shape (k,). units: those of the channels of `what`. Raises `EstimationError`."""
     limits = []
     for channel in detection.channels:
         if channel not in units:
@@ -89,7 +89,7 @@ def detection_limits(detection: Detection, units: Mapping[str, str], what: str) 
 def _centred(
     recorded: RecordedSegment, detection: Detection, limits: Array
 ) -> Iterator[tuple[Array, Array, NDArray[np.bool_], int]]:
-    """For each stretch of samples that are the centre of a window: time, values (n, k), whether still, and samples a window."""
+    """For each stretch of samples that are centres of windows: time, values (n, k), whether still, and samples per window."""
     window = detection.window.value
     times, values = np.empty(0), np.empty((0, len(limits)))
     length = 0
@@ -125,7 +125,7 @@ def _sliding_variance(values: Array, length: int) -> Array:
 
 @dataclass
 class _Growing:
-    """A span that goes on: sums of batches of `size` samples; batches are joined in pairs when they become many."""
+    """A span that has not ended: sums of batches of `size` samples; batches are joined in pairs if there are too many."""
 
     size: int
     period: float
@@ -137,7 +137,7 @@ class _Growing:
 
     @property
     def span(self) -> Span:
-        """From the first sample to a period after the last."""
+        """The span from the first sample to one period after the last."""
         return Span(self.start, self.last + self.period)
 
     def add(self, times: Array, values: Array) -> None:

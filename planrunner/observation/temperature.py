@@ -48,7 +48,7 @@ def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> 
 def smoothed(time: Array, values: Array) -> Temperature:
     """A polynomial through a segment's values, (n,), and its derivative: a thermometer's noise must not become a stimulus.
 
-    Coefficients are added as long as each gains `_WORTH` in likelihood: a constant temperature needs one, an approach to a setpoint
+    Coefficients are added while each of them gains `_WORTH` in likelihood: a constant temperature needs one, an approach to a setpoint
     several.
     """
     middle, half = (time[0] + time[-1]) / 2, max((time[-1] - time[0]) / 2, 1e-9)
@@ -89,7 +89,7 @@ def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Arra
 
 
 def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Array:
-    """Sign of the last change of temperature in every segment, (S,): from setpoints where they are planned, else from means."""
+    """Sign of the last change of temperature in every segment, (S,): from setpoints if they are planned, otherwise from means."""
     signs, last, before = [], 0.0, None
     for item, mean in zip(recording, means, strict=True):
         now = item.segment.ramp_to if item.segment.ramp_to is not None else item.segment.temperature

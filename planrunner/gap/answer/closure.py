@@ -82,7 +82,8 @@ class KnownCause:
 
 @dataclass(frozen=True)
 class _Fold:
-    """residual, difference: (m,), whitened; signatures: of every choice, (m, p); told: information (p, p) of the other segments on it."""
+    """residual, difference: (m,), whitened; signatures: of every choice, (m, p); told: information (p, p) from the other segments about
+    it."""
 
     residual: Array
     difference: Array
@@ -112,8 +113,8 @@ def closure(weighing: Weighing, choices: Sequence[FoldChoice], beyond: float) ->
 def predictions(
     weighing: Weighing, choices: Sequence[FoldChoice], change: Array, worth: float = WORTH
 ) -> tuple[Array, Array]:
-    """What a known change of the outputs, coefficients (M, K), is in held-out segments, and what is predicted there: g and d, (m,). For
-    whoever knows the truth. worth: log BF in a fold from which on one of the choices is taken up there."""
+    """The effect g (m,) of a known change of the outputs, coefficients (M, K), in held-out segments, and its prediction d (m,). For tests
+    with a known truth. worth: log BF from which a fold selects one of the choices."""
     gap, difference = [], []
     for held in held_out(weighing):
         rows = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
@@ -140,8 +141,8 @@ def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
 
 
 def _told(weighed: Weighed, number: int, folds: Sequence[_Fold]) -> float:
-    """The share of an effect's energy in held-out segments that the others determine: what its amplitudes, of the size that they seem to
-    have, leave unknown there. 0 where one segment alone shows it."""
+    """The share of an effect's energy in held-out segments that the other segments determine, for amplitudes of the estimated size. 0 if
+    only one segment shows the effect."""
     size = best_scales(weighed.gram[0], weighed.score[0], weighed.variant.widths)
     shown = left = 0.0
     for fold in folds:
@@ -241,7 +242,7 @@ class _Rows:
         return whitened - self.basis @ (self.basis.T @ whitened)
 
     def predict(self, signatures: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Held-out residual (m,) without an effect, and what signatures (M, p) change in the prediction, (m, p), both whitened.
+        """Held-out residual (m,) without an effect, and the change (m, p) of the prediction by signatures (M, p), both whitened.
 
         The nominal parameters are fitted to the chosen rows without and with the effect; their covariance adds to the held-out noise: with
         U its whitened root, (I + UUᵀ)^−½ acts in the span of U alone. The part that the chosen rows do not determine is projected out.

@@ -73,7 +73,7 @@ class Diagnosis:
     grounds: Grounds = field(repr=False)
 
     def to_json(self) -> JsonObject:
-        """Plain data as `schemas/diagnosis.schema.json` has it; NaN becomes null."""
+        """Plain data according to `schemas/diagnosis.schema.json`; NaN becomes null."""
         shut = self.closure
         plain = {
             "gap": {name: dict(entry) for name, entry in self.gap.items()},
@@ -174,8 +174,8 @@ def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
 def _choices(
     found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
 ) -> list[FoldChoice]:
-    """Among what a fold of the closure chooses: likely effects and pairs, whatever they say of the noise beside; but beside a walk of the
-    bias none is the whole cause."""
+    """Choices of the folds of the closure: likely effects and pairs, regardless of their settings of the noise. Together with a random walk
+    of the bias, no effect is the whole cause."""
     likely: dict[str, float] = {}
     for name, p in found.probability.items():
         parts = name.split("+")

@@ -1,4 +1,4 @@
-"""Information of segments that are not yet measured on given columns.
+"""Information from segments that are not yet measured about given columns.
 
 A segment is sampled like the recording, but only for a few seconds of whole turns and periods; the rest of its length is a repetition.
 """
@@ -32,7 +32,7 @@ _CHANGED = 1.0  # K
 
 @dataclass(frozen=True)
 class Foreseen:
-    """Information from a segment, in units of the noise. within: (P, P), per second; means: (K, P) of its mean, per channel."""
+    """Information from a segment, in units of the noise. within: (P, P), per second; means: (K, P), from its mean, per channel."""
 
     segment: Segment
     within: Array
@@ -58,8 +58,8 @@ def foresee(
 ) -> Iterator[Foreseen]:
     """Information of each segment if it followed the recording. white: (K,), standard deviation of a sample.
 
-    columns: for a recording, groups of columns; widths: of the groups, whose columns are distinguished by their order. Those that a channel
-    does not see are zero there.
+    columns: for a recording, groups of columns; widths: of the groups, whose columns are distinguished by their order. Columns that do not
+    affect a channel are zero there.
     """
     noise = white / math.sqrt(observed.sample_rate)
     flicker = np.array([channel.flicker for channel in observed.channels])
@@ -89,8 +89,8 @@ def following(
 ) -> tuple[Observed, list[slice]]:
     """The recording with segments without values appended, and the samples of each of them.
 
-    All but those `near` are stubs of a few samples, so that what an effect makes of the set of all segments, such as which orientations
-    there are, is the same however many are looked at closely.
+    All segments except those in `near` are stubs of a few samples. Properties of the set of all segments, such as its orientations,
+    therefore do not depend on the number of segments that are evaluated in full.
     """
     stubs = np.concatenate([np.arange(p.start, min(p.start + _STUB, p.stop)) for p in observed.segments()])
     counts = [min(_STUB, p.stop - p.start) for p in observed.segments()]
@@ -130,7 +130,7 @@ def following(
 
 
 def _times(segment: Segment, rate: float) -> Array:
-    """Sample times since the segment began: all of a ramp, else whole turns or periods for a few seconds."""
+    """Sample times since the beginning of the segment: all times of a ramp, otherwise whole turns or periods for a few seconds."""
     assert segment.dwell is not None
     span, begin = _SAMPLED, 0.0
     if segment.ramp_to is not None:

@@ -111,8 +111,8 @@ def _lasting(segments: Sequence[Segment], seconds: Seconds) -> float:
 
 
 def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Seconds) -> list[Foreseen]:
-    """Greedy choice, then without those that turned out not to be needed, and grouped by temperature. What any first takes before it
-    begins, such as soaking the sensor, speaks for none of them."""
+    """Greedy choice, then without segments that are not needed, and grouped by temperature. The time that every first segment needs before
+    it begins, such as a soak of the sensor, does not favour any of them."""
     size = len(options[0].within)
     held = [item.segment for item in options if item.segment.ramp_to is None] or [item.segment for item in options]
     ahead = min(seconds(None, segment) - (segment.dwell or 0.0) for segment in held)
@@ -207,14 +207,14 @@ def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[
 
 
 def _by_temperature(chosen: Sequence[Foreseen]) -> list[Foreseen]:
-    """Segments of one temperature together, temperatures in the order of their first."""
+    """The segments grouped by temperature, in the order of the first segment of each temperature."""
     order = list(dict.fromkeys(_warmth(item.segment) for item in chosen))
     return sorted(chosen, key=lambda item: order.index(_warmth(item.segment)))
 
 
 def _repeating(rivals: Sequence[Rival], recorded: Array, lasting: float, aim: float) -> tuple[float, float]:
-    """Seconds of repeating the recorded segments until the true explanation is expected with the probability `aim`, and what it then
-    is; the longest repetition looked at where that is not enough."""
+    """Time [s] of repeating the recorded segments until the true explanation has the expected probability `aim`, and the probability
+    reached; if this is not enough, the longest repetition considered."""
     for times in _REPEATS:
         reached = expected_probability(rivals, recorded * times)
         if reached >= aim:

@@ -35,7 +35,7 @@ class _Instrument:
 
 
 def helpful(weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]) -> str:
-    """The first instrument that would identify the true explanation, in words; empty where none of those considered would."""
+    """The first instrument that would identify the true explanation, in words; empty if none of them would."""
     few = [options[i] for i in np.unique(np.linspace(0, len(options) - 1, _LOOKED_AT).astype(int))]
     for instrument in _instruments(weighing):
         extended, information = _with(instrument, weighing, rivals, layout, few)
@@ -95,7 +95,7 @@ def _columns(layout: Layout, channels: tuple[Channel, ...]) -> Callable[[Observe
 
 
 def _seen(layout: Layout) -> Array:
-    """Information (P,) of pointing seen directly: on amplitudes of effects of the table that are angles."""
+    """Information (P,) from a direct measurement of pointing about the amplitudes of table effects that are angles."""
     found = [np.zeros(layout.widths[0])]
     for part, width in zip(layout.parts, layout.widths[1:], strict=True):
         columns = part.weighed.variant.columns

@@ -63,8 +63,8 @@ def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[
 
 
 def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
-    """The shape of an effect without amplitude that the data want the other way round: negative, in proportion to what it does. A delay
-    is that of the table's angle then."""
+    """The shape of an effect without amplitude for which the data require the opposite sign: negative, in proportion to its effect. A
+    negative delay is a delay of the table's angle."""
     (share,), ((variance,),) = best.amplitudes
     size = float(best.variant.shape or 0.0)
     return [

@@ -97,7 +97,7 @@ def _parts(name: str, found: Posterior, by_id: Mapping[str, Candidate]) -> tuple
 
 
 def _within(pair: Variant, candidate: Candidate) -> tuple[Weighed, slice] | None:
-    """The form of an effect that a pair is made of, and its columns there."""
+    """The form of an effect in a pair, and its columns there."""
     for form in candidate.variants:
         own = form.variant.columns
         for part in (slice(0, len(own)), slice(len(pair.columns) - len(own), None)):

@@ -112,7 +112,7 @@ def _oblique() -> list[Array]:
 
 
 def _largest_rate(recorded: Sequence[Segment], models: BenchModels) -> float:
-    """rad/s: of the table and the gyros' full scale; of a recording, as far as it went."""
+    """rad/s, limited by the table and the gyros' full scale; for a recording, the largest recorded rate."""
     visited = max((abs(item.motion.rate) for item in recorded if isinstance(item.motion, Spin)), default=0.0)
     if models.table is None:
         return visited / RATE_SHARES[0]
@@ -137,7 +137,8 @@ def _rocking(recorded: Sequence[Segment], models: BenchModels) -> Iterator[tuple
 
 
 def _temperatures(recorded: Sequence[Segment], models: BenchModels) -> list[float | None]:
-    """K; the most usual first, None where the plan leaves the chamber alone. Everyday ones are offered beside a single one."""
+    """K; the most frequent first, None if the plan does not set the chamber. In addition to a single temperature, common ones are
+    offered."""
     stated = [item.temperature for item in recorded if item.temperature is not None]
     visited = list(dict.fromkeys(round(kelvin, 2) for kelvin in stated))
     visited.sort(key=lambda kelvin: -sum(round(other, 2) == kelvin for other in stated))
@@ -156,7 +157,7 @@ def _temperatures(recorded: Sequence[Segment], models: BenchModels) -> list[floa
 def _ramps(
     recorded: Sequence[Segment], models: BenchModels, place: Array, warm: Sequence[float | None]
 ) -> Iterator[MenuEntry]:
-    """Changes of temperature that are recorded while they happen, from the most usual temperature."""
+    """Temperature ramps that are recorded while they happen, from the most frequent temperature."""
     if models.chamber is None:
         done = {(item.ramp_to, item.dwell) for item in recorded if item.ramp_to is not None}
         ramps = [(kelvin, dwell or 0.0) for kelvin, dwell in done]

@@ -1,9 +1,9 @@
 """From a posterior to a verdict: none, one effect, a pair, unknown, or a class of effects that this plan cannot distinguish.
 
-An effect that explains nearly all of a gap is named, whatever else there is; the rest is reported as a remainder. Such a rest may be terms
-of the full nominal model that a poorer one lacks: a sensor whose simulation has no bias has one, and a small swing in a way that no
-hypothesis has beside the bias must not keep the bias from its name. And effects may be so strong that their idealised form shows: what a
-flexible "something else" gains on them is then residue of the form.
+An effect that explains nearly all of a gap is named, whatever else there is; the rest is reported as a remainder. The remainder may be
+terms of the full nominal model that a reduced one lacks: if the simulation of a sensor has no bias, a small additional deviation that no
+hypothesis explains must not prevent the naming of the bias. Effects can also be so strong that the difference from their idealised form is
+visible: the energy that a flexible "something else" then explains is form residue.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ REPLICATES = 400
 SEED = 20
 _LEVELS = 4  # bins of temperature and time
 _NEAR = math.sqrt(2 - 2 * 0.999)
-"""Smallest cosine between an axis and a direction whose word names it."""
+"""Smallest cosine between an axis and a direction for which the direction's word is used."""
 _LIVES = {
     "temperature": "temperature",
     "time": "time",
@@ -82,7 +82,7 @@ def places(weighing: Weighing, kinds: Mapping[str, Array]) -> list[MisfitPlace]:
 
 
 def _by_factor(noisier: Array, kinds: Mapping[str, Array]) -> dict[str, Array]:
-    """log BF (K,) of each factor. noisier: (K,), of more white noise than declared."""
+    """log BF (K,) of each factor. noisier: log BF (K,) of more white noise than declared."""
     sorted_: dict[str, list[Array]] = {"band": [noisier]}
     for name, values in kinds.items():
         sorted_.setdefault(factor_of(name), []).append(values)

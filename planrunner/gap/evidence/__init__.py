@@ -1,1 +1,1 @@
-"""Evidence: a recording whitened by its noise, and how much better some amplitudes explain it."""
+"""Evidence: a recording whitened by its noise, and how much better certain amplitudes explain it."""

@@ -1,12 +1,12 @@
 """Bayes factors: evidence for amplitudes against none.
 
-An effect's strength is its energy λ: that of its signature, free of the nominal parameters, in units of the noise. Directions of the
-amplitudes are those of N(0, D) and λ is log-uniform from `WEAKEST` to `STRONGEST`: weaker effects cannot be distinguished from none and
-count as none. Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same directions and any λ, so the evidence is that of the Gaussian
-model, log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c with G the signatures' Gram matrix and c their product with the data,
-times the posterior probability that λ = θᵀGθ is `WEAKEST` or more, integrated over log s². λ is then a sum of scaled non-central χ²; its
-distribution is taken as that of a scaled χ² with the same mean and variance (Patnaik, Biometrika 36, 1949). Above `STRONGEST` the density
-continues, because a stronger effect is still that effect.
+The strength of an effect is its energy λ: the energy of its signature, without the part that the nominal parameters absorb, in units of the
+noise. The amplitudes have the directions of N(0, D) and λ is log-uniform from `WEAKEST` to `STRONGEST`: weaker effects cannot be
+distinguished from none and count as none. Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same directions and any λ, so the
+evidence is that of the Gaussian model, log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c with G the signatures' Gram matrix and c
+their product with the data, times the posterior probability that λ = θᵀGθ is `WEAKEST` or more, integrated over log s². λ is then a sum of
+scaled non-central χ²; its distribution is approximated by a scaled χ² with the same mean and variance (Patnaik, Biometrika 36, 1949). Above
+`STRONGEST` the density continues, because a stronger effect is still that effect.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def gaussian(grown: Array, gain: Array) -> Array:
 
 
 def strong_enough(mean: Array, variance: Array) -> Array:
-    """log of the probability that an energy of this mean and variance is `WEAKEST` or more."""
+    """log of the probability that an energy with this mean and variance is `WEAKEST` or more."""
     from scipy.special import gammaincc
 
     variance = np.maximum(variance, 1e-300)
@@ -101,8 +101,8 @@ def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
 
 
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:
-    """log BF of two effects together: columns 0 … first − 1 and the rest, each with its own s² on the grid `energies`; both are as
-    strong as `WEAKEST` or more."""
+    """log BF of two effects together: columns 0 … first − 1 and the rest, each with a separate s² on the grid `energies`; both have at
+    least the strength `WEAKEST`."""
     p = len(score)
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
     root = np.sqrt(np.where(np.arange(p) < first, one.ravel()[:, None], two.ravel()[:, None]))
@@ -125,7 +125,7 @@ def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[f
 
 
 def log_mean_exp(values: Array, axis: int, weights: Array | None = None) -> Array:
-    """log of the mean of exp along an axis, with weights (their sum 1) where given."""
+    """log of the mean of exp along an axis, with weights (of sum 1) if given."""
     top = np.max(values, axis=axis, keepdims=True)
     top = np.where(np.isfinite(top), top, 0.0)
     grown = np.exp(values - top)

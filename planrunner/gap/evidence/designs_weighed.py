@@ -65,8 +65,9 @@ def eigen(left: Left, design: Array | Rows) -> Eigen:
 
 
 def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
-    """Rows as columns by themselves: their Gram matrix is diagonal but for what the nominal parameters take. Of the rows of one weight that
-    concerns no more directions than there are parameters; the others are eigenvectors as they are, and share what is along them."""
+    """Rows as separate columns: their Gram matrix is diagonal except for the part that the nominal parameters absorb. Among rows of equal
+    weight, this part has no more directions than there are parameters; all directions orthogonal to it are eigenvectors with a common
+    eigenvalue."""
     if not len(at):
         return np.zeros(0), np.zeros(0)
     scale = left.weight.scale[at]
@@ -92,6 +93,6 @@ def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
 
 
 def _seen(values: Array, along: Array, largest: float) -> Eigen:
-    """Without directions that the nominal parameters take whole. largest: energy of a column before that."""
+    """Without directions that the nominal parameters absorb completely. largest: energy of a column before the projection."""
     seen = values > _NOTHING**2 * largest
     return values[seen], along[seen]

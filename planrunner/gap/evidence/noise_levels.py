@@ -91,14 +91,14 @@ def _normal(x: Array | float, sigma: float) -> Array:
 
 
 def _within_two(x: Array | float) -> Array:
-    """Uniform in the logarithm over a factor of two either way, with edges of 10 %, and a floor for what is beyond."""
+    """Uniform in the logarithm up to a factor of two in both directions, with edges of 10 %, and a floor beyond them."""
     edge = 0.1
     top = 1 / (1 + np.exp(np.minimum((np.abs(x) - np.log(2.0)) / (edge / 4), 500.0)))
     return np.asarray(top / (2 * np.log(2.0)) + 1e-9)
 
 
 def _declared(excess: Mapping[str, Array | float], sigma: float) -> Array:
-    """Log density of an excess by triad, or of as many as the arrays hold."""
+    """Log density of an excess by triad, for all elements of the arrays."""
     width = float(np.hypot(HOLDS, sigma))
     holds, each = np.ones(()), np.ones(())
     for x in excess.values():
@@ -110,5 +110,5 @@ def _declared(excess: Mapping[str, Array | float], sigma: float) -> Array:
 
 
 def _larger(excess: Mapping[str, float], sigma: float) -> float:
-    """The gyros' level is the declared one, right or wrong, times any excess."""
+    """The level of the gyros is the declared level, right or wrong, times an excess."""
     return float(log_mean_exp(_declared({**excess, "gyro": excess["gyro"] - EXCESS}, sigma), 0))

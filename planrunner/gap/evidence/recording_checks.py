@@ -59,7 +59,7 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
 
 
 def check_observed(observed: Observed, where: str, log: Findings) -> None:
-    """Checks, by segment means, if segments can be held out and if the nominal model fits."""
+    """Checks, with segment means, that segments can be held out and that the nominal model fits."""
     mark = Mark(where)
     if observed.along is not None:
         _check_poses(observed, mark, log)
@@ -126,7 +126,7 @@ def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
 
 
 def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Whether poses in unknown orientations read the magnitude of gravity, and are enough to hold some out."""
+    """Whether poses in unknown orientations read the magnitude of gravity, and whether there are enough of them to hold some out."""
     expected = _means(observed, observed.seen(0, observed.force)[:, None])[:, 0]
     ratio = float(np.median(_means(observed, observed.values)[:, 0] / expected))
     if abs(ratio - 1) > MISFIT:
@@ -147,7 +147,7 @@ def _means(observed: Observed, values: Array) -> Array:
 
 
 def _check_overlaps(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
-    """Segments that share samples: evidence from them would count twice."""
+    """Segments that share samples, whose evidence would count twice."""
     used = [item for item in in_time_order(recording) if item.statistics.count > 1]
     for before, after in pairwise(used):
         shared = before.statistics.start + before.statistics.duration - after.statistics.start

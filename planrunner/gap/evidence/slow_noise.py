@@ -35,8 +35,8 @@ def ornstein_uhlenbeck(starts: Array, ends: Array, tau: float) -> Array:
 def flicker(starts: Array, ends: Array) -> Array:
     """Covariance (S, S) of segment means of flicker noise with a bias instability (floor of the Allan deviation) of 1.
 
-    Density h/f has the Allan variance 2·ln 2·h (IEEE Std 952, annex C); processes of variance v a factor r apart in correlation time add up
-    to the density v/(ln r·f) between their corners. So v = ln r/(2·ln 2).
+    Density h/f has the Allan variance 2·ln 2·h (IEEE Std 952, annex C); processes of variance v whose correlation times differ by a factor
+    r have the total density v/(ln r·f) between their corner frequencies. So v = ln r/(2·ln 2).
     """
     level = math.log(OCTAVES[1] / OCTAVES[0]) / (2 * math.log(2))
     total = np.zeros((len(starts), len(starts)))

@@ -41,8 +41,8 @@ class SpectralBasis:
 class Spectrum:
     """M coefficients of all segments, and the remainder. segment, frequency, harmonic: (M,). means: (S,), their index of order 0.
     values: (M, K), SI·√samples. energy: (S, B, K), SI², of the DCT-II of the remainder in bands, with `count` (S, B) coefficients.
-    remainder: (N, K), samples minus their components in the basis. spikes: (K,), samples replaced. Means over bins of k samples count
-    √k-fold in all of these, so that their white noise is that of a sample."""
+    remainder: (N, K), samples minus their components in the basis. spikes: (K,), samples replaced. Means over bins of k samples are
+    multiplied by √k in all of these, so that their white noise is that of a sample."""
 
     bases: tuple[SpectralBasis, ...]
     segment: NDArray[np.int64]
@@ -72,7 +72,8 @@ class Spectrum:
 
     @cached_property
     def runs(self) -> list[tuple[Array, slice]]:
-        """Consecutive segments with bases of one shape: these, (k, m, n) or one for all, (m, n), and the segments' samples."""
+        """Consecutive segments with bases of the same shape: the bases (k, m, n), or one basis (m, n) for all, and the samples of the
+        segments."""
         found, first = [], 0
         for _, run in groupby(self.bases, key=lambda basis: basis.vectors.shape):
             bases = list(run)
@@ -172,7 +173,7 @@ def spectrum(observed: Observed, reference: Array) -> Spectrum:
 
 
 def _roots(observed: Observed) -> Array | None:
-    """By how much the mean over a bin counts, (S,): as √size times a sample, which has the same noise. None where samples are held."""
+    """Weight of the mean over a bin, (S,): √size, which gives it the noise of a sample. None if the samples themselves are kept."""
     return None if observed.bins is None else np.sqrt(observed.bins.size)
 
 

@@ -4,9 +4,8 @@ A setting of the noise is a level of flicker and of random walk for each triad. 
 (order 0 jointly over the segments, the others one by one) and the nominal parameters, with a flat prior, are projected out. The rest is
 compared by the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
 
-Nominal parameters that a recording cannot separate (gravity that never lies along an axis, one orientation only, poses in unknown
-orientations) have the same columns as others, or none. They are made independent first: what they absorb is their common span, and no
-direction more.
+Nominal parameters that a recording cannot separate (gravity never along an axis, only one orientation, poses in unknown orientations) have
+dependent columns or columns of zeros. An independent basis of their columns is computed first, so that they absorb only their common span.
 """
 
 from __future__ import annotations
@@ -81,11 +80,11 @@ def lasting(observed: Observed) -> tuple[Array, Array]:
 
 
 def rounding_variance(count: float, sigma: float) -> float:
-    """Variance of a long mean's error by rounding to counts, for noise of standard deviation `sigma` before it, in the count's unit
-    squared.
+    """Variance of the error of a long mean by rounding to counts, for noise of standard deviation `sigma` before the rounding, in the
+    squared unit of the count.
 
-    The error of a mean is periodic in its place within a count, and Gaussian noise leaves exp(−2π²σ²/count²) of its first harmonic (Widrow
-    and Kollár, Quantization Noise, 2008, section 19.3); without noise its variance is count²/12.
+    The error is a periodic function of the mean's position within a count, and Gaussian noise multiplies its first harmonic by
+    exp(−2π²σ²/count²) (Widrow and Kollár, Quantization Noise, 2008, section 19.3); without noise its variance is count²/12.
     """
     return count**2 / 12 * float(np.exp(-4 * (np.pi * sigma / count) ** 2)) if count > 0 else 0.0
 
@@ -94,8 +93,8 @@ def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]
     """Weights and log likelihood (G,) of a channel, also for random walks of a triad with a common scale but separate densities per axis.
 
     Given the scale q an axis's density is |N(0, q²)|: the likelihood is the mean over the levels under that prior, and the weights are
-    those of the likeliest level. That level is estimated from data with any effect that is present: beside a strong one walks of one
-    density in all axes are nearer the truth, and are settings as well.
+    those of the likeliest level. That level is estimated from data that include any effect that is present. In the presence of a strong
+    effect, random walks with one density in all axes are closer to the truth; they are therefore settings too.
     """
     log = np.array([weight.log_likelihood for weight in weights])
     walks = np.array([setting.walk for setting in settings])
@@ -205,8 +204,8 @@ class ChannelWeights:
         return out
 
     def whitened_rows(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-        """Columns (n, P) in some rows (n,) of the coefficients, zero in all others: the rows that they act on once they are whitened, and
-        they there. Means are whitened jointly: each acts on all that follow."""
+        """For columns (n, P) in some rows (n,) of the coefficients, zero elsewhere: the rows on which they act after whitening, and their
+        whitened values there. Means are whitened jointly, so each acts on all that follow."""
         own = self._order_0[rows]
         if self._inverse is None or not own.any():
             return rows, columns * self.scale[rows, None]
@@ -250,8 +249,8 @@ class _Shared:
 
 
 def _table(part: Array) -> tuple[Array, int]:
-    """The table of samples that an array is a column of, and which: signatures of a triad are columns of one table and are projected
-    together, once."""
+    """The table of samples of which an array is a column, and the index of the column: signatures of a triad are columns of one table and
+    are projected together, once."""
     whole = part.base
     if isinstance(whole, np.ndarray) and whole.ndim == 2 and whole.flags.c_contiguous and len(whole) == len(part):
         offset = part.__array_interface__["data"][0] - whole.__array_interface__["data"][0]

@@ -1,7 +1,7 @@
 """Bursts: windows of some seconds with a shifted bias or larger noise, at random times in a run.
 
 Every window has a burst with the same small probability. Windows are taken from the remainder outside the span of the coefficients, which
-removes a part of each. A deviation that appears in most windows of segments with equal length is not a burst but slow noise.
+removes a part of each. If a deviation appears in most windows of segments of equal length, it is slow noise, not a burst.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
 
 
 def _summed(values: Array) -> Array:
-    """Sums (N + 1, K) of the first so many samples."""
+    """Cumulative sums (N + 1, K) of the samples, from zero samples on."""
     return np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
 
 
 def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: int) -> _Windows | None:
-    """Whole windows, from `begin` on of every segment at rest or turning. within: sums of every basis."""
+    """Whole windows from `begin` on, in every segment at rest or turning. within: sums of every basis."""
     observed, spectrum = weighing.observed, weighing.spectrum
     starts, lasting, kept = [], [], []
     known: dict[int, Array] = {}
@@ -100,11 +100,11 @@ def _evidence(both: tuple[Array, Array], windows: _Windows, size: int, scopes: S
 
 
 def _larger(energy: Array, degrees: float, added: Array) -> Array:
-    """log BF (W, K, E) of a variance that is larger by each of `added`, for energies (W, K) of so many degrees of freedom."""
+    """log BF (W, K, E) of a variance that is larger by each of `added`, for energies (W, K) with the given degrees of freedom."""
     return 0.5 * energy[:, :, None] * (added / (1 + added)) - 0.5 * degrees * np.log1p(added)
 
 
 def _here_and_there(windows: Array) -> float:
-    """log BF of bursts in some windows, each by chance, from that of one in each window at each energy, (W, E)."""
+    """log BF of bursts in random windows, from the log BF (W, E) of a burst in each window at each energy."""
     each = [np.logaddexp(np.log1p(-chance), np.log(chance) + windows).sum(0) for chance in CHANCES]
     return float(log_mean_exp(np.array(each).ravel(), 0))

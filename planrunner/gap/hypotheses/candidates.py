@@ -37,8 +37,8 @@ _FORMS = 5
 @dataclass(frozen=True)
 class Weighed:
     """A variant, whitened. gram (G, p, p), score (G, p) over settings; trace: energy of its columns after projection at the first
-    setting, kept:
-    its share of the energy before. by_channel: whitened, projected columns (M, p) at the first setting; raw: before that, in magnitudes."""
+    setting, kept: ratio of this energy to that before projection. by_channel: whitened, projected columns (M, p) at the first setting; raw:
+    before that, in magnitudes."""
 
     variant: Variant
     gram: Array = field(repr=False)
@@ -144,8 +144,8 @@ class Weighing:
             self.log_likelihood.append(likelihood)
 
     def fitted(self, taken: Sequence[Array] | None = None) -> Array:
-        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients, less those `taken` by an
-        effect, (M,) by channel."""
+        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients, minus the coefficients `taken`
+        by an effect, (M,) by channel."""
         out = self._reference.copy()
         for index, nominal in enumerate(self.whole):
             own = [column for column in self.nominal_columns if index in column.parts]

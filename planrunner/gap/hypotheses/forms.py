@@ -45,7 +45,7 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
 
 
 def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
-    """A strong nonlinear effect, by its secants at the most probable amplitudes, repeated as long as they explain more."""
+    """A strong nonlinear effect, approximated by its secants at the most probable amplitudes; repeated while this explains more."""
     for _ in range(_SETTLING):
         (best,) = usable
         size = np.array([column.magnitude for column in best.variant.columns])
@@ -60,7 +60,7 @@ def _settled(
     weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
     """A strong effect on the output, searched for at the fitted output: the nominal parameters are fitted together with its best form,
-    and the effect is evaluated again with the result, as long as that explains more."""
+    and the effect is evaluated again with the result; repeated while this explains more."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes.max()))
         seen = replace(weighing.observed, fitted=weighing.fitted([raw[:, 0] for raw in best.raw]))
@@ -79,8 +79,8 @@ def _settled(
 
 
 def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Observed) -> tuple[list[Weighed], Array]:
-    """Shapes between those of the grid, around the best, and the evidence by the trapezoidal rule, every interval of the grid
-    having the same prior.
+    """Shapes between those of the grid, around the best, and the evidence by the trapezoidal rule; every interval of the grid has the same
+    prior.
 
     Three rounds add four values between the best shape and each neighbour, enough for the sharp peak of an effect at a hundred standard
     deviations.

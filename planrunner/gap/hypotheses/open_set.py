@@ -32,9 +32,9 @@ LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
 
 @dataclass(frozen=True)
 class Kinds:
-    """Competitors, under names such as 'offset smooth in time'. log_bayes: (G,) of each against none over the settings of the noise, −∞
-    where the gyros' bias walks; several: (G,), of several sorts at once. by_channel: (K,) of each in one channel alone, at the first
-    setting."""
+    """Competitors, under names such as 'offset smooth in time'. log_bayes: (G,) of each against none over the settings of the noise, −∞ for
+    settings with a random walk of the gyros' bias; several: (G,), of several sorts at once. by_channel: (K,), of each in one channel alone,
+    at the first setting."""
 
     log_bayes: dict[str, Array]
     several: Array
@@ -94,7 +94,7 @@ def _several(patterns: _Patterns, channels: list[Left], found: dict[str, Array])
 
 
 def _sort(name: str) -> str:
-    """Of a pattern; "" for one that lives in the coefficients of more than one sort."""
+    """The sort of a pattern; "" for a pattern in the coefficients of more than one sort."""
     word = name.split()[0]
     if name in SPANNING:
         return ""
@@ -102,7 +102,7 @@ def _sort(name: str) -> str:
 
 
 def _by_sort(found: dict[str, Array]) -> dict[str, float]:
-    """Their evidence by sort, without patterns that span sorts: what these explain would count twice."""
+    """The evidence by sort, without patterns that span several sorts, because these would count twice."""
     sorts: dict[str, list[float]] = {}
     for name, value in found.items():
         if sort := _sort(name):
@@ -116,13 +116,13 @@ def _maybe(log_bayes: float) -> float:
 
 
 def _scopes(weighing: Weighing) -> list[list[int]]:
-    """Every channel alone, then triads."""
+    """Scopes: every channel alone, then triads."""
     triads = [members for kind in ("gyro", "accel") if len(members := weighing.observed.of_kind(kind)) > 1]
     return [[index] for index in range(len(weighing.observed.channels))] + triads
 
 
 class _Patterns:
-    """All patterns of the coefficients, and what was found of them: settings of the noise share the weights of a triad."""
+    """All patterns of the coefficients, with their results: settings of the noise share the weights of a triad."""
 
     def __init__(self, weighing: Weighing):
         self.designs, self.repeating, self.sorts = list(designs(weighing)), Repeating(weighing), sorts(weighing)
@@ -130,7 +130,7 @@ class _Patterns:
         self._known: dict[tuple[str, Left], Eigen] = {}
 
     def weighed(self, channels: list[Left], among: Container[str] | None = None) -> dict[str, Array]:
-        """log BF of each pattern by scope; of one odd segment in any. among: sorts that are asked for, all without it."""
+        """log BF of each pattern by scope; of one odd segment in any scope. among: the requested sorts, by default all."""
         found: dict[str, list[float]] = {}
         for name, per_channel in self.designs:
             if among is None or _sort(name) in among:
@@ -150,7 +150,7 @@ class _Patterns:
 
 
 def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list[float]:
-    """log BF of a design in the channels of each scope; −∞ where nothing of it is seen."""
+    """log BF of a design in the channels of each scope; −∞ if the design is not visible there."""
     size = np.zeros((len(scopes), max(sum(len(spectra[index][0]) for index in scope) for scope in scopes)))
     along = np.zeros_like(size)
     for row, scope in enumerate(scopes):
@@ -166,7 +166,7 @@ def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list
 
 
 def _outside(weighing: Weighing) -> dict[str, Array]:
-    """log BF by scope of what lies outside the basis."""
+    """log BF by scope of patterns outside the basis."""
     powers, scopes = [_line(weighing, index) for index in range(len(weighing.observed.channels))], _scopes(weighing)
     tones = [_tone([powers[index] for index in scope]) for scope in scopes]
     return {
@@ -188,8 +188,8 @@ def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
 
 
 def _bands(weighing: Weighing) -> list[float]:
-    """More noise than white in one band of one channel, segments at rest and turning; the uppermost two define white, unless they are
-    those of bins."""
+    """More noise than white in one band of one channel, in segments at rest and turning; the two highest bands define the white level,
+    unless the samples are in bins."""
     observed, spectrum = weighing.observed, weighing.spectrum
     chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
     found = []
@@ -211,7 +211,8 @@ def _bands(weighing: Weighing) -> list[float]:
 
 
 def _line(weighing: Weighing, index: int) -> Array:
-    """Periodogram, in units of the white noise, of what the basis leaves, segments at rest and turning; empty where the run is too long."""
+    """Periodogram, in units of the white noise, of the remainder outside the basis, for segments at rest and turning; empty if the run is
+    too long."""
     observed, spectrum = weighing.observed, weighing.spectrum
     chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
     step = (float(observed.bin_size[chosen].max()) if chosen.any() else 1.0) / observed.sample_rate
@@ -233,7 +234,7 @@ def _line(weighing: Weighing, index: int) -> Array:
 
 
 def _tone(powers: list[Array]) -> float:
-    """log BF of a tone of any frequency that keeps its phase, in all of some channels alike, from their periodograms."""
+    """log BF of a tone of any frequency that keeps its phase, in the same way in several channels, from their periodograms."""
     power = np.sum(powers, axis=0)
     if not len(power):
         return -np.inf

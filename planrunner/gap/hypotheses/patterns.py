@@ -94,8 +94,8 @@ def factors(weighing: Weighing) -> Iterator[PatternDesign]:
     """Designs, like those of `designs`, of patterns that effects of the catalogue also follow. They locate the gap and do not count as
     unknown.
 
-    A factor that explains a gap with few parameters is to be found beside one that needs many, so each has its plainest form here. For an
-    accelerometer turning about up is the orientation that was set, whatever the angle; for a gyro the Earth's rate says otherwise.
+    Each factor has its simplest form here, so that a factor with few parameters can be found in competition with one that needs many. For
+    an accelerometer, a turn about up does not change the orientation, whatever the angle; for a gyro it does, because of the Earth's rate.
     """
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = range(len(observed))
@@ -168,7 +168,7 @@ def _coarse(values: Array) -> tuple[float, ...]:
 
 
 def _upward(observed: Observed, segment: int) -> Hashable:
-    """Where gravity lies in the sensor's axes and, at rest, where North does."""
+    """The direction of gravity in the sensor's axes and, at rest, that of North."""
     first = int(observed.bounds[segment])
     still = isinstance(observed.motions[segment], Rest)
     north = observed.attitude[segment][:, 1] if still else np.zeros(3)

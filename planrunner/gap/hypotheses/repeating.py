@@ -76,7 +76,7 @@ class Repeating:
         return raw.view(float).reshape(len(self.rows), *pulses.shape, 2)
 
     def _eigen(self, left: Left, waves: Array, counts: Sequence[int]) -> list[Eigen]:
-        """Of the first so many columns of each frequency: eigenvalues (F, n) and squared scores (F, n)."""
+        """Eigenvalues (F, n) and squared scores (F, n) of the first columns of each frequency."""
         periods = waves.shape[1]
         at, whitened = left.whitened(waves.reshape(len(self.rows), -1), self.rows)
         size = whitened.shape[1] // periods
@@ -100,8 +100,8 @@ def _evidence(parts: Sequence[Eigen]) -> Array:
 
 
 def _within(lasting_: Array, pulses: Array, orders: int) -> Array:
-    """Coefficients of the cosine transform (S, orders, P) of exp(iωt) from the beginning of segments that last so long, (S,), made once
-    for all that last alike."""
+    """Coefficients of the cosine transform (S, orders, P) of exp(iωt) from the beginning of segments with the durations (S,); computed once
+    for equal durations."""
     middles = (np.arange(NODES) + 0.5) / NODES
     cosines = (
         np.cos(np.pi * np.arange(orders)[:, None] * middles)

@@ -56,7 +56,7 @@ def forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float]]:
 
 
 def _evidence(weighing: Weighing, form: Weighed) -> float:
-    """Log evidence of an amplitude of 1, relative to none but for a constant."""
+    """Log evidence of an amplitude of 1, relative to none, up to a constant."""
     return weighing.evidence(form.score[:, 0] - 0.5 * form.gram[:, 0, 0])
 
 
