@@ -6,6 +6,9 @@
 
 Intervals of standard deviations are χ² intervals. The interval of both together is that of Graybill and Wang (J. Am. Stat. Assoc. 75, 1980,
 869), because χ² with Satterthwaite's degrees of freedom contains the true value in only 91 % instead of 95 % of tests of five days.
+
+Two warnings: repeats that scatter more than their own standard uncertainties allow (χ²), and repeats whose scatter is not random in their
+order (von Neumann, Ann. Math. Stat. 12, 1941, 367), as after a drift, or where several start-ups or days are treated as one group.
 """
 
 from __future__ import annotations
@@ -42,6 +45,9 @@ from planrunner.plan.selection import matches
 Array = NDArray[np.float64]
 
 PROBABILITY = 0.95
+SIGNIFICANCE = 0.01
+"""Probability by chance below which the repeats' scatter is doubted."""
+_ORDERED = 8  # repeats from which their order can say anything
 
 
 class RepeatabilityParameters(Record):
@@ -164,6 +170,7 @@ class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
             tables=tuple(table for pair in tables for table in pair),
             plots=tuple(_plot(one) for one, _ in found.splits),
             notes=tuple(dict.fromkeys(notes)),
+            warnings=tuple(warning for pair in found.splits for warning in _warnings(*pair)),
             segments=tuple(recorded.label for recorded in request.segments),
         )
 
@@ -449,6 +456,47 @@ def _notes(one: Repeats, split: Variance) -> list[str]:
             "and their scatter is "
             f"{math.sqrt(split.within):.3g}; influences common to all repeats, such as a fixture's angle, contribute to "
             "the uncertainties but not to the scatter."
+        )
+    return found
+
+
+def chance_of_order(value: Array, group: NDArray[np.int64]) -> float:
+    """The probability that values which follow each other within groups are by chance as alike as these; NaN for fewer than eight
+    within groups.
+
+    The ratio η = Σ(x_{i+1} − x_i)²/Σ(x_i − x̄)² of n independent normal values has the mean 2 and the variance 4·(n − 2)/(n² − 1) (von
+    Neumann); η/4 is close to a symmetric beta variable with these moments. Each group is taken about its own mean.
+    """
+    from scipy.special import betainc
+
+    means = {one: value[group == one].mean() for one in np.unique(group)}
+    rest = value - np.array([means[one] for one in group])
+    n, total = len(rest) - len(means) + 1, float(rest @ rest)
+    if n < _ORDERED or total == 0:
+        return math.nan
+    steps = float(np.sum(np.diff(rest)[group[1:] == group[:-1]] ** 2))
+    shape = ((n**2 - 1) / (n - 2) - 1) / 2
+    return float(betainc(shape, shape, min(1.0, steps / total / 4)))
+
+
+def _warnings(one: Repeats, split: Variance) -> list[str]:
+    from scipy.special import chdtrc
+
+    found = []
+    if np.isfinite(one.own).all() and (one.own > 0).all() and math.isnan(one.expected):
+        own = float(np.mean(one.own**2))
+        chance = float(chdtrc(split.within_freedom, split.within_freedom * split.within / own))
+        if chance < SIGNIFICANCE:
+            found.append(
+                f"{one.name}: the repeats scatter {math.sqrt(split.within / own):.3g} times as much as their standard uncertainties allow "
+                f"(chance of that: {chance:.2g}). What changes from repeat to repeat is not in those uncertainties: use the standard "
+                "deviation of the repeats."
+            )
+    chance = chance_of_order(one.value, one.group)
+    if chance < SIGNIFICANCE:
+        found.append(
+            f"{one.name}: values that follow each other are more alike than chance makes them (probability {chance:.2g}): the quantity "
+            "drifts, or the repeats consist of groups, such as days or switch-ons. Name them in `groups`."
         )
     return found
 

@@ -154,9 +154,9 @@ WARNINGS = (
         "uncertainties are widened %(factor)s-fold. Drift, vibration or a periodic disturbance may be in the record."
     ),
     _(
-        "Segment '%(segment)s' does not fit the others: the mean of %(output)s lies %(error)s from what they lead one "
-        "to expect (%(deviations)s standard deviations; chance of that: %(chance)s). Without it a coefficient changes "
-        "by %(change)s standard uncertainties: check its label, its planned state and its data."
+        "Segment '%(segment)s' does not fit the others: the mean of %(output)s lies %(error)s from the value expected "
+        "from the others (%(deviations)s standard deviations; probability by chance: %(chance)s). Without it a "
+        "coefficient changes by %(change)s standard uncertainties: check its label, its planned state and its data."
     ),
     _(
         "All three accelerometers respond with the opposite sign: either the recording contains gravity instead of "
@@ -202,6 +202,15 @@ WARNINGS = (
     _(
         "%(name)s: the noise in '%(segment)s' is too small for counts of %(count)s: the deviations are those of the "
         "rounding, and the coefficients can be far too large or too small. Record with a finer resolution."
+    ),
+    _(
+        "%(name)s: the repeats scatter %(ratio)s times as much as their standard uncertainties allow (chance of that: "
+        "%(chance)s). What changes from repeat to repeat is not in those uncertainties: use the standard deviation of "
+        "the repeats."
+    ),
+    _(
+        "%(name)s: values that follow each other are more alike than chance makes them (probability %(chance)s): the "
+        "quantity drifts, or the repeats consist of groups, such as days or switch-ons. Name them in `groups`."
     ),
     _("Series %(series)s is cut short in '%(segment)s': it is left out."),
     _("Series %(series)s has %(count)s of %(most)s rates: it is left out."),

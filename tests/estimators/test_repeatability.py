@@ -15,6 +15,7 @@ from planrunner.estimators.repeatability import (
     Repeatability,
     RepeatabilityParameters,
     analysis_of_variance,
+    chance_of_order,
     deviation_interval,
 )
 from planrunner.physics.earth import Site
@@ -215,3 +216,33 @@ def test_angles_on_either_side_of_zero_are_near_each_other() -> None:
     assert found["mean_heading"].period == 360.0
     assert found["s_heading"].value == pytest.approx(0.2 / np.sqrt(2))
     assert "repeatability_heading" not in found
+
+
+# -- what the repeats themselves contradict ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("count", "groups"), [(8, 1), (20, 1), (60, 3)])
+def test_values_in_random_order_are_doubted_as_often_as_stated(count: int, groups: int) -> None:
+    draw, tries = np.random.default_rng(count), 2000
+    group = np.arange(count) * groups // count
+    doubted = np.mean([chance_of_order(draw.standard_normal(count) + 5 * group, group) < 0.01 for _ in range(tries)])
+    assert abs(doubted - 0.01) < 4 * math.sqrt(0.01 * 0.99 / tries)
+
+
+def test_blocks_that_differ_and_a_drift_are_named() -> None:
+    noise = np.random.default_rng(3).standard_normal(60)
+    blocks, ramp = 1000 + noise + 2 * (np.arange(60) // 20), 1000 + noise + np.arange(60) / 15
+    for values in (blocks, ramp):
+        found = of_values({f"r{k:02d}": float(value) for k, value in enumerate(values)})
+        assert [text for text in found.warnings if "`groups`" in text]
+    named = {"first": ("r0*", "r1*"), "second": ("r2*", "r3*"), "third": ("r4*", "r5*")}
+    found = of_values({f"r{k:02d}": float(value) for k, value in enumerate(blocks)}, groups=named)
+    assert not [text for text in found.warnings if "`groups`" in text]
+
+
+def test_repeats_that_scatter_more_than_their_uncertainties_are_named() -> None:
+    """Nine repeats of u = 0.1 that scatter by 2: the uncertainty of each is twenty times too small for the next."""
+    values = {f"r{k}": 5 + 2 * float(value) for k, value in enumerate(np.random.default_rng(8).standard_normal(9))}
+    assert [text for text in of_values(values).warnings if "scatter" in text]
+    quiet = {name: 5 + (value - 5) / 20 for name, value in values.items()}
+    assert not of_values(quiet).warnings

@@ -255,6 +255,7 @@ WARNED: dict[str, Callable[[], Sequence[str]]] = {
     "a line at short averaging times": lambda: (
         allan.run(allan.record(allan.white(2**14) + 20 * np.sin(np.arange(2**14) * 2.5))).warnings
     ),
+    "repeats that scatter and drift": lambda: repeats.of_values({f"r{k}": float(k) for k in range(9)}).warnings,
     "samples lost": lambda: lost(1),
     "samples lost in many segments": lambda: lost(5),
 }
