@@ -54,10 +54,8 @@ def identify_block(block: DesignBlock) -> Identifiability:
     if len(scaled) == 0:
         return Identifiability(block.output, 0, columns, math.inf, 0.0, tuple(block.terms), "no segments are chosen")
     sight = rank.look(scaled)
-    information = scaled.T @ scaled
     explanation = rank.explain(sight.null, block.terms)
     if sight.rank < columns and len(scaled) < columns:
         explanation = f"{len(scaled)} segments cannot determine {columns} coefficients; {explanation}"
-    determinant = float(np.linalg.det(information)) if sight.rank == columns else 0.0
     names = rank.unidentifiable(sight.null, block.terms)
-    return Identifiability(block.output, sight.rank, columns, sight.condition, determinant, names, explanation)
+    return Identifiability(block.output, sight.rank, columns, sight.condition, sight.determinant, names, explanation)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import Coefficient
 from planrunner.estimators.outputs_fit import OutputsFit
-from planrunner.uncertainty.derivatives import Formula, jacobian
+from planrunner.uncertainty.derivatives import Formula, value_and_jacobian
 from planrunner.uncertainty.influences import Influence
 from planrunner.uncertainty.monte_carlo import Draws, influence_draws, t_draws
 
@@ -91,6 +91,8 @@ class Derived:
         return draw
 
     def _by_fit(self) -> list[Array]:
+        if len(self.fits) == 1:
+            return [self.gradient]
         ends = np.cumsum([fit.coefficients.size for fit in self.fits])
         return np.split(self.gradient, ends[:-1], axis=1)
 
@@ -99,7 +101,7 @@ def derived(quantities: Sequence[Reported], formula: Formula, *fits: OutputsFit,
     """formula: (r, n) → (q, n), of the fits' coefficients, output after output. at: (r,), values of the coefficients, if the fits give only
     steps from a nearby point. Raises the errors of the formula."""
     where = np.concatenate([fit.coefficients.ravel() for fit in fits]) if at is None else at
-    return Derived(tuple(quantities), formula, formula(where[:, None])[:, 0], jacobian(formula, where), fits)
+    return Derived(tuple(quantities), formula, *value_and_jacobian(formula, where), fits)
 
 
 def _draws(fit: OutputsFit, basis: str, influences: Sequence[Influence]) -> Draws:
@@ -114,6 +116,8 @@ def _draws(fit: OutputsFit, basis: str, influences: Sequence[Influence]) -> Draw
 
 def independent(blocks: Sequence[Array]) -> Array:
     """Covariance (Σn, Σn) of quantities in independent groups, from the covariance of each group, (n, n)."""
+    if len(blocks) == 1:
+        return blocks[0]
     size = sum(len(block) for block in blocks)
     whole, start = np.zeros((size, size)), 0
     for block in blocks:

@@ -79,8 +79,7 @@ def expected_recording(
         means[:, k], nominal = _means(request, output, known, felt, assumption)
         noise = output.noise
         variances[:, k] = noise.white**2 * rates
-        dithered = np.array([noise.dithers(variance) for variance in variances[:, k].tolist()])
-        rounding = noise.resolution**2 / 12 / counts * dithered
+        rounding = noise.resolution**2 / 12 / counts * noise.dithers(variances[:, k])
         if noise.counted:
             rounding = noise.resolution**2 / 6 / counts**2
         errors[:, k] = np.sqrt(noise.white**2 / np.maximum(seconds, 1 / rates) + rounding)
@@ -91,11 +90,12 @@ def expected_recording(
             assumed += [f"the bench declares no noise of '{output.name}'"] if silent else []
             assumed += [] if nominal else [f"the bench declares no scale factor of '{output.name}'"]
     names, units = tuple(output.name for output in outputs), {output.name: output.unit for output in outputs}
+    covariances = variances[:, :, None] * np.eye(len(outputs))
     made = []
     for row, segment in enumerate(request.segments):
         count, period = int(counts[row]), 1 / float(rates[row])
         statistics = Statistics(
-            names, count, 0, means[row], means[row], means[row], np.diag(variances[row]), errors[row], min(BATCHES, count),
+            names, count, 0, means[row], means[row], means[row], covariances[row], errors[row], min(BATCHES, count),
             segment.start, segment.start + (count - 1) * period, period if count > 1 else 0.0,
         )  # fmt: skip
         made.append(expected_segment(segment, units, statistics))

@@ -246,13 +246,12 @@ def _evaluated(estimator: Estimator[P], request: DesignRequest[P], expected: Exp
 def _whole(made: Estimate) -> Estimate:
     """The estimate with the influences added to the contribution of the data; declared noise has infinite degrees of freedom."""
     covariance = np.array(made.covariance, dtype=float)
-    for item in merged(made.influences):
-        if not item.in_scatter:
-            covariance = covariance + item.covariance
-    spreads = np.sqrt(np.diag(covariance).clip(min=0.0))
+    for item in merged(one for one in made.influences if not one.in_scatter):
+        covariance += item.covariance
+    spreads = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     coefficients = tuple(
-        replace(item, standard_uncertainty=float(u), degrees_of_freedom=math.inf)
-        for item, u in zip(made.coefficients, spreads, strict=True)
+        Coefficient(item.name, item.value, item.unit, u, math.inf, item.description, item.period, item.role)
+        for item, u in zip(made.coefficients, spreads.tolist(), strict=True)
     )
     return replace(
         made, coefficients=coefficients, covariance=covariance, data_covariance=made.covariance, expected=True

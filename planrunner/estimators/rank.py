@@ -29,6 +29,11 @@ class MatrixRank:
     null: Array
 
     @property
+    def determinant(self) -> float:
+        """Of the information matrix AᵀA of the scaled matrix A; zero when the rank is short."""
+        return 0.0 if len(self.null) else float(np.prod(self.singular**2))
+
+    @property
     def condition(self) -> float:
         """Largest over smallest singular value; infinite if the rank is deficient."""
         if len(self.null):

@@ -10,10 +10,15 @@ from collections.abc import Mapping
 from dataclasses import field
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from planrunner.base.dataclass import dataclass
 from planrunner.physics.kinematics import TableAxis
 
 __all__ = ["ChamberModel", "DataOrigin", "NoiseModel", "OutputModel", "SensorModel", "TableAxis", "TableModel"]
+
+Array = NDArray[np.float64]
 
 DataOrigin = Literal["measured", "simulated", "replayed"]
 """Where the samples of a run come from: real instruments; instruments of which at least one is simulated; a recording made before."""
@@ -98,10 +103,10 @@ class NoiseModel:
     resolution: float = 0.0
     counted: bool = False
 
-    def dithers(self, variance: float) -> bool:
+    def dithers(self, variance: float | Array) -> NDArray[np.bool_]:
         """Whether a mean is not rounded to counts as its samples are: noise of this variance [unit²] between them carries it past the
         counts, or what a sample leaves of a count goes into the next."""
-        return self.counted or variance > (self.resolution / 2) ** 2
+        return np.logical_or(self.counted, np.asarray(variance) > (self.resolution / 2) ** 2)
 
     def standard_error(self, seconds: float, rate_hz: float) -> float:
         """Standard uncertainty of the mean over `seconds` of samples at `rate_hz`."""

@@ -69,21 +69,17 @@ def _mean_logarithm(low: Array, high: Array) -> Array:
     """
     length = high - low
 
-    def antiderivative(x: Array) -> Array:
-        size = np.maximum(np.abs(x), np.finfo(float).tiny)
-        return size**2 * (np.log(size) / 2 - 0.75)
-
-    def between(one: Array, other: Array) -> Array:
-        return antiderivative(one[:, None] - other[None, :])
-
-    exact = between(high, low) + between(low, high) - between(high, high) - between(low, low)
-    exact /= np.outer(length, length)
+    ends = np.array((low, high))
+    apart = np.maximum(np.abs(ends[:, None, :, None] - ends[:, None, :]), np.finfo(float).tiny)
+    antiderivative = apart**2 * (np.log(apart) / 2 - 0.75)
+    exact = antiderivative[1, 0] + antiderivative[0, 1] - antiderivative[1, 1] - antiderivative[0, 0]
+    exact /= length[:, None] * length
     middle = (low + high) / 2
-    apart = np.abs(middle[:, None] - middle[None, :])
-    squares = length[:, None] ** 2 + length[None, :] ** 2
-    far = apart**2 > 1e5 * squares
-    distance = np.where(far, apart, 1.0)
-    return np.where(far, np.log(distance) - squares / (24 * distance**2), exact)
+    distance = np.abs(middle[:, None] - middle)
+    squares = length[:, None] ** 2 + length**2
+    far = distance**2 > 1e5 * squares
+    distance = np.where(far, distance, 1.0)
+    return np.asarray(np.where(far, np.log(distance) - squares / (24 * distance**2), exact))
 
 
 def scatter_within(batches: NDArray[np.int64]) -> Array:

@@ -68,7 +68,8 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
     if not segments:
         raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
     places: dict[tuple[str, ...], list[int]] = {}
-    for recorded in segments:
+    rows: dict[tuple[str, ...], list[int]] = {}
+    for row, recorded in enumerate(segments):
         statistics = recorded.statistics
         if statistics.channels not in places:
             missing = [channel for channel in channels if channel not in statistics.channels]
@@ -76,26 +77,28 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
                 close = closest(missing[0], statistics.channels)
                 raise EstimationError(f"segment '{recorded.label}' has no channel '{missing[0]}': {close}")
             places[statistics.channels] = [statistics.of(channel) for channel in channels]
+        rows.setdefault(statistics.channels, []).append(row)
         if statistics.count == 0:
             raise UnfitDataError(
                 f"segment '{recorded.label}' has no usable samples: leave it out of `segments` or record it again"
             )
-    found = [(recorded.statistics, places[recorded.statistics.channels]) for recorded in segments]
-    mean = np.array([statistics.mean[index] for statistics, index in found])
-    error = np.array([statistics.standard_error[index] for statistics, index in found])
-    covariance = np.array([statistics.covariance[index][:, index] for statistics, index in found])
-    freedom = np.array([statistics.count - 1 for statistics, _ in found])
+    n, k = len(segments), len(channels)
+    mean, error, covariance = np.empty((n, k)), np.empty((n, k)), np.empty((n, k, k))
+    for held, at in rows.items():
+        index, own = places[held], [segments[row].statistics for row in at]
+        mean[at] = np.array([statistics.mean for statistics in own])[:, index]
+        error[at] = np.array([statistics.standard_error for statistics in own])[:, index]
+        covariance[at] = np.array([statistics.covariance for statistics in own])[:, index][:, :, index]
+    freedom = np.array([recorded.statistics.count - 1 for recorded in segments])
     covariance[freedom == 0] = 0.0
-    variances = covariance.diagonal(axis1=1, axis2=2).T.tolist()
-    rounding = np.array(
-        [[_rounding(sensor, channel, one) for one in own] for channel, own in zip(channels, variances, strict=True)]
-    ).T
+    variances = covariance.diagonal(axis1=1, axis2=2)
+    rounding = np.array([_rounding(sensor, channel, variances[:, k]) for k, channel in enumerate(channels)]).T
     told = np.array([recorded.statistics.batches > 1 or recorded.expected for recorded in segments])
     error = np.where(told[:, None], np.hypot(error, rounding), np.nan)
-    scatter = (np.nan_to_num(covariance) * freedom[:, None, None]).sum(axis=0)
-    size = np.sqrt(np.diag(scatter))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = np.where(np.outer(size, size) > 0, scatter / np.outer(size, size), 0.0)
+    scatter = np.einsum("nij,n->ij", np.where(np.isnan(covariance), 0.0, covariance), freedom)
+    size = np.sqrt(scatter.diagonal())
+    sizes = size[:, None] * size
+    correlation = np.where(sizes > 0, scatter / np.where(sizes > 0, sizes, 1.0), 0.0)
     np.fill_diagonal(correlation, 1.0)
     return Observations(
         tuple(channels),
@@ -166,13 +169,17 @@ def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
 
 def dithered(sensor: SensorModel, channel: str, variance: float) -> bool:
     """Whether noise of this variance [unit²] between the samples of a channel dithers its mean (`NoiseModel.dithers`)."""
-    return (output.noise if (output := sensor.output(channel)) else NoiseModel()).dithers(variance)
+    return bool(_noise(sensor, channel).dithers(variance))
 
 
-def _rounding(sensor: SensorModel, channel: str, variance: float) -> float:
-    """Contribution of rounding to counts to the uncertainty of a mean: resolution/√12 if the noise is too small to dither it."""
-    output = sensor.output(channel)
-    return output.noise.resolution / np.sqrt(12) if output and not dithered(sensor, channel, variance) else 0.0
+def _noise(sensor: SensorModel, channel: str) -> NoiseModel:
+    return output.noise if (output := sensor.output(channel)) else NoiseModel()
+
+
+def _rounding(sensor: SensorModel, channel: str, variances: Array) -> Array:
+    """Contribution of rounding to counts to the uncertainty of each mean, (n,): resolution/√12 if the noise is too small to dither it."""
+    noise = _noise(sensor, channel)
+    return np.where(noise.dithers(variances), 0.0, noise.resolution / math.sqrt(12))
 
 
 def _unit(segments: Sequence[RecordedSegment], channel: str) -> str:

@@ -73,20 +73,27 @@ def combine(
 
 def merged(influences: Iterable[Influence]) -> tuple[Influence, ...]:
     """One influence for each input: sensitivities of the same input (or of the same named part) are added, others become columns."""
-    columns: dict[tuple[InputQuantity, bool], dict[object, Array]] = {}
+    together: dict[tuple[InputQuantity, bool], list[Influence]] = {}
     for item in influences:
-        sensitivities = np.asarray(item.sensitivities, dtype=float)
-        if sensitivities.ndim != 2 or (item.parts and len(item.parts) != sensitivities.shape[1]):
+        if item.sensitivities.ndim != 2 or (item.parts and len(item.parts) != item.sensitivities.shape[1]):
             raise ValueError(f"the sensitivities to '{item.quantity.name}' must have a column for each of its parts")
-        parts: Sequence[object] = item.parts or ([""] if sensitivities.shape[1] == 1 else _unnamed(sensitivities))
-        held = columns.setdefault((item.quantity, item.in_scatter), {})
-        for part, column in zip(parts, sensitivities.T, strict=True):
+        if item.sensitivities.shape[1]:
+            together.setdefault((item.quantity, item.in_scatter), []).append(item)
+    return tuple(_added(same) for same in together.values())
+
+
+def _added(same: Sequence[Influence]) -> Influence:
+    """Of one input."""
+    if len(same) == 1 and len(set(same[0].parts)) == len(same[0].parts) != 1:
+        return same[0]
+    held: dict[object, Array] = {}
+    for item in same:
+        parts: Sequence[object] = item.parts or (
+            [""] if item.sensitivities.shape[1] == 1 else _unnamed(item.sensitivities)
+        )
+        for part, column in zip(parts, item.sensitivities.T, strict=True):
             held[part] = held[part] + column if part in held else column
-    return tuple(
-        Influence(quantity, np.column_stack(list(held.values())), in_scatter, _named(held))
-        for (quantity, in_scatter), held in columns.items()
-        if held
-    )
+    return Influence(same[0].quantity, np.column_stack(list(held.values())), same[0].in_scatter, _named(held))
 
 
 def effective_degrees_of_freedom(contributions: Sequence[float], degrees_of_freedom: Sequence[float]) -> float:

@@ -24,8 +24,13 @@ _STEP = 1e-30
 
 def jacobian(formula: Formula, at: Array) -> Array:
     """∂formula/∂x, shape (q, p), at x (p,). Calls the formula once."""
-    moved = at[:, None] + 1j * _STEP * np.eye(len(at))
-    return np.asarray(formula(cast(Array, moved)).imag / _STEP)
+    return value_and_jacobian(formula, at)[1]
+
+
+def value_and_jacobian(formula: Formula, at: Array) -> tuple[Array, Array]:
+    """The quantities (q,) and ∂formula/∂x, shape (q, p), at x (p,), p > 0. Calls the formula once."""
+    found = formula(cast(Array, at[:, None] + 1j * _STEP * np.eye(len(at))))
+    return found.real[:, 0], np.asarray(found.imag / _STEP)
 
 
 def central(function: Callable[[float], Array], step: float) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import field, replace
+from dataclasses import field
 from enum import StrEnum
 
 import numpy as np
@@ -71,7 +71,7 @@ class Influence:
 
     def through(self, gradient: Array) -> Influence:
         """The influence on q quantities computed from the m coefficients. gradient: shape (q, m), ∂quantity/∂coefficient."""
-        return replace(self, sensitivities=gradient @ self.sensitivities)
+        return Influence(self.quantity, gradient @ self.sensitivities, self.in_scatter, self.parts)
 
 
 @dataclass(frozen=True, slots=True)

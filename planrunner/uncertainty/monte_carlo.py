@@ -162,9 +162,9 @@ def t_scale(rng: np.random.Generator, degrees_of_freedom: float, n: int) -> Arra
 def square_root(covariance: Array) -> Array:
     """L with L·Lᵀ = covariance (m, m), which may be singular. Computed from the eigenvectors of the correlation matrix, so that units do
     not matter."""
-    size = np.sqrt(np.diag(covariance).clip(min=0.0))
+    size = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     size = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    values, vectors = np.linalg.eigh(covariance / (size[:, None] * size))
     kept = values > 1e-13 * max(1.0, float(values.max(initial=0.0)))
     return np.asarray(size[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
 

@@ -8,13 +8,12 @@ position is also a calibration position.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.uncertainty.monte_carlo import square_root
 
 Array = NDArray[np.float64]
 
@@ -31,19 +30,20 @@ class Prediction:
     ratio_spread: dict[str, float]
 
 
-def noise_maps(verification: Array, sets: Mapping[str, Array], covariances: Array) -> dict[str, Array]:
+def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[Array]) -> dict[str, Array]:
     """By set, (2·v, z): effect of z independent inputs of standard deviation one on the outputs minus their prediction by the coefficients,
     at the verification positions, output after output.
 
     verification: (v, p), the verification positions' design. sets: by name, (2, p, n), coefficients from the calibration's observations.
-    covariances: (2, N, N), of the observations of each output: first the v verification positions, then the sets in their order.
+    roots: (N, r) by output, L with L·Lᵀ the covariance of its observations: first the v verification positions, then the sets in their
+    order.
     """
-    roots = [square_root(one) for one in covariances]
     found = {}
     for name, maps in _carried(verification, sets).items():
         one, other = (own @ root for own, root in zip(maps, roots, strict=True))
-        apart = (np.zeros((len(one), other.shape[1])), np.zeros((len(other), one.shape[1])))
-        found[name] = np.block([[one, apart[0]], [apart[1], other]])
+        (v, z), width = one.shape, one.shape[1] + other.shape[1]
+        found[name] = np.zeros((2 * v, width))
+        found[name][:v, :z], found[name][v:, z:] = one, other
     return found
 
 
@@ -96,9 +96,9 @@ def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[A
 
 
 def weighted_inverse(matrix: Array, sigma: Array) -> Array:
-    """Coefficients per unit of each position's standardised noise, shape (p, n). Columns are scaled because SI units would make the matrix
-    ill-conditioned."""
+    """Coefficients per unit of each position's standardised noise, (m, p, n), from sigma (m, n) of m outputs. Columns are scaled
+    because SI units would make the matrix ill-conditioned."""
     size = np.abs(matrix).max(axis=0)
     size[size == 0] = 1.0
-    inverse: Array = np.linalg.pinv(matrix / sigma[:, None] / size) / size[:, None]
+    inverse: Array = np.linalg.pinv(matrix / sigma[..., None] / size) / size[:, None]
     return inverse

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.error_model import flexure_gyro
+from planrunner.estimators import rank
 from planrunner.estimators.flexure_gyro.compensation_influences import (
     recovery,
     residual_influences,
@@ -50,6 +51,7 @@ from planrunner.plan.kinds import Number, Record, key
 from planrunner.plan.units import unit
 from planrunner.uncertainty.derivatives import jacobian
 from planrunner.uncertainty.influences import Influence
+from planrunner.uncertainty.monte_carlo import square_root
 
 Array = NDArray[np.float64]
 
@@ -90,15 +92,13 @@ class CompensationResidual:
         for name, design in request.uses.items():
             if len(design.blocks) != 2 or design.blocks[0].terms != model.names:
                 raise EstimationError(_NO_SET.format(name))
-            if np.linalg.matrix_rank(design.blocks[0].matrix / design.blocks[0].magnitudes) < len(model.names):
+            block = design.blocks[0]
+            if rank.look(block.matrix / block.magnitudes).rank < len(model.names):
                 return Design(())
-            relative = np.array([_relative(block) for block in design.blocks])
-            parts = zip(design.blocks, relative, strict=True)
-            sets[name] = np.array([weighted_inverse(block.matrix, sigma) for block, sigma in parts])
-            noise.append(relative)
+            noise.append(np.array([_relative(own) for own in design.blocks]))
+            sets[name] = weighted_inverse(block.matrix, noise[-1])
         _several(sets)
-        variances = np.concatenate(noise, axis=1) ** 2
-        maps = noise_maps(matrix, sets, np.array([np.diag(one) for one in variances]))
+        maps = noise_maps(matrix, sets, [np.diag(sigma) for sigma in np.concatenate(noise, axis=1)])
         expected = {name: expected_sum(own) for name, own in maps.items()}
         first, *others = expected
         ratios = {_ratio(name, first)[0]: expected[name] / expected[first] for name in others}
@@ -141,7 +141,7 @@ class CompensationResidual:
             name: recovery(np.array(used.extra["coefficients"]), len(matrix), _DEG_H)
             for name, used in request.uses.items()
         }
-        noise = noise_maps(matrix, sets, _covariances(request, observations))
+        noise = noise_maps(matrix, sets, [square_root(one) for one in _covariances(request, observations)])
         stated = residual_influences(request, observations.units, matrix, observations.mean, _DEG_H)
         prediction = predict_residuals(
             {name: rates[name] @ own for name, own in noise.items()},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,8 +195,9 @@ def local_magnitudes(model: ErrorModel, site: Site) -> Array:
     return np.array([site.earth_rate if term.unit == "rad/s" else sizes[term.degree] for term in model.terms])
 
 
+@lru_cache(maxsize=32)
 def reported(
-    units_of_outputs: Sequence[str], model: ErrorModel, products: tuple[str, ...]
+    units_of_outputs: tuple[str, ...], model: ErrorModel, products: tuple[str, ...]
 ) -> tuple[tuple[Reported, ...], Array]:
     """The physical coefficients, then U0 …, V0 …, and the SI value of each one's unit, (q,).
 
@@ -225,10 +227,14 @@ def reported(
         Reported(name, text, words)
         for name, (text, _), words in zip(names, shown, tables.descriptions(products), strict=True)
     )
-    return quantities, np.array([factor for _, factor in shown])
+    factors = np.array([factor for _, factor in shown])
+    factors.flags.writeable = False
+    return quantities, factors
 
 
-def static_coefficients(fit: OutputsFit, units: Sequence[str], model: ErrorModel, products: tuple[str, ...]) -> Derived:
+def static_coefficients(
+    fit: OutputsFit, units: tuple[str, ...], model: ErrorModel, products: tuple[str, ...]
+) -> Derived:
     """All reported quantities, from SI [U; V]. Raises ValueError if the relation cannot be inverted."""
     quantities, factors = reported(units, model, products)
 

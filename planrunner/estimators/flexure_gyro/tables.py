@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from planrunner.error_model.flexure_gyro import drifts, output_names
 from planrunner.estimators import rank
 from planrunner.estimators.fit_positions import PositionsDesign
@@ -42,10 +40,10 @@ def descriptions(products: tuple[str, ...] = ()) -> tuple[str, ...]:
 def information(design: PositionsDesign) -> tuple[dict[str, object], str]:
     """`determinant` and `condition` by which sets of positions are compared, with rates in Earth-rate units and accelerations in g, and
     the same in words."""
-    scaled = design.matrix / design.magnitudes
-    determinant, condition = float(np.linalg.det(scaled.T @ scaled)), rank.look(scaled).condition
+    sight = rank.look(design.matrix / design.magnitudes)
+    determinant, condition = sight.determinant, sight.condition
     note = (
-        f"Information matrix of the {len(scaled)} positions (rates in Earth-rate units, accelerations in g): "
+        f"Information matrix of the {len(design.matrix)} positions (rates in Earth-rate units, accelerations in g): "
         f"determinant {determinant:.6g}, condition of the design {condition:.3g}."
     )
     return {"determinant": determinant, "condition": condition}, note
