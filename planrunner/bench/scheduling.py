@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -155,7 +154,6 @@ class _Planner:
         self._timed = True  # until a segment is left out, because the soak time of the sensor is unknown after it
         self._soaked: float | None = None
         self._mounted: Orientation | None = None
-        self._reached: dict[tuple[object, tuple[float, ...]], Array] = {}
         self._complained: set[tuple[str, Mark]] = set()
         self._without_orientation: dict[Mark, str] = {}
         self._without_dwell: dict[Mark, str] = {}
@@ -175,9 +173,10 @@ class _Planner:
         transition = self.temperatures.change(kelvin, self.time, mark_of("temperature") or item.mark)
         soak, soaked = wait_of(state.soak) if kelvin is not None and kelvin != self._soaked else (0.0, None)
         self._soaked = kelvin if kelvin is not None else self._soaked
-        transition += self._move(orientation, mark_of("orientation") or item.mark)
+        attitude = orientation.attitude
+        transition += self._move(orientation, attitude, mark_of("orientation") or item.mark)
         hold = Hold(settle if stable is None else stable.patience, dwell, self._sampled(item))
-        transition += self._start(motion, hold, orientation, item)
+        transition += self._start(motion, hold, attitude, item)
         self._check_mode(item)
         self._check_samples(item, dwell)
         check_measured(state, marks, self.models, self._once)
@@ -195,7 +194,7 @@ class _Planner:
         return Segment(
             index=index,
             label=item.label,
-            attitude=orientation.attitude,
+            attitude=attitude,
             orientation=orientation.text,
             motion=motion,
             dwell=dwell,
@@ -309,8 +308,8 @@ class _Planner:
             mark = item.marks.get("sample_rate") or item.marks["dwell"]
             self._once("physics-samples", mark, message, "sample faster or dwell longer")
 
-    def _move(self, orientation: Orientation, mark: Mark) -> float:
-        table, attitude = self.models.table, orientation.attitude
+    def _move(self, orientation: Orientation, attitude: Array | None, mark: Mark) -> float:
+        table = self.models.table
         if table is None and attitude is not None and not self.models.replays:
             self._mounted = self._mounted or orientation
             if orientation.matrix != self._mounted.matrix:
@@ -318,12 +317,8 @@ class _Planner:
         if table is None or attitude is None:
             return 0.0
         joints = self.state.joints
-        key = (orientation.matrix, tuple(joints))
         try:
-            target = self._reached.get(key)
-            if target is None:
-                target = joint_angles(table.axes, attitude, near=joints, azimuth=self.models.site.azimuth)
-                self._reached[key] = target
+            target = joint_angles(table.axes, attitude, near=joints, azimuth=self.models.site.azimuth)
         except Unreachable as error:
             self.log.error(
                 "physics-orientation",
@@ -332,7 +327,7 @@ class _Planner:
                 "choose another orientation or bench",
             )
             return 0.0
-        seconds = self.state.stopping + transition_time(table.axes, joints, target)
+        seconds = self.state.stopping + transition_time(table.axes, joints.tolist(), target.tolist())
         self.state = TableState(target, roughly=self._still_roughly(attitude, target))
         return seconds
 
@@ -350,15 +345,15 @@ class _Planner:
         followed = abs(math.remainder(float(moved[joint] - target[joint]), 2 * math.pi)) > _ELSEWHERE / 2
         return joint if followed else None
 
-    def _start(self, motion: Motion, hold: Hold, orientation: Orientation, item: StatedSegment) -> float:
+    def _start(self, motion: Motion, hold: Hold, attitude: Array | None, item: StatedSegment) -> float:
         stated = item.state.motion
         whole = item.marks.get("motion") or item.marks.get("rate") or item.mark
 
         def at(key: str) -> Mark:
             return stated.at(key) if key and isinstance(stated, model.MotionSpec) else whole
 
-        seen = None if orientation.attitude is None else self.input_axes @ orientation.attitude
-        stopping, before = self.state.stopping, replace(self.state, stopping=0.0)
+        seen = None if attitude is None else self.input_axes @ attitude
+        stopping, before = self.state.stopping, TableState(self.state.joints, roughly=self.state.roughly)
         seconds, self.state = start_motion(motion, hold, seen, before, self.models, at, self.log)
         return stopping + seconds
 

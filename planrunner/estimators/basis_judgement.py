@@ -82,7 +82,7 @@ def few_samples(request: DesignRequest[object]) -> tuple[Remark, ...]:
     if not short:
         return ()
     count, label = min(short, key=lambda one: one[0])
-    others = f"(and {len(short) - 1} more segments are as short)" if len(short) > 1 else ""
+    others = f" (and {len(short) - 1} more segments are as short)" if len(short) > 1 else ""
     message = (
         f"'{label}' holds {count} sample{'s' if count > 1 else ''}{others}: the noise within a segment is estimated "
         "from the scatter of "

@@ -34,4 +34,5 @@ def word_of(direction: Iterable[float], within: float = 1e-9) -> str | None:
 
 
 def perpendicular(first: Direction, second: Direction) -> bool:
-    return abs(sum(a * b for a, b in zip(first, second, strict=True))) < RIGHT_ANGLE
+    (a, b, c), (x, y, z) = first, second
+    return abs(a * x + b * y + c * z) < RIGHT_ANGLE

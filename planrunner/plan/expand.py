@@ -68,10 +68,11 @@ def expand(plan: Plan, log: Findings) -> list[StatedSegment]:
 UNREADABLE = object()
 
 
-def _stated(label: str, state: StateValues, marks: dict[str, Mark], mark: Mark) -> StatedSegment:
+def _stated(state: StateValues) -> tuple[State, bool]:
+    """What of a state could be read, and whether it is enough to judge a segment."""
     readable = {name: value for name, value in state.items() if value is not UNREADABLE}
     sound = len(readable) == len(state) or not any(state.get(name) is UNREADABLE for name in _DECISIVE)
-    return StatedSegment(label, State(**readable), marks, mark, sound)
+    return State(**readable), sound
 
 
 # Without these, the other keys of a segment cannot be judged.
@@ -160,9 +161,10 @@ def _expand(
                         yield replace(segment, prompts=prompts + segment.prompts, conditioning=only, sound=sound)
                         prompts = ()
             elif own:
-                segment = _stated("/".join(own), own_state, own_marks, spec.origin.mark)
-                sound = segment.sound and swept
-                yield replace(segment, prompts=prompts, conditioning=spec.conditioning, sound=sound)
+                readable, sound = _stated(own_state)
+                yield StatedSegment(
+                    "/".join(own), readable, own_marks, spec.origin.mark, sound and swept, prompts, spec.conditioning
+                )
             else:
                 log.error(
                     "meaning-label", spec.origin.mark, "this segment has no label", "add for example `label: zero`"

@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
+from types import MappingProxyType
 from typing import Any, Protocol, dataclass_transform
 
 from planrunner.base.dataclass import dataclass
@@ -131,11 +132,18 @@ class Record:
 dataclass(frozen=True, kw_only=True)(Record)
 
 
-def keys_of(record: type[Record]) -> dict[str, dataclasses.Field[Any]]:
-    """YAML key → field, in order of declaration."""
-    made: Any = record
-    fields = [item for item in dataclasses.fields(made) if "kind" in item.metadata]
-    return {item.metadata["name"] or item.name: item for item in fields}
+Fields = Mapping[str, dataclasses.Field[Any]]
+"""YAML key → field."""
+_KEYS: dict[type[Record], Fields] = {}
+
+
+def keys_of(record: type[Record]) -> Fields:
+    """In order of declaration."""
+    if record not in _KEYS:
+        made: Any = record
+        fields = [item for item in dataclasses.fields(made) if "kind" in item.metadata]
+        _KEYS[record] = MappingProxyType({item.metadata["name"] or item.name: item for item in fields})
+    return _KEYS[record]
 
 
 def is_required(item: dataclasses.Field[Any]) -> bool:
@@ -152,8 +160,8 @@ def read_keys(
     elsewhere."""
     values: JsonObject = {}
     broken: set[str] = set()
-    known = [*fields, *passed]
-    missing = [name for name, item in fields.items() if is_required(item) and node.get(name) is None]
+    known, given = [*fields, *passed], {name.text for name, _ in node.entries}
+    missing = [name for name, item in fields.items() if name not in given and is_required(item)]
     meant, hints = _meant(node, known, missing)
     for name, item in node.entries:
         if name.text in fields:
@@ -165,7 +173,7 @@ def read_keys(
                 values[fields[name.text].name] = value
         elif name.text not in known:
             log.error("form-unknown-key", name.mark, f"unknown key '{name.text[:60]}'", hints[name.text])
-    for name_, item_ in fields.items():
+    for name_, item_ in fields.items() if missing or broken else ():
         if name_ in missing:
             hint = f"add for example `{name_}: {inline(item_.metadata['example'])}`"
             with log.resting_on(*meant.get(name_, ())):

@@ -131,8 +131,12 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
         raise _not_allowed(forbidden[0], _mark_at(text, forbidden.start(), file))
     builder = _Builder(file, text)
     try:
-        for event in yaml.parse(text, Loader=_Loader):
-            builder.take(event)
+        loader = _Loader(text)
+        try:
+            for event in iter(loader.get_event, None):
+                builder.take(event)
+        finally:
+            loader.dispose()
     except yaml.MarkedYAMLError as error:
         raise _syntax_error(error, text, file) from None
     except (yaml.YAMLError, UnicodeError, ValueError):

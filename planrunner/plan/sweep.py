@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import random
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from planrunner.base.dataclass import dataclass
@@ -133,19 +133,10 @@ class ForEachKind:
     state: type[Record]
 
     @property
-    def keys(self) -> dict[str, SweptKey]:
-        fields, traits = keys_of(self.state), traits_of(self.state)
-        return {
-            name: SweptKey(
-                name,
-                item.metadata["kind"],
-                _quantity_kind(item.metadata["kind"]),
-                traits[name].directed,
-                traits[name].sweep_example or [item.metadata["example"]],
-            )
-            for name, item in fields.items()
-            if traits[name].swept
-        }
+    def keys(self) -> Mapping[str, SweptKey]:
+        if self.state not in _SWEPT:
+            _SWEPT[self.state] = _swept_keys(self.state)
+        return _SWEPT[self.state]
 
     def read(self, node: source.Node, log: Findings) -> Sweep | None:
         if not isinstance(node, source.Mapping) or not node.entries:
@@ -176,6 +167,24 @@ class ForEachKind:
             "additionalProperties": False,
             "properties": {name: _swept(item) for name, item in self.keys.items()},
         }
+
+
+_SWEPT: dict[type[Record], Mapping[str, SweptKey]] = {}
+
+
+def _swept_keys(state: type[Record]) -> Mapping[str, SweptKey]:
+    fields, traits = keys_of(state), traits_of(state)
+    return {
+        name: SweptKey(
+            name,
+            item.metadata["kind"],
+            _quantity_kind(item.metadata["kind"]),
+            traits[name].directed,
+            traits[name].sweep_example or [item.metadata["example"]],
+        )
+        for name, item in fields.items()
+        if traits[name].swept
+    }
 
 
 def _swept(key: SweptKey) -> Schema:
