@@ -46,6 +46,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write the plan that would resolve the remaining ambiguity (default: next to the page, if there is one)",
     )
     parser.add_argument(
+        "--write-plan", metavar="FILE", type=Path, help="write the plan with an estimate of the named effects"
+    )
+    parser.add_argument(
+        "--write-bench", metavar="FILE", type=Path, help="write a virtual bench with the named effects as found"
+    )
+    parser.add_argument(
+        "--simulation", metavar="BENCH", help="with --write-bench: the virtual bench (default: that of the recording)"
+    )
+    parser.add_argument(
         "--nominal",
         metavar="TERM",
         nargs="+",
@@ -93,7 +102,25 @@ def run(args: argparse.Namespace) -> int:
         print(args.html, file=out)
     if args.next is not None:
         print(args.next if text else "No plan is proposed.", file=out)
+    for line in _write(args, made):
+        print(line, file=out)
     return exit_codes.DONE
+
+
+def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
+    """Write the plan and the bench with the named effects, where they are asked for. Returns what to print about them."""
+    asked = [path for path in (args.write_plan, args.write_bench) if path is not None]
+    if asked and not made.diagnosis.verdict.effects:
+        return [f"No effect is named: {path} is not written." for path in asked]
+    from planrunner.tasks.named_effects import bench_with_effects, plan_with_estimate
+
+    if args.write_plan is not None:
+        checked = plan_with_estimate(made)
+        write_file(args.write_plan, checked.plan_bytes.decode())
+        print_findings(checked.findings)
+    if args.write_bench is not None:
+        write_file(args.write_bench, bench_with_effects(made, args.simulation))
+    return list(map(str, asked))
 
 
 def _options(nominal: list[str] | None) -> DiagnosisOptions | None:

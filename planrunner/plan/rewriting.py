@@ -179,6 +179,15 @@ def with_rates(text: str, place: tuple[int, int], rates: Sequence[str], turns: S
     return text[:begin] + written + text[end:]
 
 
+def appended(text: str, node: yaml.CollectionNode, more: str, last: yaml.Node, dash: str = "") -> tuple[int, str]:
+    """Where something is put in behind the last item of a mapping or list, and what."""
+    begin = node.start_mark.index
+    end = begin + len(text[begin : last.end_mark.index].rstrip())
+    if node.flow_style:
+        return end, f", {more}"
+    return end, "\n" + " " * node.start_mark.column + dash + more
+
+
 def _changed(text: str, begin: int, end: int, changes: Sequence[tuple[yaml.Node, str]]) -> str:
     """The part of the text from `begin` to `end` with some nodes in it replaced."""
     part = text[begin:end]

@@ -19,6 +19,7 @@ from planrunner.bench.model import driver_of, runs_on_virtual_clock
 from planrunner.error_model.virtual_instrument import AddedEffects
 from planrunner.instruments.interfaces import TakesEffects
 from planrunner.plan import source
+from planrunner.plan.rewriting import appended
 from planrunner.tasks.check import Document, Sound, check_plan
 
 if TYPE_CHECKING:
@@ -49,10 +50,10 @@ def simulation(plan: Path, bench: str | None, effects: Sequence[str]) -> Simulat
     Raises `InputError` with all obstacles.
     """
     sound = check_plan(plan, bench=bench, today=date.today()).sound()
-    _check_virtual(sound)
+    check_virtual(sound)
     if not effects:
         return Simulation(sound, ())
-    additions = _additions(sound, effects)
+    additions = additions_to(sound, [parsed(text) for text in effects], OPTION)
     shown = sound.bench.origin.mark.file
     text = with_effects(source.decode(sound.bench_bytes, shown), additions)
     added = Document(text.encode(), shown)
@@ -65,7 +66,8 @@ def stated(item: Addition) -> dict[str, str]:
     return {name: f"{value:.12g}{units[name]}" for name, value in item.values.items()}
 
 
-def _check_virtual(sound: Sound) -> None:
+def check_virtual(sound: Sound) -> None:
+    """Raises `InputError` for a bench that simulates nothing."""
     hint = "choose a virtual bench with --bench; `planrunner bench` lists the shipped ones"
     if sound.models.replays or not runs_on_virtual_clock(sound.bench):
         what = "plays back recordings" if sound.models.replays else "has real instruments"
@@ -74,8 +76,8 @@ def _check_virtual(sound: Sound) -> None:
         )
 
 
-def _additions(sound: Sound, effects: Sequence[str]) -> tuple[Addition, ...]:
-    """The effects, each with all its parameters."""
+def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]], mark: Mark) -> tuple[Addition, ...]:
+    """The effects, each with all its parameters. effects: names and stated parameters. mark: where they are stated. Raises `InputError`."""
     from planrunner.error_model.added import addition
     from planrunner.error_model.scheduled import scheduled, sensor_channels
 
@@ -90,13 +92,12 @@ def _additions(sound: Sound, effects: Sequence[str]) -> tuple[Addition, ...]:
         raise InputError.at(Mark(sound.file), "simulate-twice", message, "add the effects in the bench file instead")
     observed = scheduled(sound.schedule.segments, sound.models.site, channels, sound.sensor.sample_rate)
     found: dict[str, Addition] = {}
-    for text in effects:
-        name, values = parsed(text)
+    for name, values in effects:
         if name in found:
             raise InputError.at(
-                OPTION, "effect-twice", f"'{name}' is added twice", "give all its parameters in one --with"
+                mark, "effect-twice", f"'{name}' is added twice", "give all its parameters in one --with"
             )
-        found[name] = addition(name, values, observed, OPTION)
+        found[name] = addition(name, values, observed, mark)
     return tuple(found.values())
 
 
@@ -132,18 +133,9 @@ def _with_instrument(text: str, name: str, entry: str) -> str:
     assert isinstance(root, yaml.MappingNode)  # a bench file that was read
     nodes = {key.value: value for key, value in root.value}
     instruments, order = nodes["instruments"], nodes.get("safe_order")
-    changes = [_appended(text, instruments, f"{name}: {entry}", instruments.value[-1][1])]
+    changes = [appended(text, instruments, f"{name}: {entry}", instruments.value[-1][1])]
     if order is not None and order.value:
-        changes.append(_appended(text, order, name, order.value[-1], "- "))
+        changes.append(appended(text, order, name, order.value[-1], "- "))
     for at, more in sorted(changes, reverse=True):
         text = text[:at] + more + text[at:]
     return text
-
-
-def _appended(text: str, node: yaml.CollectionNode, more: str, last: yaml.Node, dash: str = "") -> tuple[int, str]:
-    """Where something is put in behind the last item of a mapping or list, and what."""
-    begin = node.start_mark.index
-    end = begin + len(text[begin : last.end_mark.index].rstrip())
-    if node.flow_style:
-        return end, f", {more}"
-    return end, "\n" + " " * node.start_mark.column + dash + more

@@ -8,13 +8,15 @@ import pytest
 
 from planrunner.base.findings import InputError
 from planrunner.base.shipped import shipped
-from planrunner.bench.model import parse_bench
+from planrunner.bench.model import bench_of, parse_bench
 from planrunner.cli import main
 from planrunner.error_model.virtual_instrument import AddedEffectsParameters
+from planrunner.estimators.analysis import analyse
 from planrunner.gap.answer.diagnosis import DiagnosisOptions
 from planrunner.plan import source
 from planrunner.tasks.check import check_plan
 from planrunner.tasks.diagnose import diagnose_recorded, joined, recorded_run
+from planrunner.tasks.named_effects import bench_with_effects, plan_with_estimate
 from planrunner.tasks.simulate import parsed, simulation, with_effects
 
 PLAN = """
@@ -144,3 +146,40 @@ def test_a_proposed_plan_passes_its_checks_runs_and_is_weighed_with_the_first(pl
     after = diagnose_recorded(both, FEW)
     tilt = [sum(p for n, p in d.diagnosis.posterior.probability.items() if "table_tilt" in n) for d in (before, after)]
     assert tilt[1] > tilt[0]
+
+
+def test_a_named_effect_becomes_an_effect_of_the_bench(plan: Path) -> None:
+    found = diagnose_recorded(recorded_run(_simulated(plan, "table_tilt=about_east:30 arcsec")), FEW)
+    assert found.diagnosis.verdict.effects == ("table_tilt",)
+    text = bench_with_effects(found, "virtual_imu_nominal")
+    added = bench_of(text.encode(), "bench.yaml").instruments["added"].parameters
+    assert isinstance(added, AddedEffectsParameters)
+    stated = added.effects["table_tilt"]["about_east"]
+    assert float(stated.split()[0]) == pytest.approx(30, abs=1)
+    with pytest.raises(InputError, match=r"gap-estimate.* one amplitude for several outputs"):
+        plan_with_estimate(found)
+
+
+def test_the_plan_of_a_named_effect_finds_it(plan: Path) -> None:
+    line = "  line: {estimator: scale_factor, segments: 'Z*', outputs: gyro_z, uncertainty: within_segment}\n"
+    plan.write_text(f"{PLAN}estimates:\n{line}", encoding="utf-8")
+    effect = "gyro_g_sensitivity=K_x_x:0.02 deg/s/g,K_y_y:-0.02 deg/s/g,K_z_z:0.01 deg/s/g"
+    recorded = recorded_run(_simulated(plan, effect))
+    found = diagnose_recorded(recorded, FEW)
+    assert found.diagnosis.verdict.effects == ("gyro_g_sensitivity",)
+    made = plan_with_estimate(found)
+    sound = made.sound()
+    assert made.plan_bytes.decode().startswith(plan.read_text(encoding="utf-8").rstrip())
+    assert set(sound.plan.estimates) == {"line", "diagnosed"}
+    results = analyse(sound.plan.estimates, (), recorded.segments, sound.models.site, sound.sensor, sound.setup)
+    item = results.estimates["diagnosed"]["gyro_g_sensitivity_K_x_x"]
+    assert abs(item.value - 0.02) < 4 * item.standard_uncertainty < 0.01
+
+
+@pytest.mark.slow
+def test_nothing_is_written_where_nothing_is_named(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = _simulated(plan)
+    folder = plan.parent
+    assert main(["diagnose", str(run), "--write-plan", str(folder / "p"), "--write-bench", str(folder / "b")]) == 0
+    said = capsys.readouterr().out
+    assert said.count("is not written") == 2 and not (folder / "p").exists() and not (folder / "b").exists()

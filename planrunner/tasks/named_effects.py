@@ -1,0 +1,134 @@
+"""What a diagnosis named, put to use: as an estimate in the plan, with uncertainty and budget, or as effects of the simulated bench."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import yaml
+
+from planrunner.base import plugins
+from planrunner.base.findings import InputError, Mark
+from planrunner.plan import source
+from planrunner.plan.rewriting import appended
+from planrunner.plan.schedule import Rest, Spin
+from planrunner.tasks.check import Checked, Document, check_plan
+from planrunner.tasks.simulate import additions_to, check_virtual, with_effects
+
+if TYPE_CHECKING:
+    from planrunner.error_model.effects.interface import Effect
+    from planrunner.error_model.observed import Observed
+    from planrunner.tasks.diagnose import Diagnosed
+
+ESTIMATE = "diagnosed"
+"""Name of the estimate in the plan; a number follows where the plan has one already."""
+
+
+def plan_with_estimate(made: Diagnosed) -> Checked:
+    """The plan of a diagnosis with one more estimate: for each output the terms that its simulation fits, and the named effects.
+
+    The checked plan has the text in `plan_bytes`, and says whether its segments can separate the effects. Raises `InputError` if none
+    of the named effects can be estimated.
+    """
+    recorded, named = made.recorded, made.diagnosis.verdict.effects
+    sound, where = recorded.sound, Mark(recorded.where)
+    observed = made.diagnosis.grounds.weighing.observed
+    if observed.along is not None:
+        message = "the orientations are unknown, so no columns of effects are known"
+        raise InputError.at(where, "gap-estimate", message, "use accelerometer_multi_position with gravity_magnitude")
+    effects = {name: _loaded(name) for name in (*made.diagnosis.grounds.nominal, *named)}
+    outputs = _outputs(observed, effects)
+    if not any(name in own for own in outputs.values() for name in named):
+        why = "; ".join(f"{name}: {_why_not(effects[name], observed)}" for name in named)
+        raise InputError.at(where, "gap-estimate", f"the named effect cannot be estimated: {why}", "use --write-bench")
+    labels = [segment.label for segment in sound.schedule.segments if isinstance(segment.motion, Rest | Spin)]
+    keys: dict[str, object] = {"estimator": "error_model"}
+    if len(labels) < len(sound.schedule.segments):
+        keys["segments"] = labels
+    text = _with_estimate(source.decode(sound.plan_bytes, sound.file), {**keys, "outputs": outputs})
+    return check_plan(Document(text.encode(), sound.file), Document(sound.bench_bytes, sound.bench.origin.mark.file))
+
+
+def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:
+    """The text of a bench with the named effects at the sizes found. simulation: a virtual bench, by name or file; by default that of the
+    recording. Raises `InputError` if it cannot simulate them."""
+    named, sound = made.diagnosis.verdict.effects, made.recorded.sound
+    if simulation is not None:
+        sound = check_plan(Document(sound.plan_bytes, sound.file), simulation).sound()
+    check_virtual(sound)
+    mark = Mark(made.recorded.where)
+    stated: list[tuple[str, Mapping[str, str]]] = []
+    for name in named:
+        found = [one for one in made.diagnosis.parameters if one.effect == name]
+        values = {one.name: f"{one.value:.9g} {one.unit}" for one in found}
+        stated.append((name, values))
+    shown = sound.bench.origin.mark.file
+    return with_effects(source.decode(sound.bench_bytes, shown), additions_to(sound, stated, mark))
+
+
+def _loaded(name: str) -> Effect:
+    made: Effect = plugins.load(plugins.EFFECTS, name)()
+    return made
+
+
+def _why_not(effect: Effect, observed: Observed) -> str:
+    """Why an effect has no place in an estimate; empty where it has."""
+    from planrunner.error_model.effects.interface import ExplainsTurning, is_whole
+    from planrunner.error_model.segment_columns import estimable
+
+    columns = [column for variant in effect.variants(observed) for column in variant.columns]
+    if why := estimable(effect):
+        return why
+    if not columns or is_whole(columns):
+        return "it has no amplitude on the outputs of the plan"
+    if any(len(column.parts) > 1 for column in columns) and not isinstance(effect, ExplainsTurning):
+        return "it has one amplitude for several outputs, and error_model fits each output separately"
+    return ""
+
+
+def _outputs(observed: Observed, effects: Mapping[str, Effect]) -> dict[str, list[str]]:
+    """Output → effects that act on it and have amplitudes."""
+    found: dict[str, list[str]] = {channel.name: [] for channel in observed.channels}
+    for name, effect in effects.items():
+        if _why_not(effect, observed):
+            continue
+        columns = [column for variant in effect.variants(observed) for column in variant.columns]
+        for place, channel in enumerate(observed.channels):
+            if any(place in column.parts and column.parts[place].any() for column in columns):
+                found[channel.name].append(name)
+    return {name: own for name, own in found.items() if own}
+
+
+def _with_estimate(text: str, entry: Mapping[str, object]) -> str:
+    """The plan's text with one more estimate behind the others, in the form in which they stand."""
+    root = yaml.compose(text)
+    assert isinstance(root, yaml.MappingNode)  # a plan that was read
+    nodes = {key.value: value for key, value in root.value}
+    estimates = nodes.get("estimates")
+    if not isinstance(estimates, yaml.MappingNode) or not estimates.value:
+        return f"{text.rstrip()}\n\nestimates:\n  {_block(ESTIMATE, entry, 2)}\n"
+    taken = {key.value for key, _ in estimates.value}
+    name = next(one for one in (ESTIMATE, *(f"{ESTIMATE}_{k}" for k in range(2, 1000))) if one not in taken)
+    column = estimates.start_mark.column
+    more = f"{name}: {_flow(entry)}" if estimates.flow_style else _block(name, entry, column)
+    at, written = appended(text, estimates, more, estimates.value[-1][1])
+    return text[:at] + written + text[at:]
+
+
+def _block(name: str, entry: Mapping[str, object], column: int) -> str:
+    """A mapping in block style, whose first line stands at a column."""
+    pad = "\n" + " " * (column + 2)
+    lines = []
+    for key, value in entry.items():
+        inner = value if isinstance(value, Mapping) else None
+        lines.append(f"{key}: {_flow(value)}" if inner is None else _block(key, inner, column + 2))
+    return f"{name}:" + "".join(pad + line for line in lines)
+
+
+def _flow(value: object) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{name}: {_flow(item)}" for name, item in value.items()) + "}"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    text = str(value)
+    return text if text.replace("_", "").isalnum() and not text[:1].isdigit() else f"'{text}'"
