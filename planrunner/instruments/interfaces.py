@@ -11,8 +11,8 @@ A driver is a class found through the entry-point group `planrunner.instruments`
         @classmethod
         def connect(cls, parameters, surroundings) -> MyTable
 
-Commands return at once with the seconds they are expected to take; the executor waits on its clock and asks `holding()`. Connecting is not
-commanding: an instrument that is only connected is closed unchanged. Every failure is an `InstrumentError`; the executor then calls
+Commands return at once with their expected duration in seconds; the executor waits on its clock and then queries `holding()`. Connecting is
+not commanding: an instrument that is only connected is closed unchanged. Every failure is an `InstrumentError`; the executor then calls
 `make_safe` on every instrument that it commanded.
 """
 
@@ -51,7 +51,7 @@ class UnservedError(InstrumentError):
 
 
 class Clock(Protocol):
-    """Time for code that must not depend on whether it is simulated."""
+    """Interface of time for code that must work in the same way with simulated and real time."""
 
     def now(self) -> float:
         """Seconds since the run began."""
@@ -130,11 +130,11 @@ class Instrument(Protocol):
     """Methods of every instrument."""
 
     def identify(self) -> Mapping[str, str]:
-        """Manufacturer, model, serial …, as it says itself."""
+        """Manufacturer, model, serial number …, as reported by the instrument."""
 
     def make_safe(self) -> None:
-        """Bring it to its safe state (table stopped, chamber to ambient). Idempotent; raises `InstrumentError` every time that it does not
-        succeed, because whoever asks last decides whether a watchdog must act.
+        """Bring it to its safe state (table stopped, chamber to ambient). Idempotent; raises `InstrumentError` on every failure, because
+        the last caller decides whether a watchdog must act.
 
         Commands may follow: a run that waits for its operator waits in the safe state."""
 
@@ -144,7 +144,7 @@ class Instrument(Protocol):
 @runtime_checkable
 class HoldsOrientation(Protocol):
     def orient(self, attitude: Array) -> float:
-        """Start moving to an attitude (3, 3) at rest; expected seconds."""
+        """Start moving to an attitude (3, 3) at rest; returns the expected seconds."""
 
     def holding(self) -> bool:
         """Whether the commanded state is reached and held."""
@@ -153,16 +153,16 @@ class HoldsOrientation(Protocol):
 @runtime_checkable
 class Moves(Protocol):
     def begin_motion(self, motion: Motion, seconds: float) -> float:
-        """Start a spin, rock or cycle that will be held for `seconds`; expected seconds until it is steady."""
+        """Start a spin, rock or cycle that will be held for `seconds`; returns the expected seconds until it is steady."""
 
     def end_motion(self) -> float:
-        """Come to rest; expected seconds."""
+        """Come to rest; returns the expected seconds."""
 
 
 @runtime_checkable
 class HoldsTemperature(Protocol):
     def set_temperature(self, kelvin: float) -> float:
-        """Start towards a temperature; expected seconds until the air is there."""
+        """Start towards a temperature; returns the expected seconds until the air has reached it."""
 
     def at_temperature(self) -> bool: ...
 
@@ -170,19 +170,19 @@ class HoldsTemperature(Protocol):
 @runtime_checkable
 class Foresees(Protocol):
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Raises `InstrumentError` when a schedule cannot be served. Asked before anything moves."""
+        """Raises `InstrumentError` if a schedule cannot be served. Called before anything moves."""
 
 
 @runtime_checkable
 class HasModes(Protocol):
     def set_mode(self, mode: str) -> float:
-        """Start changing to an operating mode of `SensorModel.modes`; expected seconds until it is in it."""
+        """Start changing to an operating mode of `SensorModel.modes`; returns the expected seconds until the change is complete."""
 
 
 @runtime_checkable
 class Readable(Protocol):
     def read(self) -> Mapping[str, float]:
-        """A few readings now (name_unit → value), kept in the journal."""
+        """A few current readings (name_unit → value) for the journal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,10 +199,10 @@ class StreamsSamples(Protocol):
         """Channel name → unit, in the order of the recording's columns."""
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """The samples of one segment's dwell as blocks of bounded size, as they come. Ends when the dwell is over.
+        """The samples of one segment's dwell as blocks of bounded size, as they arrive. Ends with the dwell.
 
-        In real time a block comes at least every second, without rows when no sample came, so that the bench is looked after meanwhile;
-        a sensor that stays silent is an `InstrumentError`."""
+        In real time a block is returned at least every second, without rows if no sample arrived, so that the bench can be supervised
+        between blocks; a sensor that stays silent raises `InstrumentError`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,8 +224,8 @@ class Watched(Protocol):
     """An instrument with live readings, which determine settling and are compared with limits during a dwell."""
 
     def watch(self) -> Condition:
-        """Its condition now, in one short exchange or from what the last frame said; asked about once a second, between the blocks of
-        a stream too. A value that is not known at the moment is left out."""
+        """Its current condition, from one short exchange or from the last frame. Called about once a second, also between the blocks of a
+        stream. Values that are not known at the moment are left out."""
 
 
 @runtime_checkable
@@ -233,7 +233,8 @@ class Alive(Protocol):
     """An instrument that can verify its link. A `Watched` instrument verifies it by its readings and does not need this."""
 
     def heartbeat(self) -> None:
-        """The shortest exchange there is, every few seconds while nothing else is asked. Raises `InstrumentError` when no answer comes."""
+        """The shortest possible exchange, every few seconds while there is no other communication. Raises `InstrumentError` if there is no
+        reply."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,9 +256,8 @@ class OwnLimits:
 @runtime_checkable
 class SelfLimiting(Protocol):
     def limit(self, limits: OwnLimits) -> Sequence[str]:
-        """Set the limits and time-outs that the instrument has, before the first move and again after a wait in the safe state; a line
-        each for the journal of what is now set.
-        What it does not have is left out. Raises `InstrumentError` when a limit that it has cannot be set."""
+        """Set those limits and time-outs that the instrument supports, before the first move and again after a wait in the safe state;
+        returns a line for the journal for each limit set. Raises `InstrumentError` if a supported limit cannot be set."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,14 +276,13 @@ class FrameCounts:
 @runtime_checkable
 class Counting(Protocol):
     def counts(self) -> FrameCounts:
-        """Of the segment that is being streamed, or was streamed last."""
+        """Frame counts of the segment that is being streamed, or was streamed last."""
 
 
 @runtime_checkable
 class Remarking(Protocol):
     def remarks(self) -> Sequence[str]:
-        """What was out of the ordinary since it was last asked, a line each (an exchange tried again, a link opened anew), for the
-        journal."""
+        """Unusual events since the last call, one line each, for the journal (a repeated exchange, a reopened link)."""
 
 
 @runtime_checkable

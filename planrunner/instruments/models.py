@@ -21,7 +21,7 @@ __all__ = ["ChamberModel", "DataOrigin", "NoiseModel", "OutputModel", "SensorMod
 Array = NDArray[np.float64]
 
 DataOrigin = Literal["measured", "simulated", "replayed"]
-"""Where the samples of a run come from: real instruments; instruments of which at least one is simulated; a recording made before."""
+"""Source of the samples of a run: real instruments; instruments of which at least one is simulated; an earlier recording."""
 
 Senses = Literal["angular rate", "acceleration"]
 """Quantities sensed by inertial outputs; also the names of these dimensions."""
@@ -60,7 +60,8 @@ class ChamberModel:
     def seconds_to_change(self, kelvin: float) -> float:
         """Time until the air is within tolerance of a setpoint `kelvin` away.
 
-        A first-order lag τ behind a ramp r that lasts t is r·τ·(1 − e^(−t/τ)) behind when the ramp ends, and decays with τ from there.
+        At the end of a ramp with the rate r and the duration t, a first-order lag τ is r·τ·(1 − e^(−t/τ)) behind; this difference then
+        decays with τ.
         """
         if abs(kelvin) <= self.tolerance:
             return 0.0
@@ -71,17 +72,17 @@ class ChamberModel:
         return ramping + self.lag * max(0.0, math.log(behind / self.tolerance))
 
     def behind(self, kelvin: float, lag: float, seconds: float) -> float:
-        """How far [K, with its sign] a body that follows the air with the time constant `lag` [s] is behind the setpoint, `seconds`
+        """Signed distance [K] behind the setpoint of a body that follows the air with the time constant `lag` [s], `seconds`
         after a ramp by `kelvin` began from equilibrium.
 
-        Two first-order lags a and s in a row are k·((a + s) − (a²·e^(−t/a) − s²·e^(−t/s))/(a − s)) behind a ramp k·t; a ramp that
-        ends after T is that ramp less the same one begun T later.
+        Two first-order lags a and s in a row are k·((a + s) − (a²·e^(−t/a) − s²·e^(−t/s))/(a − s)) behind a ramp k·t; a ramp that ends
+        after T is this ramp minus the same ramp begun T later.
         """
         slope = math.copysign(self.ramp, kelvin)
         return slope * (self._lag_of_ramp(lag, seconds) - self._lag_of_ramp(lag, seconds - abs(kelvin) / self.ramp))
 
     def _lag_of_ramp(self, lag: float, seconds: float) -> float:
-        """The same for an endless ramp of 1 K/s."""
+        """The same distance for an endless ramp of 1 K/s."""
         if seconds <= 0:
             return 0.0
         a, s = max(self.lag, _SHORT), max(lag, _SHORT)
@@ -104,8 +105,8 @@ class NoiseModel:
     counted: bool = False
 
     def dithers(self, variance: float | Array) -> NDArray[np.bool_]:
-        """Whether a mean is not rounded to counts as its samples are: noise of this variance [unit²] between them carries it past the
-        counts, or what a sample leaves of a count goes into the next."""
+        """Whether the rounding of samples to counts averages out in a mean: noise of this variance [unit²] between the samples dithers it,
+        or the remainder of a count is carried to the next sample."""
         return np.logical_or(self.counted, np.asarray(variance) > (self.resolution / 2) ** 2)
 
     def standard_error(self, seconds: float, rate_hz: float) -> float:
@@ -120,12 +121,12 @@ class NoiseModel:
         return math.sqrt(white + rounding + self.bias_instability**2)
 
     def chance_of_no_change(self, seconds: float, rate_hz: float) -> float:
-        """How probable it is at most that all samples over `seconds` at `rate_hz` of a constant input read the same.
+        """Upper bound of the probability that all samples of a constant input over `seconds` at `rate_hz` are equal.
 
-        Without carried rounding the most probable is a mean in the middle of a count. With it the sum of the noise, a random walk that
-        starts anywhere in a count, has to stay within it: exp(−π²·n·σ²/(2·a²)) after n steps of σ between walls a apart bounds the series
-        of H. S. Carslaw and J. C. Jaeger, Conduction of Heat in Solids, 3.3; walls that are looked at once a step are 2·0.5826·σ
-        farther apart (D. Siegmund, Sequential Analysis, 10.2).
+        Without carried remainders, the probability is largest for a mean in the middle of a count. With them, the sum of the noise, a
+        random walk that starts anywhere in a count, must stay within the count: exp(−π²·n·σ²/(2·a²)) after n steps of σ between walls a
+        apart bounds the series of H. S. Carslaw and J. C. Jaeger, Conduction of Heat in Solids, 3.3; walls that are checked only once per
+        step act as if 2·0.5826·σ farther apart (D. Siegmund, Sequential Analysis, 10.2).
         """
         if self.resolution == 0 or self.white == 0:
             return 0.0 if self.white else 1.0
@@ -157,7 +158,7 @@ class SensorModel:
 
     modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that only has one. one_rate: whether it
     samples only at `sample_rate` [Hz], or also at lower rates. thermal_lag: time constant [s] of its temperature relative to the air, 0 if
-    not declared. records_angle: whether it records the table's angle about one axis, so that motion about several cannot be.
+    not declared. records_angle: whether it records the table's angle about one axis, so that motion about several axes cannot be recorded.
     """
 
     kind: str
@@ -170,7 +171,7 @@ class SensorModel:
     records_angle: bool = False
 
     def rate_refused(self, asked: float | None) -> str:
-        """Why it cannot be sampled at `asked` Hz; empty where it can, or where nothing is asked."""
+        """Why it cannot be sampled at `asked` Hz; empty if it can, or if no rate is requested."""
         return rate_refused(asked, self.sample_rate, self.one_rate)
 
     def output(self, name: str) -> OutputModel | None:

@@ -100,14 +100,14 @@ class RecordingPlayer(PlaysBack):
         return {name: channel.unit for name, channel in self.parameters.channels.items()}
 
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Whether the recording holds every segment, for long enough, and can be read to its end. Raises `UnservedError`."""
+        """Checks that the recording holds every segment for its whole dwell and can be read to its end. Raises `UnservedError`."""
         found = Findings()
         self.look_over(segments, found)
         if found.errors:
             raise UnservedError(found.errors)
 
     def look_over(self, segments: Sequence[Segment], log: Findings, progress: ScanProgress | None = None) -> None:
-        """Everything that can be said of the recording before these segments are played back, in one pass over it, into `log`. progress:
+        """Adds all findings about the recording to `log`, in one pass, before these segments are played back. progress:
         called with the rows checked so far."""
         name = self.parameters.file
         try:
@@ -145,8 +145,8 @@ class RecordingPlayer(PlaysBack):
         return found
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """The stretch of one label: its first `dwell` seconds, or all of it. Time counts from power-on where that is declared,
-        else from the recording's first row.
+        """The stretch of one label: its first `dwell` seconds, or all of it. Time is counted from power-on if it is declared, otherwise
+        from the first row of the recording.
         """
         span = self._span(segment)
         interval = 1 / self.parameters.sample_rate.value
@@ -173,10 +173,10 @@ class RecordingPlayer(PlaysBack):
         return {"manufacturer": "recording", "model": self.parameters.kind, "file": self.parameters.file}
 
     def make_safe(self) -> None:
-        """A file does nothing dangerous."""
+        """Does nothing: a file is always safe."""
 
     def close(self) -> None:
-        """The file is opened anew for every segment and held open by none."""
+        """Does nothing: the file is opened and closed for each segment."""
 
     def checkpoint(self) -> Mapping[str, Json]:
         return {"served": self._served}
@@ -187,7 +187,7 @@ class RecordingPlayer(PlaysBack):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _pieces(self, time: Array, columns: Mapping[str, Array]) -> Iterator[Block]:
-        """Blocks as long as the clock likes: about a second each in real time."""
+        """Blocks of the length that suits the clock: about a second each in real time."""
         rate = self.parameters.sample_rate.value
         size = time.size if math.isinf(self.piece) else max(1, round(self.piece * rate))
         for first in range(0, time.size, size):
@@ -226,7 +226,8 @@ class RecordingPlayer(PlaysBack):
 
 
 def _check_time(file: RecordingFile, parameters: RecordingParameters) -> None:
-    """A declared rate that the time column contradicts, most often by a wrong unit of time, and a power-on after the first row."""
+    """Findings about a declared rate that contradicts the time column, usually because of a wrong unit of time, and about a power-on after
+    the first row."""
     declared = parameters.sample_rate.value
     if not math.isnan(file.interval) and abs(math.log(file.interval * declared)) > RATE_TOLERANCE:
         message = (

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import pyarrow.parquet as pq
 
 MAX_BYTES = 100_000_000_000
-"""Of the file: 1 kHz of ten channels for a month."""
+"""Maximum size of the file: ten channels at 1 kHz for a month."""
 MAX_COLUMNS = 1_000
 MAX_HEADER = 65_536
 """Bytes of a CSV file's first line."""
@@ -57,7 +57,7 @@ def open_samples(path: Path, name: str) -> BinaryIO:
 
 
 def check_header(file: BinaryIO, name: str) -> None:
-    """Hold the first line of a CSV file to its bounds and go back to the beginning. Raises `InstrumentError`."""
+    """Check the first line of a CSV file against its bounds and return to the beginning. Raises `InstrumentError`."""
     start = file.read(MAX_HEADER + 1).removeprefix(b"\xef\xbb\xbf").lstrip(b"\r\n")
     file.seek(0)
     header = start.partition(b"\n")[0].partition(b"\r")[0]
@@ -68,7 +68,7 @@ def check_header(file: BinaryIO, name: str) -> None:
 
 
 def check_directory(file: BinaryIO, name: str) -> None:
-    """Hold the size of a Parquet file's directory to its bound and go back to the beginning. Raises `InstrumentError`."""
+    """Check the size of a Parquet file's directory against its bound and return to the beginning. Raises `InstrumentError`."""
     size = file.seek(0, 2)
     if size >= _PARQUET_END.size:
         file.seek(size - _PARQUET_END.size)
@@ -197,7 +197,7 @@ class HeldRecording:
 
     @classmethod
     def of(cls, file: RecordingFile, most: float = np.inf) -> HeldRecording | None:
-        """All rows of a file, read once; None where there are more than `most`. Raises `InstrumentError` as the file does."""
+        """All rows of a file, read once; None if there are more than `most`. Raises `InstrumentError` like the file."""
         pieces, count = [], 0
         for piece in file.rows():
             pieces.append(piece)
@@ -210,20 +210,20 @@ class HeldRecording:
         return cls(file.origin, file.interval, time, columns)
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """As of a file; one batch at most."""
+        """As for a file; one batch at most."""
         part = span.of(self.time, self.interval)
         if part.start < part.stop:
             yield self.time[part], {name: values[part] for name, values in self.columns.items()}
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """As of a file; one batch at most."""
+        """As for a file; one batch at most."""
         if len(self.time):
             yield 1, self.time, dict(self.columns)
 
 
 def at_hand(file: RecordingFile) -> RecordingFile:
-    """The same recording such that many stretches of it can be read: in memory up to `HELD` rows. A longer CSV file, of which a stretch
-    is found only by reading all before it, becomes a temporary Parquet file. Raises `InstrumentError` as the file does."""
+    """The same recording in a form from which many stretches can be read quickly: in memory up to `HELD` rows. A longer CSV file becomes a
+    temporary Parquet file, because all preceding rows must be read to find a stretch in CSV. Raises `InstrumentError` like the file."""
     held = HeldRecording.of(file, HELD)
     if held is not None:
         return held
@@ -305,7 +305,7 @@ class _File:
         return arrow_columns.numbers(values)
 
     def _check_time(self, time: Array, first: int, before: float | None) -> None:
-        """Time is there and increases, from row to row and from the row before this batch."""
+        """Checks that time is present and increases, from row to row and from the row before this batch."""
         if not np.all(np.isfinite(time)):
             row = first + int(np.flatnonzero(~np.isfinite(time))[0])
             raise InstrumentError(f"{self.name}, row {row}: the time is missing or not a number")
@@ -324,7 +324,7 @@ class _File:
 
 
 class _Parquet(_File):
-    """Row groups that lie outside the stretch, by their statistics, are passed over."""
+    """Row groups outside the stretch, according to their statistics, are skipped."""
 
     def columns(self) -> list[str]:
         import pyarrow as pa
@@ -337,7 +337,7 @@ class _Parquet(_File):
 
     @contextlib.contextmanager
     def _opened(self) -> Iterator[pq.ParquetFile]:
-        """The file with its directory read and held to its bounds; columns are read in small pieces."""
+        """The file, with its directory read and checked against its bounds; columns are read in small pieces."""
         import pyarrow.parquet as pq
 
         with open_samples(self.path, self.name) as opened:
@@ -360,7 +360,7 @@ class _Parquet(_File):
                 first += count
 
     def _outside(self, group: pq.RowGroupMetaData, span: Span) -> bool:
-        """By its statistics; a group that a rounded boundary may touch is read."""
+        """Whether a group overlaps the stretch, by its statistics; a group that a rounded boundary may touch is read."""
         for index in range(group.num_columns):
             column = group.column(index)
             if column.path_in_schema == self.time:
@@ -374,7 +374,7 @@ class _Parquet(_File):
 
 @dataclass
 class _Spooled:
-    """Rows of a file in a temporary Parquet file, which goes when this does."""
+    """Rows of a file in a temporary Parquet file, which is deleted together with this object."""
 
     origin: float
     interval: float
@@ -409,11 +409,11 @@ class _Spooled:
         return spooled
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """As of a file."""
+        """As for a file."""
         return self.file.rows(span)
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """As of a file."""
+        """As for a file."""
         return self.file.all_rows()
 
 
@@ -435,7 +435,7 @@ class _Csv(_File):
 
     @contextlib.contextmanager
     def _opened(self, wanted: list[str] | None) -> Iterator[arrow_csv.CSVStreamingReader]:
-        """A reader of the columns `wanted`, of all without them. What is wrong with the file becomes an `InstrumentError`."""
+        """A reader of the columns `wanted`, by default all. Faults of the file become an `InstrumentError`."""
         import pyarrow as pa
         from pyarrow import csv as arrow_csv
 
@@ -451,7 +451,7 @@ class _Csv(_File):
             raise self._not_numbers(wanted or []) or self._unreadable(error) from None
 
     def _not_numbers(self, wanted: list[str]) -> InstrumentError | None:
-        """The first line that is too long or cell that is no number, by its line; None where the fault is another one."""
+        """The message about the first line that is too long, or the first cell that is not a number; None if there is a different fault."""
         with (
             contextlib.suppress(OSError, UnicodeDecodeError),
             open_samples(self.path, self.name) as opened,

@@ -94,7 +94,7 @@ class ChannelColumn(Record):
     )
 
     def white(self, sample_rate: float) -> float:
-        """The random-walk coefficient N, in output units times √s; 0 where no noise is declared. sample_rate: Hz."""
+        """The random-walk coefficient N, in output units times √s; 0 if no noise is declared. sample_rate: Hz."""
         factor = unit(self.unit).factor
         if self.noise is not None:
             return width(self.noise) / factor / math.sqrt(sample_rate)
@@ -203,7 +203,7 @@ def width(quantity: Quantity) -> float:
 
 
 def _check_dimension(channel: ChannelColumn, name: str, times: str, log: Findings) -> None:
-    """times: what stands behind the channel's unit."""
+    """times: the text after the channel's unit."""
     value: Quantity | None = getattr(channel, name)
     if value is None:
         return

@@ -23,9 +23,9 @@ Array = NDArray[np.float64]
 ScanProgress = Callable[[int], None]
 
 GAP = 1.5
-"""Sample periods: between samples further apart, one is missing. A segment may end so far behind the last sample, too."""
+"""Number of sample periods: if samples are further apart, one is missing. A segment may also end this long after the last sample."""
 SHOWN = 3
-"""Places that a finding names; the others are counted."""
+"""Maximum number of places that a finding names; the others are counted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +120,8 @@ def scan(
     log: Findings,
     progress: ScanProgress | None = None,
 ) -> None:
-    """Everything that is wrong with a recording, into `log`. name: of the file, for messages; sample_rate: Hz, as declared; progress:
-    called with the rows checked so far. Raises `InstrumentError` where the file cannot be read on."""
+    """Adds all faults of a recording to `log`. name: of the file, for messages; sample_rate: Hz, as declared; progress:
+    called with the rows checked so far. Raises `InstrumentError` if the rest of the file cannot be read."""
     period = 1 / sample_rate if math.isnan(file.interval) else file.interval
     found = _Pass(period, [_Seen() for _ in wanted])
     try:

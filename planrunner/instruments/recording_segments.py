@@ -22,14 +22,14 @@ from planrunner.plan.span import Span
 
 @dataclass(frozen=True, slots=True)
 class SegmentTable:
-    """Stretches by label, after trimming, and the lines that they stand in. name: of the file, for messages."""
+    """Stretches by label, after trimming, and their lines in the table. name: of the file, for messages."""
 
     name: str
     spans: Mapping[str, Span]
     lines: Mapping[str, int]
 
     def span(self, label: str) -> Span:
-        """The stretch of a label. Raises `InstrumentError` naming the closest label."""
+        """The stretch of a label. Raises `InstrumentError` with the closest label."""
         if label not in self.spans:
             raise InstrumentError(f"{self.name} has no segment '{label}'; {closest_label(label, self.spans)}")
         return self.spans[label]
@@ -39,7 +39,7 @@ def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], sca
     """The table at `path`. columns: of label, start and end; scale: seconds per unit of both; trim: s left out at
     either end.
 
-    Raises `InstrumentError` with the line of whatever is wrong.
+    Raises `InstrumentError` with the line of the fault.
     """
     try:
         text = read_text(path, name)

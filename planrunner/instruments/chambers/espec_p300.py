@@ -1,7 +1,7 @@
 """Chambers with an Espec P300 or SCP-220 controller, over TCP (port 10001) or a serial line.
 
 Every command is answered, with `OK:` and the command or with `NA:` and the reason. Its upper and lower temperature alarms are set before it
-first runs, so that it stops itself beyond them. Sources: P300 communication manual; the maker's open library.
+first runs, so that it stops by itself beyond them. Sources: P300 communication manual; the maker's open library.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class EspecP300Commands:
         self.station = "" if parameters.station is None else f"{parameters.station},"
 
     def identify(self) -> Mapping[str, str]:
-        """Its type: sensors, controller, highest temperature. It reports neither manufacturer nor serial number."""
+        """Identification of its type: sensors, controller, highest temperature. It reports neither manufacturer nor serial number."""
         said = self._ask("TYPE?")
         self.parameters.check_identity(said, "")
         if said.count(",") not in (2, 3):
@@ -75,7 +75,7 @@ class EspecP300Commands:
         return {"manufacturer": "Espec", "model": "P300 or SCP-220", "type": said}
 
     def prepare(self, ramp: float) -> None:
-        """In constant operation it ramps as fast as it can."""
+        """In constant operation it ramps at its largest rate."""
 
     def limit(self, coldest: float, hottest: float) -> Sequence[str]:
         self._do(f"TEMP,H{hottest:.1f}")

@@ -17,7 +17,7 @@ from planrunner.instruments.wire.replies import number, written
 from planrunner.plan.kinds import Number, key
 
 PACE = 0.1
-"""s between two messages; its users wait between writes."""
+"""Time between two messages, s; other drivers also wait between writes."""
 
 
 class WatlowF4tParameters(LinkKeys, ChamberKeys):

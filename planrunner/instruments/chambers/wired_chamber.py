@@ -15,7 +15,7 @@ from planrunner.plan.schedule import Segment
 from planrunner.plan.units import ZERO_CELSIUS
 
 MARGIN = 5.0
-"""K beyond the bench file's range at which a chamber shall stop by itself, where it can."""
+"""Margin, K, beyond the range in the bench file at which a chamber stops by itself, if it can."""
 
 
 class AirCommands(Protocol):
@@ -23,17 +23,17 @@ class AirCommands(Protocol):
 
     def identify(self) -> Mapping[str, str]: ...
     def prepare(self, ramp: float) -> None:
-        """Units and the rate of the set point [K/min], as far as the controller has them."""
+        """Set the units and the rate of the set point [K/min], if the controller has these settings."""
 
     def limit(self, coldest: float, hottest: float) -> Sequence[str]:
-        """Set the temperatures at which it stops by itself; a line for each limit that is set now."""
+        """Set the temperatures at which it stops by itself; returns a line for each limit set."""
 
     def head_for(self, celsius: float) -> None:
-        """Set point, and running."""
+        """Set the set point, and run."""
 
     def air(self) -> float: ...
     def faults(self) -> Sequence[str]:
-        """Why it cannot go on, in words; empty while all is well."""
+        """Why it cannot continue, in words; empty without a fault."""
 
     def remarks(self) -> Sequence[str]: ...
     def close(self) -> None: ...
@@ -49,7 +49,7 @@ class WiredChamber:
 
     @classmethod
     def connect(cls, commands: AirCommands, keys: ChamberKeys) -> WiredChamber:
-        """Ask who it is; lets go of the link when that fails. What is wrong with it does not keep it from being made safe."""
+        """Query its identification; releases the link if that fails. It can be made safe even if it reports a fault."""
         try:
             commands.identify()
         except BaseException:
@@ -68,7 +68,7 @@ class WiredChamber:
         return told
 
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Raises `InstrumentError` when it reports a fault before anything has begun."""
+        """Raises `InstrumentError` if it reports a fault before the run begins."""
         self._raise(self.commands.faults())
 
     def set_temperature(self, kelvin: float) -> float:

@@ -79,7 +79,7 @@ class CounterOfFrame(Record):
 
 
 class StatusOfFrame(Record):
-    """A status word of a frame; set bits speak against it."""
+    """A status word of a frame; set bits mark the frame as doubtful."""
 
     place: int = key(Number(0, LONGEST - 1, integer=True), "Position of its first byte.", 15, name="at")
     type: str = key(Choice(WHOLE), "Its type.", "u8", default="u8")
@@ -204,7 +204,7 @@ def _framing(parameters: DeclaredFrameParameters) -> Framing:
 
 
 def _check(parameters: DeclaredFrameParameters) -> None:
-    """Everything lies within the frame. Raises `InputError`."""
+    """Checks that all fields are within the frame. Raises `InputError`."""
     check = CHECKSUMS[parameters.checksum.type].width // 8 if parameters.checksum is not None else 0
     places: dict[str, tuple[PartOfFrame, int]] = {
         name: (item, TYPES[item.type][0]) for name, item in parameters.fields.items()

@@ -29,9 +29,9 @@ LENGTHS = {"A": 36, "B": 40, "C": 38}
 LAST = {"A": 0x55, "B": 0x56, "C": 0x57}
 AXES = ("x", "y", "z")
 SETTLE = 0.5
-"""Seconds in which a change of configuration takes effect; about two invalid frames come meanwhile."""
+"""Seconds in which a change of configuration takes effect; about two invalid frames arrive during this time."""
 PATIENCE = 1.0
-"""Seconds in which the result of the built-in test comes."""
+"""Maximum seconds until the result of the built-in test arrives."""
 BIT_SYNC, BIT_LENGTH = bytes.fromhex("fe8100aa"), 11
 
 
@@ -156,7 +156,7 @@ class MultiplexedTemperature:
 
 
 def ask_built_in_test(link: SerialStream, clock: Clock) -> Mapping[str, str]:
-    """The result of the built-in test, for the journal; nothing where the sensor does not answer."""
+    """The result of the built-in test, for the journal; empty if the sensor does not answer."""
     link.write(b"?bit\r\n")
     heard, until = b"", clock.now() + PATIENCE
     while clock.now() < until:
@@ -169,7 +169,7 @@ def ask_built_in_test(link: SerialStream, clock: Clock) -> Mapping[str, str]:
 
 
 def built_in_test(reply: bytes) -> tuple[int, ...]:
-    """The six status bytes of a reply to `?bit`, of whose seven bits a clear one is a fault. Raises `InstrumentError`."""
+    """The six status bytes of a reply to `?bit`, in whose seven bits a cleared bit is a fault. Raises `InstrumentError`."""
     if len(reply) != BIT_LENGTH or not reply.startswith(BIT_SYNC) or SUM8.of(reply[:-1]) != reply[-1]:
         raise InstrumentError(f"no result of a built-in test: {reply[:16].hex(' ')}")
     return tuple(reply[4:10])

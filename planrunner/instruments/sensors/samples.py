@@ -98,7 +98,7 @@ class FrameLayout:
         return self.units
 
     def decode(self, frames: Frames) -> Samples:
-        """Frames with a number that is none, or infinite, are refused."""
+        """Frames with a NaN or an infinite number are refused."""
         rows = numbers(frames, list(self.fields.values()))
         finite: NDArray[np.bool_] = np.isfinite(rows.sum(axis=0)) if rows.size else np.ones(len(frames), bool)
         refused = int(finite.size - np.count_nonzero(finite))
@@ -134,5 +134,5 @@ class FrameLayout:
 
 
 def byte(offset: int) -> Field:
-    """An unsigned byte, as counters and status words are."""
+    """An unsigned byte, for counters and status words."""
     return Field(offset, 1, UNSIGNED)

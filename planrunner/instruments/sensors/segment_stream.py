@@ -30,10 +30,11 @@ class Arriving(Protocol):
 
 
 class SegmentStream:
-    """`wanted` samples from `start` (s, by the bench's clock) on. byte_time: s that a byte is on the line; skew: of the sensor's clock, as
-    known so far; haste: seconds of the bench's clock in one of the wall.
+    """`wanted` samples from `start` (s, by the bench's clock) on. byte_time: s per byte on the line; skew: of the sensor's clock, as known
+    so far; haste: seconds of the bench's clock per second of real time. over:
 
-    over: whether all samples are out. heard: good frames of the last call; fresh: those among them that lie beyond all before.
+    whether all samples have been returned. heard: good frames of the last call; fresh: those of them that are later than all earlier
+    frames.
     """
 
     def __init__(
@@ -71,7 +72,7 @@ class SegmentStream:
         return doubts
 
     def advance(self) -> Block:
-        """The samples that have come; perhaps none. Raises `InstrumentError` when the port is gone."""
+        """The samples that have arrived; possibly none. Raises `InstrumentError` if the port is gone."""
         samples = self._decoder.decode(self._framer.push(self._link.take()))
         self.heard = len(samples)
         self._refused += samples.refused
@@ -110,7 +111,7 @@ class SegmentStream:
         )
 
     def _onwards(self, index: Whole) -> NDArray[np.bool_]:
-        """Which frames lie beyond all before them; the others came twice or too late, and time does not run backwards."""
+        """Mask of the frames that are later than all frames before them; the others arrived twice or too late."""
         before = np.maximum.accumulate(np.concatenate([[self._last], index]))
         onwards: NDArray[np.bool_] = index > before[:-1]
         again = int(np.count_nonzero(index == before[:-1]))
@@ -120,7 +121,7 @@ class SegmentStream:
         return onwards
 
     def _within(self, time: Array, index: Whole, ready: Samples) -> Block:
-        """The samples of the dwell. It has as many places as were wanted, from the first frame after its start on."""
+        """Selects the samples of the dwell: it has as many places as requested, from the first frame after its start on."""
         inside = time > self._start
         if math.isnan(self._first) and inside.any():
             self._first = float(index[inside][0])

@@ -31,14 +31,14 @@ from planrunner.plan.schedule import Segment
 
 TOLERANCE = math.log(1.4)
 ENOUGH = 20
-"""Frames that a rate can be judged by."""
+"""Minimum number of frames for a check of the rate."""
 BACKLOG = 0.1
-"""Seconds in which frames may come that had waited in buffers."""
+"""Seconds during which frames from buffers may arrive."""
 
 
 class FirstFrames:
-    """seconds: between the first good frame and the last, but for what had waited in buffers. heard: when the last good frame came.
-    haste: seconds of the bench's clock in one of the wall, which buffers keep to."""
+    """seconds: between the first good frame and the last, without frames from buffers. heard: time of the last good frame. haste: seconds
+    of the bench's clock per second of real time; buffers follow real time."""
 
     def __init__(self, decoder: Decoder, rate: float, haste: float = 1.0):
         self._decoder, self._rate, self._backlog = decoder, rate, BACKLOG * haste
@@ -92,11 +92,11 @@ class FirstFrames:
 
 
 POLL = 0.05
-"""Seconds between blocks: how long a stop may wait for the next one."""
+"""Seconds between blocks, and therefore the longest delay of a stop."""
 LISTENING = 0.5
-"""Seconds of frames that the rate is judged by when connecting."""
+"""Seconds of frames for the check of the rate when connecting."""
 LISTENINGS = 3
-"""How often another rate must be heard until it is believed."""
+"""Number of consecutive checks that must find a different rate before it is reported."""
 SKEW_TOLERANCE = 0.02
 
 P = TypeVar("P", bound=SerialSensorParameters)
@@ -133,7 +133,7 @@ class SerialSensor(Generic[P]):
 
     @classmethod
     def decoder_of(cls, parameters: P) -> Decoder:
-        """How the frames of a sensor that is set as its keys say are read."""
+        """The decoder for the frames of a sensor with these keys."""
         raise NotImplementedError
 
     @classmethod
@@ -183,7 +183,7 @@ class SerialSensor(Generic[P]):
                 raise InstrumentError(f"'{segment.label}': {refused}: {hint}")
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """The samples that are taken from now on until the dwell is over."""
+        """The samples from now on until the end of the dwell."""
         self.foresee([segment])
         assert segment.dwell is not None
         self.link.ring.follow(True)
@@ -223,7 +223,7 @@ class SerialSensor(Generic[P]):
         return {"manufacturer": self.manufacturer, "model": self.product, "port": self.parameters.port, **self.identity}
 
     def make_safe(self) -> None:
-        """A sensor that is read does nothing dangerous."""
+        """Does nothing: a sensor that is only read is always safe."""
 
     def close(self) -> None:
         self.link.close()
@@ -231,11 +231,11 @@ class SerialSensor(Generic[P]):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _patience(self) -> float:
-        """How long it may be silent, s by the bench's clock: cables and computers keep to the wall's."""
+        """Longest permitted silence, s by the bench's clock, because delays of cables and computers follow real time."""
         return self.parameters.silence.value * self._speed
 
     def _byte_time(self) -> float:
-        """Seconds that a byte takes on the line: ten bits; nothing to speak of through a network."""
+        """Seconds per byte on the line: ten bits; negligible on a network."""
         return 0.0 if "://" in self.parameters.port else 10.0 / self.parameters.baud
 
     def _hear(self, frames: int, doubts: tuple[str, ...]) -> None:
@@ -273,8 +273,8 @@ class SerialSensor(Generic[P]):
             self._heard = self.clock.now()
 
     def _listen(self) -> None:
-        """Wait for good frames at the declared rate. Raises `InstrumentError` that says what came instead; another rate must be heard
-        repeatedly, since a computer that stood still meanwhile gets in a burst what had waited."""
+        """Wait for good frames at the declared rate. Raises `InstrumentError` with a description of the received data. A different rate
+        must be found repeatedly, because after a pause of the computer the waiting frames arrive in a burst."""
         self.link.ring.follow(True)
         try:
             for left in reversed(range(LISTENINGS)):

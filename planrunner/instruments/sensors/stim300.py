@@ -23,7 +23,7 @@ from planrunner.plan.source import Node, Scalar
 
 INTERNAL_RATE = 2000.0  # Hz
 CONTENTS = ("", "a", "i", "ai", "t", "at", "it", "ait")
-"""Beside the gyros: a accelerometers, i inclinometers, t temperatures."""
+"""In addition to the gyros: a accelerometers, i inclinometers, t temperatures."""
 DATAGRAMS: Mapping[int, str] = {
     **dict(zip((0x90, 0x91, 0x92, 0x93, 0x94, 0xA5, 0xA6, 0xA7), CONTENTS, strict=True)),
     **dict(zip(range(0xF0, 0xF8), (text + "p" for text in CONTENTS), strict=True)),

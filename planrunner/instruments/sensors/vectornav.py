@@ -128,12 +128,12 @@ class VectorNav(SerialSensor[VectorNavParameters]):
 
 
 def line(body: str) -> bytes:
-    """A command such as `VNRRG,8` as it is sent."""
+    """The bytes of a command such as `VNRRG,8`."""
     return f"${body}*{XOR8.of(body.encode('ascii')):02X}\r\n".encode("ascii")
 
 
 def body_of(reply: bytes) -> str:
-    """The text between `$` and `*` of a line. Raises `InstrumentError` for a wrong checksum and for an error of the sensor's."""
+    """The text between `$` and `*` of a line. Raises `InstrumentError` for a wrong checksum and for an error reported by the sensor."""
     body, star, check = reply.strip(b"\r\n").removeprefix(b"$").partition(b"*")
     if not star or not body or check.upper() != f"{XOR8.of(body):02X}".encode("ascii"):
         raise InstrumentError(f"the VN-100 answers with an incomplete line: {reply[:60]!r}")

@@ -207,7 +207,7 @@ class MtData2:
         return {name: made[name] for name in self.channels()}
 
     def _shape(self, frame: bytes) -> tuple[Whole, FrameLayout | None]:
-        """Where the packets' heads stand in frames like this one, and how they are read; None: not at all."""
+        """Positions of the packet headers in frames of this shape, and how they are read; None if they cannot be read."""
         start = 4 if frame[3] != 255 else 6
         packets: dict[int, tuple[int, int, int]] = {}
         heads: list[int] = []

@@ -33,7 +33,7 @@ from planrunner.instruments.wire.replies import number, numbers, written
 
 HEADER = 8
 QUIET = 0.1
-"""s without a byte after which the first reply is complete."""
+"""Silence, s, after which the first reply is complete."""
 
 Header = Callable[[bytes], tuple[int, int]]
 
@@ -69,7 +69,7 @@ def kind_of(reply: bytes) -> str | None:
 
 
 class AcutrolFraming:
-    """Reads replies; knows after the first one how they are framed."""
+    """Reads replies; the first one shows how they are framed."""
 
     def __init__(self) -> None:
         self._known = False
@@ -103,13 +103,13 @@ class AcutrolFraming:
 
 
 PACE = {"GPIB": 0.04, "TCPIP": 0.002}
-"""s between two messages that the controller needs."""
+"""Minimum time between two messages, s."""
 INTERLOCK, PROCESSOR, SUPERVISOR, REFUSED = 1, 2, 4, 8
 """Bits of the status byte."""
 SERVICES = ("pos", "rate", "synt")
-"""The modes that have limits of their own."""
+"""The modes with separate limits."""
 TRIP = 1.1
-"""The over-rate trip, in terms of the highest rate."""
+"""The over-rate trip, as a multiple of the highest rate."""
 MODES = {"p": "pos", "r": "rate", "s": "synt"}
 
 
@@ -215,7 +215,7 @@ class AcutrolCommands:
         self._enter("synt", sines, *enter, _oscillation(sines))
 
     def _enter(self, mode: str, axes: Iterable[int], *commands: str) -> None:
-        """During the change the mode is unknown, also to queries from another thread."""
+        """During the change the mode is unknown, also for queries from another thread."""
         for axis in axes:
             self._modes.pop(axis, None)
         self._do(*commands)
@@ -263,7 +263,7 @@ class AcutrolCommands:
         self.link.close()
 
     def _do(self, *commands: str) -> None:
-        """Send commands; raises `InstrumentError` when one was not taken."""
+        """Send commands; raises `InstrumentError` if one was rejected."""
         if not _byte(self.link.query(":status:stb?", after=commands)) & REFUSED:
             return
         self.link.query("*STB?", again=False)

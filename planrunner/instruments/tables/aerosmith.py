@@ -91,7 +91,7 @@ class AerosmithCommands:
         ]
 
     def energise(self) -> None:
-        """It is ready as it is."""
+        """Does nothing: the table is always ready."""
 
     def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
         for position in positions.values():
@@ -122,7 +122,7 @@ class AerosmithCommands:
         self.link.write("STO")
 
     def switch_off(self) -> None:
-        """It stands, servo on."""
+        """Whether it is at rest, with the servo on."""
 
     def remarks(self) -> Sequence[str]:
         return self.link.remarks()

@@ -28,7 +28,7 @@ class AxisBounds:
 
 @dataclass(frozen=True, slots=True)
 class Sine:
-    """amplitude·sin(2π·frequency·t + phase) about the position that is held: deg, Hz, deg."""
+    """amplitude·sin(2π·frequency·t + phase) about the present position: deg, Hz, deg."""
 
     amplitude: float
     frequency: float
@@ -49,17 +49,17 @@ class AxisCommands(Protocol):
         """Make the axes ready to move. Called before the first move, and after `switch_off`."""
 
     def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
-        """Go to positions and stand there. here: where the axes are now, so that one which is only entering its position mode holds
-        there first."""
+        """Go to positions and stay there. here: the present positions, so that an axis that is entering its position mode first holds its
+        place."""
 
     def turn(self, axis: int, rate: float) -> None: ...
     def rock(self, sines: Mapping[int, Sine]) -> None: ...
     def state(self, axis: int) -> AxisState: ...
     def faults(self) -> Sequence[str]:
-        """Why it cannot go on, in words; empty while all is well."""
+        """Why it cannot continue, in words; empty without a fault."""
 
     def stop(self) -> None:
-        """Bring every axis to rest, controlled."""
+        """Bring every axis to rest under control."""
 
     def switch_off(self) -> None: ...
     def remarks(self) -> Sequence[str]: ...

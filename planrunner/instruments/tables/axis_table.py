@@ -29,13 +29,13 @@ from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Segment, Spin
 STOPPED = math.radians(0.1)
 """rad/s below which an axis may be switched off."""
 POLL = 0.05
-"""s between two looks at a table that is being stopped."""
+"""Time between two queries of a table that is being stopped, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Aim:
-    """The last commands of the axes: joint angles [rad] of those to hold, rates [rad/s] of those to turn, by index. An
-    aim is another one as soon as anything new is told, whatever it says."""
+    """The last commands of the axes: joint angles [rad] of those to hold, rates [rad/s] of those to turn, by index. Every new command makes
+    a new aim, even if its values are the same."""
 
     positions: Mapping[int, float] = field(default_factory=dict)
     rates: Mapping[int, float] = field(default_factory=dict)
@@ -57,7 +57,7 @@ class AxisTable:
 
     @classmethod
     def connect(cls, commands: AxisCommands, keys: WiredTableKeys, surroundings: Surroundings) -> AxisTable:
-        """Ask who it is; lets go of the link when that fails. What is wrong with it does not keep it from being made safe."""
+        """Query its identification; releases the link if that fails. It can be made safe even if it reports a fault."""
         try:
             commands.identify()
         except BaseException:
@@ -125,7 +125,7 @@ class AxisTable:
         return self._rock(motion) if isinstance(motion, Rock) else self._cycle(motion)
 
     def end_motion(self) -> float:
-        """A turn of a cycle ends where it is then; one that is at its end is led to its position."""
+        """A turn of a cycle ends at its present angle; a turn that has reached its end is led to its position."""
         self._timed.call_off()
         if self._rocking is not None:
             return self._end_rocking()
@@ -148,12 +148,13 @@ class AxisTable:
     # -- measurements --------------------------------------------------------------------------------------------------
 
     def watch(self) -> Condition:
-        """On the way to a state there is no error from it yet: errors are reported after it was first reached."""
+        """Errors relative to a state are reported only after the state was first reached."""
         faults, errors = self._observed()
         return Condition(errors if self._reached is self._aim else {}, faults)
 
     def _observed(self) -> tuple[tuple[str, ...], dict[str, float]]:
-        """Faults, and how far the axes are from their last commands [rad, rad/s]; nothing where that changed meanwhile."""
+        """Faults, and the deviations of the axes from their last commands [rad, rad/s]; no deviations if the commands changed during the
+        query."""
         self._timed.looked_at()
         aim, rocking = self._aim, self._rocking  # another thread may be changing them
         faults = [*self.commands.faults(), *([self._timed.broken] if self._timed.broken else [])]
@@ -247,7 +248,7 @@ class AxisTable:
         return spin_up_time(self.axes[course.joint], course.rate - float(rates[course.joint]))
 
     def _turn(self, index: int, rate: float, standing: Mapping[int, float]) -> None:
-        """standing: where the others stand."""
+        """standing: the positions of the other axes."""
         self._aim = Aim({other: joint for other, joint in standing.items() if other != index}, {index: rate})
         axis = self.counted[index]
         self.commands.turn(axis.number, axis.sense * math.degrees(rate))
@@ -297,7 +298,7 @@ class AxisTable:
             self._rock_until(end)
 
     def _rock_until(self, end: float) -> None:
-        """Ends the rocking when its duration is over while the segment continues."""
+        """Ends the rocking after its duration, while the segment continues."""
         self._timed.until(end)
         self._end_rocking()
 
@@ -311,8 +312,8 @@ class AxisTable:
         return 0.0
 
     def _turns(self, motion: Cycle, home: Array, begun: float) -> None:
-        """Every turn by its rate, so that it has its sense whichever way is shorter; what is missing at its end is made good by position,
-        in the stop that follows."""
+        """Turns are commanded by rate, so that their sense does not depend on the shorter way; the remaining deviation is corrected by
+        position during the following stop."""
         standing = {index: float(joint) for index, joint in enumerate(home)}
         for turn in turns_of(motion, self.axes[0].max_acceleration):
             self._timed.until(begun + turn.begins)
@@ -339,7 +340,7 @@ class AxisTable:
         self._timed.until(self.clock.now() + POLL)
 
     def _stop_and_switch_off(self) -> str:
-        """What is wrong with the table now, or nothing."""
+        """The present fault of the table, or nothing."""
         self.commands.stop()
         slowest = max(axis.max_rate / axis.max_acceleration for axis in self.axes)
         deadline = self.clock.now() + slowest + 2.0
@@ -353,6 +354,6 @@ class AxisTable:
 
 
 def _refuse(excess: Sequence[Excess], where: str = "") -> None:
-    """Raises `InstrumentError`. where: begins the message."""
+    """Raises `InstrumentError`. where: beginning of the message."""
     if excess:
         raise InstrumentError(where + "; ".join(one.message for one in excess))

@@ -26,7 +26,7 @@ from planrunner.plan.source import Node, Scalar
 
 @dataclass(frozen=True, slots=True)
 class CommandTemplate:
-    """One command; `places` are the names that may stand in braces."""
+    """One command; `places` are the permitted names in braces."""
 
     places: tuple[str, ...]
 
@@ -118,7 +118,7 @@ class TableCommands(Record):
 
 
 class ScpiTableParameters(LinkKeys, WiredTableKeys):
-    """A table whose commands stand in the bench file."""
+    """A table whose commands are in the bench file."""
 
     ends: str = key(Choice(tuple(ENDS)), "Terminator of a message, in both directions.", "LF", default="LF")
     commands: TableCommands = key(
@@ -129,7 +129,7 @@ class ScpiTableParameters(LinkKeys, WiredTableKeys):
 
 
 class ScpiTable:
-    """A table with commands in the manner of SCPI, named in the bench file."""
+    """A table with SCPI-like commands, declared in the bench file."""
 
     role = "table"
     Parameters = ScpiTableParameters

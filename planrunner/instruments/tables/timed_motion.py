@@ -19,16 +19,16 @@ from planrunner.instruments.interfaces import Clock, InstrumentError
 from planrunner.plan.schedule import Cycle
 
 SHORTEST, LONGEST = 0.005, 1.0
-"""s, of the wall, between two looks at the clock."""
+"""Real time between two queries of the clock, s."""
 
 
 class CalledOffError(Exception):
-    """The motion shall not go on."""
+    """The motion was called off."""
 
 
 class TimedMotion:
-    """One motion at a time. broken: why it could not go on, in words; empty while all is well. patience: s of the wall for which the run
-    may look away."""
+    """One motion at a time. broken: why it could not continue, in words; empty without a fault. patience: real time, s, for which the run
+    may omit to query the table."""
 
     def __init__(self, clock: Clock):
         self.broken = ""
@@ -39,7 +39,7 @@ class TimedMotion:
         self._called_off = threading.Event()
 
     def begin(self, what: str, commands: Callable[[], None]) -> None:
-        """Run `commands`, which wait by `until`, on the thread. what: begins the message when they fail."""
+        """Run `commands`, which wait with `until`, on the thread. what: beginning of the message if they fail."""
         self.call_off()
         self._called_off.clear()
         self.looked_at()
@@ -47,12 +47,12 @@ class TimedMotion:
         self._thread.start()
 
     def looked_at(self) -> None:
-        """The run has asked for the table's state."""
+        """Notes that the run has queried the table's state."""
         self._looked_at = time.monotonic()
 
     def until(self, moment: float) -> None:
-        """Wait until it is `moment` [s], in steps that shorten as it comes near. Raises `CalledOffError`, and `InstrumentError` when the
-        run has looked away for too long."""
+        """Wait until `moment` [s], in steps that become shorter. Raises `CalledOffError`, and `InstrumentError` if the run has not queried
+        the table for too long."""
         while (left := moment - self._clock.now()) > 0:
             if self._called_off.wait(min(max(SHORTEST, left / 100), LONGEST)):
                 raise CalledOffError
@@ -77,7 +77,8 @@ class TimedMotion:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """One turn of a cycle. begins, brakes, ends: s since the cycle began; rate: rad/s, with its sign; target: rad from where it began."""
+    """One turn of a cycle. begins, brakes, ends: s since the cycle began; rate: rad/s, with its sign; target: rad from the initial
+    position."""
 
     begins: float
     brakes: float
@@ -87,7 +88,7 @@ class Turn:
 
 
 def turns_of(motion: Cycle, acceleration: float) -> Iterator[Turn]:
-    """The turns of a cycle, over and over, each after its stop. acceleration: rad/s^2. The area under a turn's rate, a trapezoid or a
+    """The turns of a cycle, repeated endlessly, each after its stop. acceleration: rad/s^2. The area under a turn's rate, a trapezoid or a
     triangle, is its angle; whatever its ramps are, if both are alike, it is the rate times the time until the axis brakes."""
     now = target = 0.0
     for move in again(motion.moves):

@@ -1,1 +1,1 @@
-"""The simulated bench: one world that the virtual table and chamber change and the virtual sensor feels."""
+"""The simulated bench: one world that the virtual table and chamber change and the virtual sensor measures."""

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, slots=True)
 class Moments:
     """Conditions at some samples. time: (n,), s since the run began, of the middle of each sampling interval; power_on: s, of the same
-    clock. angle: (n,), rad, by which the table has turned since the orientation was taken; rate: rad/s; kelvin: of the sensor."""
+    clock. angle: (n,), rad, by which the table has turned since it reached the orientation; rate: rad/s; kelvin: of the sensor."""
 
     segment: Segment
     time: Array
@@ -43,7 +43,7 @@ class Gives:
 
 class Added(Protocol):
     def levels(self, moments: Moments, levels: Mapping[str, Array], gives: Mapping[str, Gives]) -> Mapping[str, Array]:
-        """The outputs without noise, each (n,) in its unit, with what is added."""
+        """The outputs without noise, each (n,) in its unit, including the added effects."""
 
     def noise(self, output: str, gives: Gives) -> Gives:
-        """The noise of an output with what is added."""
+        """The noise of an output, including the added effects."""

@@ -1,9 +1,9 @@
 """Input of an integrating sensor: inertial rate and specific force averaged over every sampling interval.
 
 A mean over an interval in which the table turns is an integral over products of sines of the joint angles. It is computed by Gauss-Legendre
-quadrature with as many points as the fastest phase needs, on stretches of time within which the motion is smooth, so that an interval in
-which a ramp begins or ends is as good as any other. A joint's rate is linear in time while it ramps, for which the quadrature is exact:
-turned about one axis, the mean rates add up to the joint's angle.
+quadrature with as many points as the fastest phase needs, on stretches of time within which the motion is smooth, so intervals in which a
+ramp begins or ends have the same accuracy as others. A joint's rate is linear in time while it ramps, for which the quadrature is exact:
+for rotation about one axis, the mean rates add up to the joint's angle.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _SNAP = 1e-6  # of an interval: a break nearer than this to a sample's end count
 
 def interval_means(world: World, sampling: Sampling, first: int, length: int) -> tuple[Components, Components]:
     """Mean inertial rate [rad/s] and specific force [m/s^2] along the sensor's axes over the sampling intervals first … first +
-    length − 1; floats where nothing moves, else shape (length,)."""
+    length − 1; floats if nothing moves, otherwise shape (length,)."""
     begin = sampling.start + first / sampling.rate
     stretches = world.stretches(begin, begin + length / sampling.rate)
     if all(stretch.pace == 0.0 for stretch in stretches):
@@ -39,7 +39,7 @@ def interval_means(world: World, sampling: Sampling, first: int, length: int) ->
 
 
 def _add(means: np.ndarray, world: World, stretch: Stretch, begin: float, rate: float) -> None:
-    """Add what a stretch contributes to the means (6, n) of intervals of 1/rate s from `begin` on."""
+    """Add the contribution of a stretch to the means (6, n) of intervals of 1/rate s from `begin` on."""
     low, high = (_snapped((time - begin) * rate) for time in (stretch.begin, stretch.end))
     low, high = max(low, 0.0), min(high, float(means.shape[1]))
     whole, last = math.ceil(low), math.floor(high)
@@ -62,7 +62,7 @@ def _add(means: np.ndarray, world: World, stretch: Stretch, begin: float, rate: 
 
 
 def _add_part(means: np.ndarray, world: World, pace: float, begin: float, rate: float, low: float, high: float) -> None:
-    """Add the part from `low` to `high`, counted in intervals, of the interval that it lies in."""
+    """Add the part from `low` to `high`, counted in intervals, to its interval."""
     width = high - low
     if width <= 0.0:
         return
@@ -93,7 +93,7 @@ def _moment(world: World, time: float) -> tuple[Components, Components]:
 
 
 def _snapped(position: float) -> float:
-    """A place among the intervals, at a sample's end if it is as near as rounding of times may bring it."""
+    """A position in units of intervals, moved to the end of a sample if it differs from it only by rounding of times."""
     return float(round(position)) if abs(position - round(position)) < _SNAP else position
 
 

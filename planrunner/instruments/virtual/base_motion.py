@@ -1,4 +1,5 @@
-"""The base of a virtual platform: how the table's inner ring stands and how it shakes what is mounted away from its centre."""
+"""The base of a virtual platform: the attitude of the table's inner ring, and the acceleration of parts that are mounted away from its
+centre."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ def base_axes(world: World, times: Array) -> Array:
 def shaking(world: World, times: Array, lever_arm: Sequence[float]) -> Array:
     """Acceleration [m/s^2] in East-North-Up of a point at `lever_arm` [m, base axes] from the centre of the rings, shape (n, 3).
 
-    The second difference of where the point is: tangential and centripetal parts in one.
+    Computed as the second difference of the position, which includes the tangential and the centripetal part.
     """
     if world.course.still(float(times[0])) or not any(lever_arm):
         return np.zeros((times.size, 3))
@@ -48,7 +49,7 @@ def mean_square_rate(world: World, times: Array) -> Array:
 def turn(vectors: Array, axis: Array, angles: Array) -> Array:
     """`vectors` (…, n, 3) turned actively by `angles` (n,) [rad], right-handed about the unit vector `axis` (3,) or (n, 3).
 
-    Rodrigues' formula, component by component: several times as fast as `numpy.cross` on so short vectors.
+    Rodrigues' formula, component by component: several times as fast as `numpy.cross` for such short vectors.
     """
     cosine, sine = np.cos(angles), np.sin(angles)
     (x, y, z), (a, b, c) = np.moveaxis(vectors, -1, 0), np.moveaxis(axis, -1, 0)

@@ -117,7 +117,7 @@ class VirtualCarrier:
         return {"manufacturer": "planrunner", "model": "virtual carrier"}
 
     def make_safe(self) -> None:
-        """A simulated carrier does nothing dangerous."""
+        """Does nothing: a simulated carrier is always safe."""
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Does nothing: there are no open resources."""

@@ -62,7 +62,7 @@ class VirtualChamber:
             self.world.head_for(self.parameters.ambient.value)
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Does nothing: there are no open resources."""
 
     def checkpoint(self) -> Mapping[str, Json]:
         return self.world.thermal_state()

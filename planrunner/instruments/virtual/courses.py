@@ -1,7 +1,7 @@
 """Courses: the joint angles and rates of a virtual table over time, one small class per kind of motion.
 
-A course answers for any time after it began, for arrays of times, and can be written down as JSON data and read back, so that a run that is
-resumed finds the table where it was. Joints at rest are plain floats, so that no arrays are computed where nothing moves.
+A course gives its state at any time after its beginning, for arrays of times. It can be stored as JSON data, so that a resumed run finds
+the table in the same state. Joints at rest are plain floats, so no arrays are computed if nothing moves.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ TURN = 2 * math.pi
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A time [s] during which a course is smooth. pace: rad/s, how fast the phases of its sines change at most; 0 where nothing moves."""
+    """A time [s] during which a course is smooth. pace: rad/s, the largest rate of change of the phases of its sines; 0 if nothing
+    moves."""
 
     begin: float
     end: float
@@ -99,7 +100,7 @@ class Travelling:
 
 @dataclass(frozen=True, slots=True)
 class Spinning:
-    """One joint changes from one rate to another at constant acceleration, then keeps it; the others stand."""
+    """One joint changes from one rate to another at constant acceleration, then keeps it; the others are at rest."""
 
     kind: ClassVar[str] = "spinning"
     begin: float
@@ -174,16 +175,16 @@ class Rocking:
 
     @property
     def over(self) -> float:
-        """When the joints stand still again [s since the run began]."""
+        """Time when the joints are at rest again [s since the run began]."""
         return self.steady + self.duration + 1 / self.frequency
 
     @property
     def begins(self) -> float:
-        """When the joints begin to move [s since the run began]."""
+        """Time when the joints begin to move [s since the run began]."""
         return self.steady - 1 / self.frequency
 
     def ended(self, now: float) -> Rocking:
-        """The same, which has begun, fading out from `now` on at the latest."""
+        """This rocking motion, which has begun, changed to fade out from `now` on at the latest."""
         return replace(self, duration=min(self.duration, now - self.steady))
 
 
@@ -211,7 +212,8 @@ class Cycling:
         return joints
 
     def _schedule(self) -> tuple[Array, Array, Array]:
-        """Within a cycle: when [s] each stop begins, and the cycle's end; the angles [rad] reached by then; the turns [rad]."""
+        """Within a cycle: the times [s] at which each stop begins, and the end of the cycle; the angles [rad] at these times; the turns
+        [rad]."""
         lasting = [self.stop + move_time(turn, self.rate, self.acceleration) for turn in self.turns]
         turns = np.array(self.turns)
         return np.concatenate(([0.0], np.cumsum(lasting))), np.concatenate(([0.0], np.cumsum(turns))), turns
@@ -240,21 +242,19 @@ class Cycling:
 
 
 def _cut(begin: float, end: float, breaks: Sequence[float], pace: Callable[[float], float]) -> list[Stretch]:
-    """The stretches between two times with breaks at some times; `pace` is asked at the middle of each."""
+    """The stretches between two times, divided at the given breaks; `pace` is evaluated at the middle of each."""
     times = [begin, *sorted(time for time in set(breaks) if begin < time < end), end]
     return [Stretch(first, last, pace((first + last) / 2)) for first, last in pairwise(times)]
 
 
 def profile(distance: float, max_rate: float, acceleration: float) -> tuple[float, float]:
-    """Seconds of speeding up, and of all, of a rest-to-rest move over `distance` [rad]."""
+    """Seconds of the acceleration, and of the whole, of a rest-to-rest move over `distance` [rad]."""
     up = min(max_rate, math.sqrt(abs(distance) * acceleration)) / acceleration
     return up, move_time(distance, max_rate, acceleration)
 
 
 def trapezoid(elapsed: Array, distance: Value, max_rate: float, acceleration: float) -> tuple[Array, Array]:
-    """Angle and rate at `elapsed` s of a rest-to-rest move over `distance` [rad, either sign]; held before and
-    after.
-    """
+    """Angle and rate at `elapsed` s of a rest-to-rest move over `distance` [rad, either sign]; constant before and after the move."""
     size, sign = np.abs(distance), np.sign(distance)
     peak = np.minimum(max_rate, np.sqrt(size * acceleration))
     up = peak / acceleration

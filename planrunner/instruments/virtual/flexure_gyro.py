@@ -35,7 +35,7 @@ THERMOMETER = "sensor_temperature"
 
 
 class ScaleFactors(Record):
-    """What one pulse a second of each torquer is worth."""
+    """Scale factors: the rate that corresponds to one pulse per second of each torquer."""
 
     x: Quantity = key(
         QuantityLike("(deg/h)/(pulse/s)", "positive"), "SF_X, scale factor of the X torquer.", "0.2 (deg/h)/(pulse/s)"
@@ -178,10 +178,10 @@ class VirtualFlexureGyro:
         return {"manufacturer": "planrunner", "model": "virtual flexure gyro"}
 
     def make_safe(self) -> None:
-        """A gyro that is read does nothing dangerous."""
+        """Does nothing: a gyro that is only read is always safe."""
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Does nothing: there are no open resources."""
 
     def checkpoint(self) -> Mapping[str, Json]:
         return {name: flicker.checkpoint() for name, flicker in self.flicker.items()}
@@ -215,7 +215,7 @@ class VirtualFlexureGyro:
     def pulses(self, times: Array) -> tuple[Value, Value]:
         """Torquer currents i_x, i_y [pulse/s] without noise at `times`: floats at rest, else shape (n,).
 
-        The 2×2 balance of the rotor is solved; its right-hand side is linear in what the gyro feels.
+        The 2×2 balance of the rotor is solved; its right-hand side is linear in the input of the gyro.
         """
         p = self.parameters
         rates, forces = self.world.stimulus(times)

@@ -123,7 +123,7 @@ class VirtualImu(TakesEffects):
     ) -> Callable[[int, int], Block]:
         """A function for samples first … first + length − 1 of a sampling; call it for all samples in order.
 
-        Raises `InstrumentError` where what is recorded hangs on the segment's motion and none is named.
+        Raises `InstrumentError` if the outputs depend on the motion of the segment and no motion is given.
         """
         if segment is None and (self.parameters.table_angle or self.world.added is not None):
             raise InstrumentError(
@@ -149,10 +149,10 @@ class VirtualImu(TakesEffects):
         return {"manufacturer": "planrunner", "model": f"virtual {self.parameters.kind}"}
 
     def make_safe(self) -> None:
-        """A sensor that is read does nothing dangerous."""
+        """Does nothing: a sensor that is only read is always safe."""
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Does nothing: there are no open resources."""
 
     def checkpoint(self) -> Mapping[str, Json]:
         return {
@@ -247,7 +247,7 @@ class VirtualImu(TakesEffects):
         first: int,
         length: int,
     ) -> dict[str, Array]:
-        """The same of all axes, with what is added to their levels and their noise."""
+        """The samples of all axes, with the effects added to their levels and their noise."""
         added, sampling = self.world.added, dwell.sampling
         assert added is not None and dwell.segment is not None
         hold = sampling.hold

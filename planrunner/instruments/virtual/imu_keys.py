@@ -18,7 +18,7 @@ FRAME = ("x", "y", "z")
 
 
 class ScaleErrors(Record):
-    """How a true scale factor differs from the declared one: alike for gyros and accelerometers."""
+    """Differences between the true and the declared scale factor, with the same keys for gyros and accelerometers."""
 
     scale_factor_error: Quantity | None = key(
         QuantityOf("ratio"),
@@ -198,7 +198,7 @@ class AccelerometerErrors(ScaleErrors):
 
 
 class InputAxisDirection(Record):
-    """Where an input axis points in the sensor's frame: as a fixture tilts it, or near an axis of the frame."""
+    """Direction of an input axis in the sensor's frame: tilted by a fixture, or near an axis of the frame."""
 
     angle: Quantity | None = key(
         QuantityOf("angle"), "True angle from the frame's z axis; with `azimuth`.", "54.7391 deg", default=None

@@ -36,8 +36,8 @@ WARM_UP_TIME = 600.0  # s, where nothing is said of it
 @dataclass(frozen=True, slots=True)
 class InertialAxis:
     """name: of the output; unit: of the output; direction: (3,) in the sensor's frame; nominal: declared K, in the output's unit a SI
-    input; error: δ; step: of a sample in `unit`, or of a count in unit·s if `counted`; white: N, SI·√s; walk: K of the random walk,
-    SI/√s; warm_up: A, τ."""
+    input; error: δ; step: size of a step of a sample in `unit`, or of a count in unit·s if `counted`; white: N, SI·√s; walk: K of the
+    random walk, SI/√s; warm_up: A, τ."""
 
     name: str
     unit: str
@@ -66,7 +66,7 @@ class InertialAxis:
     walk: float
 
     def output(self, rate: float) -> OutputModel:
-        """What a data sheet says of it, sampled at `rate` [Hz]."""
+        """Its declared properties, sampled at `rate` [Hz]."""
         noise = NoiseModel(
             self.white * self.nominal, self.bias_instability * self.nominal, self.step_of_sample(rate), self.counted
         )
@@ -87,7 +87,7 @@ class InertialAxis:
         return steady + self.warm_up * np.exp(-since / self.warm_up_time) if self.warm_up else steady
 
     def felt(self, rates: Components, forces: Components) -> Value:
-        """The input and what it causes without temperature or time, SI; a float where nothing moves."""
+        """The input and its effects that do not depend on temperature or time, SI; a float if nothing moves."""
         u = _along(self.direction, rates if self.turns else forces)
         felt = u
         if self.asymmetry:
@@ -99,8 +99,8 @@ class InertialAxis:
         return felt
 
     def level(self, felt: Value, drift: Array, scale: Array, hold: int) -> Array:
-        """Output without white noise, in `unit`; drift, scale: one for `hold` samples each; the result is held likewise where `felt` is
-        a float."""
+        """Output without white noise, in `unit`; drift, scale: one value for every `hold` samples; so is the result if `felt` is a
+        float."""
         if isinstance(felt, np.ndarray):
             drift, scale = (np.repeat(values, hold)[: felt.size] for values in (drift, scale))
         total = felt + drift

@@ -1,10 +1,9 @@
 """Noise of a simulated output, drawn in blocks with memory and state that do not grow.
 
-White noise comes straight from the generator. Bias instability (flicker) is a sum of Ornstein-Uhlenbeck processes
-whose correlation times are octaves apart: with variance v each, their two-sided power density is Σ 2vτ/(1 + (2πfτ)²)
-≈ v/(2·ln2·f), which is the B²/(2πf) of IEEE Std 952 for v = B²·ln2/π. The Allan deviation then lies flat at
-B·√(2·ln2/π) = 0.664·B. A process is exact at the nodes of a grid of `hold` samples and stays between them: its
-fastest correlation time is twice that, where white noise rules.
+White noise comes straight from the generator. Bias instability (flicker) is a sum of Ornstein-Uhlenbeck processes whose correlation times
+are octaves apart: with variance v each, their two-sided power density is Σ 2vτ/(1 + (2πfτ)²) ≈ v/(2·ln2·f), which is the B²/(2πf) of IEEE
+Std 952 for v = B²·ln2/π. The Allan deviation is then flat at B·√(2·ln2/π) = 0.664·B. A process is exact at the nodes of a grid of `hold`
+samples and constant between them: its shortest correlation time is twice this interval, where white noise dominates.
 """
 
 from __future__ import annotations
@@ -28,14 +27,13 @@ TIMES = SHORTEST * 2.0 ** np.arange(OCTAVES)
 
 
 def generator(seed: int, *occasion: int) -> np.random.Generator:
-    """The generator of one occasion, such as a segment by its index: the same numbers whenever it is carried out."""
+    """The generator for one occasion, such as a segment by its index: it always gives the same numbers."""
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=occasion)))
 
 
 @lru_cache(maxsize=8)
 def _growth(step: float, length: int) -> Array:
-    """e^(n·step/τ) for every process and n = 0 … length, shape (OCTAVES, length + 1); of one long step, as much as leaves nothing of what
-    was before."""
+    """e^(n·step/τ) for every process and n = 0 … length, shape (OCTAVES, length + 1); for one long step, the decay is complete."""
     return np.exp(np.minimum(np.arange(length + 1) * (step / TIMES)[:, None], _EXPONENT))
 
 
@@ -90,7 +88,7 @@ class Flicker:
 
 
 class RandomWalk:
-    """A bias that walks: it scatters by coefficient·√T [unit] after T s. coefficient: K, unit/√s."""
+    """A bias with a random walk: it scatters by coefficient·√T [unit] after T s. coefficient: K, unit/√s."""
 
     def __init__(self, coefficient: float):
         self.coefficient = coefficient
@@ -120,7 +118,7 @@ class RandomWalk:
 
 
 class PulseCounter:
-    """An integrating output that is counted: the remainder of a sample is counted in the next. step: of a sample, output unit."""
+    """An integrating output that counts: the remainder of a sample is carried to the next. step: of a sample, output unit."""
 
     def __init__(self, step: float):
         self.step = step
@@ -168,7 +166,7 @@ class Readout:
         return out
 
     def _fill(self, draw: np.random.Generator, part: Array, level: Array, hold: int) -> None:
-        """In counts until the end, so that scaling to counts costs no pass of its own."""
+        """Computed in counts until the end, so that scaling to counts does not need a separate pass."""
         counts = 1.0 / self.resolution if self.resolution > 0 else 1.0
         if self.sigma > 0:
             draw.standard_normal(out=part)

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 @dataclass(slots=True)
 class RingEncoders:
-    """The table's rings as their encoders show them during one recording.
+    """The readings of the table's ring encoders during one recording.
 
     before, after: (k,) rad, deviation of each ring from its reading before and after it has moved. lag: s. wander: rad/√s.
     """
@@ -177,10 +177,10 @@ class VirtualPlatform:
         return {"manufacturer": "planrunner", "model": "virtual stabilised platform"}
 
     def make_safe(self) -> None:
-        """The element may stay released: its gimbals carry no load that could fall."""
+        """Does nothing: the element may stay released, because its gimbals carry no load that could fall."""
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Does nothing: there are no open resources."""
 
     def checkpoint(self) -> Mapping[str, Json]:
         return {
@@ -201,13 +201,13 @@ class VirtualPlatform:
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _draw(self, caging: int, what: int = 0) -> np.random.Generator:
-        """The generator of one caging (0: of the platform as built), apart from those of the segments."""
+        """The generator for one caging (0: the platform as built), separate from those of the segments."""
         return np.random.Generator(
             np.random.SFC64(np.random.SeedSequence(self.world.seed, spawn_key=(caging, what, 0)))
         )
 
     def _cage(self) -> None:
-        """Level to within the dead region, in azimuth to within the caging's repeatability."""
+        """The attitude after caging: level within the dead region, in azimuth within the repeatability of the caging."""
         p, draw = self.parameters, self._draw(self.cagings)
         base = base_axes(self.world, np.array([self.world.now()]))[0]
         up = base[:, 2]

@@ -59,7 +59,7 @@ class Caging(Record):
 
 
 class InstallationAngles(Record):
-    """How each accelerometer's input axis has turned about the other two axes, right-handed: xz is the x accelerometer about z."""
+    """Rotation of each accelerometer's input axis about the other two axes, right-handed: xz is the x accelerometer about z."""
 
     xz: Quantity = _each(QuantityOf("angle"), "x accelerometer about z.", "12 arcsec", "0 arcsec")
     xy: Quantity = _each(QuantityOf("angle"), "x accelerometer about y.", "-8 arcsec", "0 arcsec")
@@ -96,7 +96,7 @@ class QuartzAccelerometers(Record):
     )
     installation: InstallationAngles = key(
         RecordOf(InstallationAngles),
-        "Angles of their input axes to the element's axes.",
+        "Angles of the accelerometers' input axes relative to the element's axes.",
         {"xz": "12 arcsec"},
         default_factory=InstallationAngles,
     )

@@ -40,7 +40,7 @@ class Element:
     """The element since it was caged or released.
 
     caged: rotation vector (3,) [rad] from the base to the element, in base axes. released: s, None while caged. axes: (3, 3), rows in
-    East-North-Up when released. left: (3,) rad, what it turns by as it leaves the dead region. drifted: (3,) rad by the time `at` [s].
+    East-North-Up when released. left: (3,) rad, rotation while it leaves the dead region. drifted: (3,) rad by the time `at` [s].
     """
 
     caged: Array

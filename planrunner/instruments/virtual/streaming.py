@@ -22,8 +22,8 @@ _SAMPLES = np.arange(BLOCK + 1, dtype=float)
 class Sampling:
     """The sampling of one segment's dwell.
 
-    start: s, when it begins; rate: Hz; count: samples of all blocks; hold: samples of about a second, for which slow changes of the
-    sensor stand still; size: samples of a block, a multiple of `hold`.
+    start: s, when it begins; rate: Hz; count: samples of all blocks; hold: number of samples in about a second, during which slow changes
+    of the sensor are held constant; size: samples of a block, a multiple of `hold`.
     """
 
     start: float
@@ -34,7 +34,7 @@ class Sampling:
 
     @classmethod
     def of(cls, world: World, segment: Segment, sensor: SensorModel) -> Sampling:
-        """Beginning now. Raises `InstrumentError` where the sensor cannot be sampled so."""
+        """The sampling of a dwell that begins now. Raises `InstrumentError` if the sensor cannot be sampled in this way."""
         if segment.dwell is None:
             raise InstrumentError(
                 f"'{segment.label}' has the dwell 'recorded', which is only possible with a recording"
@@ -47,7 +47,7 @@ class Sampling:
         return cls(world.now(), rate, max(1, round(segment.dwell * rate)), hold, size)
 
     def blocks(self, world: World, make: Callable[[int, int], Block]) -> Iterator[Block]:
-        """What `make(first, length)` gives for each block, when its time has come."""
+        """The result of `make(first, length)` for each block, at its time."""
         for first in range(0, self.count, self.size):
             length = min(self.size, self.count - first)
             block = make(first, length)
@@ -61,6 +61,6 @@ class Sampling:
         return time
 
     def middles(self, first: int, length: int) -> Array:
-        """Times [s] of the middle of every `hold` samples of the same."""
+        """Times [s] of the middle of every `hold` samples."""
         middle: Array = np.arange(0.5, -(-length // self.hold)) * self.hold
         return self.start + (first + middle) / self.rate

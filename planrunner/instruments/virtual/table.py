@@ -130,7 +130,7 @@ class VirtualTable:
         self.end_motion()
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Does nothing: there are no open resources."""
 
     def checkpoint(self) -> Mapping[str, Json]:
         return self.world.motion_state()

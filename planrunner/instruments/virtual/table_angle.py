@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
     """Angle [rad] and rate [rad/s] of the table about the axis of the segment's motion, since the orientation was reached, (n,) each.
 
-    Rocking counts where the outermost axis alone rocks.
+    Rocking is included if only the outermost axis rocks.
     """
     course, motion = world.course, segment.motion
     if isinstance(motion, Spin) and isinstance(course, Spinning):

@@ -1,8 +1,8 @@
 """Temperatures of the virtual world: the chamber's air behind a ramped setpoint, and the sensor behind the air.
 
-Setpoint r moves linearly to its target, then stays. Air T and sensor S are first-order lags, dT/dt = (r − T)/τ_a and
-dS/dt = (T − S)/τ_s, solved in closed form from the moment of the last command, so that the same moment gives the same
-bits however often it was asked for in between.
+Setpoint r moves linearly to its target, then stays. Air T and sensor S are first-order lags, dT/dt = (r − T)/τ_a and dS/dt = (T − S)/τ_s,
+solved in closed form from the moment of the last command, so the result at a given moment is bit-identical, regardless of the number of
+earlier queries.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Lags:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """State at the moment of a command. start: s; the rest K. target: where the setpoint goes."""
+    """State at the moment of a command. start: s; the rest K. target: final value of the setpoint."""
 
     start: float
     setpoint: float
@@ -61,8 +61,8 @@ def temperatures(command: Command, lags: Lags, times: Array) -> tuple[Array, Arr
 def time_to_reach(command: Command, lags: Lags, tolerance: float) -> float:
     """Seconds after the command until the air stays within `tolerance` [K] of the target.
 
-    After the ramp the air's distance decays exponentially; it can be near enough before the ramp ends only when the
-    whole change is no larger than the tolerance.
+    After the ramp the air's distance decays exponentially; it can be within the tolerance before the ramp ends only if the whole change is
+    no larger than the tolerance.
     """
     if abs(command.target - command.setpoint) <= tolerance and abs(command.target - command.air) <= tolerance:
         return 0.0

@@ -85,7 +85,7 @@ class Track:
 
     @property
     def pace(self) -> float:
-        """rad/s, how fast the phases of what is felt change at most."""
+        """Largest rate of change of the phases of the stimulus, rad/s."""
         turning = 2 * math.pi / self.progress.period if self.progress.period is not None else 0.0
         return turning + 2 * self.progress.speed / (ellipsoid.MEAN_RADIUS * math.cos(POLAR))
 
@@ -95,7 +95,7 @@ class Track:
         return [Stretch(first, last, stretch.pace + self.pace) for first, last in pairwise(times)]
 
     def place(self, times: Array) -> CarrierPlace:
-        """Where it is at `times` [s]. Raises `InstrumentError` near a pole."""
+        """Its place at `times` [s]. Raises `InstrumentError` near a pole."""
         place = self._on_great_circle(times) if self.great_circle else self._on_rhumb_line(times)
         if float(np.max(np.abs(place.latitude))) > POLAR:
             limit = f"{math.degrees(POLAR):g} deg"
@@ -135,7 +135,7 @@ class Track:
         return _in_bench(rate, place.heading), _in_bench(force, place.heading)
 
     def _radii(self, latitude: Array) -> tuple[Array, Array]:
-        """Metres a radian of latitude and of longitude, at the carrier's height."""
+        """Metres per radian of latitude and of longitude, at the carrier's height."""
         meridian: Array = ellipsoid.meridian_radius(latitude) + self.height
         parallel: Array = (ellipsoid.normal_radius(latitude) + self.height) * np.cos(latitude)
         return meridian, parallel

@@ -33,7 +33,7 @@ _SHORT = 1e-3  # s; a lag too short to be felt
 class World:
     """axes: of the table, outermost first, none without a table. skew: (3, 3) small rotation from the platform to the
     sensor's axes, the pointing error at the commanded orientation. steady_at: s, when the commanded motion is
-    reached. track: of the carrier that moves the bench over the Earth; None where the bench stands. added: what is added to the
+    reached. track: of the carrier that moves the bench over the Earth; None if the bench does not move. added: effects added to the
     sensor's declared errors."""
 
     clock: Clock
@@ -51,7 +51,7 @@ class World:
 
     @classmethod
     def of(cls, surroundings: Surroundings) -> World:
-        """The world that the drivers of one bench share; the first to ask makes it."""
+        """The world that the drivers of one bench share; the first call makes it."""
         if isinstance(surroundings.world, World):
             return surroundings.world
         world = cls(surroundings.clock, surroundings.site, surroundings.seed, surroundings.real_time)
@@ -70,14 +70,13 @@ class World:
         return np.array([float(np.ravel(v)[0]) for v in angles]), np.array([float(np.ravel(v)[0]) for v in rates])
 
     def stretches(self, begin: float, end: float) -> list[Stretch]:
-        """The times between two, within which all that the sensor feels changes smoothly."""
+        """The stretches between two times in which the stimulus of the sensor changes smoothly."""
         stretches = self.course.stretches(begin, end)
         track = self.track
         return stretches if track is None else [part for item in stretches for part in track.stretches(item)]
 
     def stimulus(self, times: Array) -> tuple[Components, Components]:
-        """Inertial rate [rad/s] and specific force [m/s^2] along the sensor's axes at `times`; floats where nothing
-        moves.
+        """Inertial rate [rad/s] and specific force [m/s^2] along the sensor's axes at `times`; floats if nothing moves.
 
         Site vectors are carried inwards axis by axis, v ← R(−q)·v, and each joint adds its own rate along its axis.
         """
@@ -107,7 +106,7 @@ class World:
     # -- position ------------------------------------------------------------------------------------------------------
 
     def position(self, times: Array) -> tuple[Value, Value, Value, Value, Value]:
-        """Geodetic latitude, longitude [rad], height [m], velocity east and north [m/s] at `times`; floats where the bench stands."""
+        """Geodetic latitude, longitude [rad], height [m], velocity east and north [m/s] at `times`; floats if the bench does not move."""
         if self.track is None:
             return self.site.on_ellipsoid.latitude, self.site.longitude, self.site.height, 0.0, 0.0
         place = self.track.place(times)
@@ -124,7 +123,7 @@ class World:
         return thermal.temperatures(self.command, self.lags, times)[2]
 
     def head_for(self, kelvin: float) -> None:
-        """Send the setpoint to a temperature from now on."""
+        """Move the setpoint to a temperature from now on."""
         now = self.now()
         setpoint, air, sensor = (float(v[0]) for v in thermal.temperatures(self.command, self.lags, np.array([now])))
         self.command = thermal.Command(now, setpoint, air, sensor, kelvin)

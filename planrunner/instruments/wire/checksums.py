@@ -1,9 +1,9 @@
 """Checksums of frames: cyclic redundancy checks of up to 32 bits, sums and exclusive-or, over many frames in one call.
 
-Every check is a polynomial division held at the top of a 32-bit register, so that CRC-8, CRC-16 and CRC-32 are one kernel with other
+Every check is a polynomial division held at the top of a 32-bit register, so that CRC-8, CRC-16 and CRC-32 are one kernel with different
 tables; eight bytes are taken in one step ("slicing by 8": Kounavis and Berry, A systematic approach to building high performance,
-software-based CRC generators, ISCC 2005). Where all frames have one length, every byte has a table of its own, so that none waits for
-the one before it.
+software-based CRC generators, ISCC 2005). If all frames have the same length, every byte position has a separate table, so that no byte
+depends on the preceding one.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ class Frames:
         return int(self.starts.size)
 
     def of(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Frames:
-        """Some of them."""
+        """A selection of these frames."""
         return Frames(self.data, self.starts[chosen], self.lengths[chosen], self.received[chosen])
 
 
@@ -114,7 +114,7 @@ class Framer:
         return Frames(data, starts, lengths, received)
 
     def _arrivals(self, pieces: Sequence[Piece], ends: NDArray[np.int64]) -> NDArray[np.float64]:
-        """When the pieces came that end these frames."""
+        """Times of receipt of the pieces that end these frames."""
         if len(pieces) == 1:
             return np.full(ends.size, pieces[0].received)
         behind = len(self._rest) + np.cumsum([len(piece.data) for piece in pieces])
@@ -124,7 +124,7 @@ class Framer:
 
 @lru_cache(maxsize=32)
 def _positions(framing: Framing) -> tuple[NDArray[np.uint32], int]:
-    """A table for each byte that the check covers where all frames are alike and have a CRC (see `Checksum.by_position`), else none."""
+    """A table for each byte that the check covers if all frames have the same length and a CRC (see `Checksum.by_position`), else none."""
     covered = framing.longest - framing.check_bytes - framing.covered_from
     if framing.rule != FIXED or framing.checksum.kind != CRC or not 0 < covered <= MOST_TABLES:
         return np.empty((0, 256), np.uint32), 0

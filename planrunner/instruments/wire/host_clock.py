@@ -21,19 +21,19 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 WINDOW = 1.0
-"""Of each so many seconds the least delayed reading is kept …"""
+"""Length of a window in seconds, of which the least delayed reading is kept …"""
 MEMORY = 600
-"""… for so many of these: a line suits a crystal for some minutes."""
+"""… and number of windows kept: the clock of a crystal is linear over some minutes."""
 SKEW_AFTER = 20.0
-"""Seconds of readings before the skew is taken from them."""
+"""Minimum seconds of readings for an estimate of the skew."""
 SLEW = 0.01
-"""Time stamps follow a line that moves by at most so much of the time that passes."""
+"""Time stamps follow a line that moves by at most this fraction of the elapsed time."""
 PATIENCE = 0.5
 """Seconds of readings after a silence that show whether the computer slept or frames were lost."""
 BACKWARDS = 16
-"""Frames by which a counter may step back, when frames come out of order; not over an eighth of its range."""
+"""Number of frames by which a counter may step back if frames arrive out of order; at most an eighth of its range."""
 FORESTALLED = 1.0
-"""Seconds by which a frame seems to be read before it was sent: no clock does that, so its counter was set anew."""
+"""If a frame seems to be read this many seconds before it was sent, its counter was reset."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,22 +55,23 @@ class FrameCounter:
 class Unwrapping:
     """Extends the counter beyond its modulus, regardless of how many complete periods were lost during a silence.
 
-    A silence with as few new counts as a turn more would also explain is either the computer's sleep, after which the readings catch up,
-    or a loss, after which they stay behind. It is decided when `PATIENCE` seconds of readings after it are there.
+    After a silence, an additional full period of the counter may be possible: the silence was either a sleep of the computer, after which
+    the readings catch up, or a loss of frames, after which they stay behind. This is decided after `PATIENCE` seconds of readings.
     """
 
     counter: FrameCounter
     haste: float = 1.0
-    """Seconds of the readings' clock in one of the wall: not 1 for a simulated sensor that hastens; the computer's delays do not."""
+    """Seconds of the readings' clock per second of real time: not 1 for an accelerated simulated sensor, whereas delays of the computer
+    follow real time."""
     _raw: int = 0
     _index: int = 0
     _received: float = math.nan
     _floor: float = math.nan
 
     def resolve(self, received: Array, raw: Whole, final: bool = False) -> Whole:
-        """Indices (counts since the first frame) of as many of the frames as can be decided, all when `final`. Frames beyond these must
-        be given again, with those that follow. received: s; raw: the counter's values; shapes (n,). Raises `InstrumentError` when the
-        counter was set anew."""
+        """Indices (counts since the first frame) of as many of the frames as can be decided, all when `final`. The other frames must be
+        passed again, together with those that follow. received: s; raw: the counter's values; shapes (n,). Raises `InstrumentError` if the
+        counter was reset."""
         if received.size == 0:
             return np.empty(0, np.int64)
         if math.isnan(self._received):
@@ -102,7 +103,7 @@ class Unwrapping:
         return index[:ready]
 
     def _refuse_jumps(self, delay: Array) -> None:
-        """delay: s, but for a constant. Frames after a jump would lie beyond those to come."""
+        """delay: s, up to a constant. Frames after a jump would be later than those to come."""
         least, usual = float(np.min(delay)), float(delay[0]) if math.isnan(self._floor) else self._floor
         if least < usual - FORESTALLED * self.haste:
             message = f"the sensor's counter is {usual - least:.3g} s ahead of the received frames"
@@ -111,7 +112,7 @@ class Unwrapping:
             )
 
     def _steps(self, raw: Whole) -> Whole:
-        """Counts between frames; a little backwards is backwards."""
+        """Counts between frames; a small step back is negative."""
         if self.counter.modulus == 1:
             return np.ones(raw.size, np.int64)
         steps: Whole = np.mod(np.diff(raw, prepend=self._raw), self.counter.modulus)
@@ -120,7 +121,7 @@ class Unwrapping:
         return steps
 
     def _lowest(self, received: Array, index: Whole) -> float:
-        """The least delay of the last second, s, but for a constant."""
+        """The least delay of the last second, s, up to a constant."""
         delay = received - index * self.counter.tick
         recent = float(np.min(delay[received >= received[-1] - self.haste]))
         return (
@@ -130,8 +131,8 @@ class Unwrapping:
 
 @dataclass
 class HostClock:
-    """The line of a counter on the computer's clock: `skew` (relative, positive when the sensor's ticks are longer than nominal; what it
-    is made with holds until its own readings tell), and how much later than the line frames were read: `usual_delay` (median) and
+    """The line of a counter on the computer's clock: `skew` (relative, positive if the sensor's ticks are longer than nominal; the initial
+    value applies until there are enough readings), and the delays of reading the frames relative to the line: `usual_delay` (median) and
     `worst_delay`, s."""
 
     counter: FrameCounter
@@ -144,8 +145,8 @@ class HostClock:
     _last: tuple[int, float] | None = None
 
     def stamp(self, index: Whole, received: Array) -> Array:
-        """Times (n,) in s, strictly increasing with the indices, from call to call too. index: increasing; received: s, less all delays
-        that are known."""
+        """Times (n,) in s, strictly increasing with the indices, from call to call too. index: increasing; received: s, minus all known
+        delays."""
         if index.size == 0:
             return np.empty(0)
         nominal = index.astype(float) * self.counter.tick

@@ -1,10 +1,10 @@
 """Compiled operations on every byte of a stream: checksums, the search for frames, conversion of fields to columns.
 
-Shapes and meanings stand with the functions of `checksums`, `framing` and `columns` that call these. Imports numba, and so is imported
-only where bytes are at hand.
+Shapes and meanings are documented in the functions of `checksums`, `framing` and `columns` that call these. Imports numba, so it is
+imported only when there are bytes to process.
 
-numba compiles a function once for each set of argument types, and a number written in a call has a type apart (`Literal[int](0)`). So such
-numbers are written `np.int64(0)`: every function is compiled once.
+numba compiles a function once for each set of argument types, and a literal number in a call has a separate type (`Literal[int](0)`). Such
+numbers are therefore written `np.int64(0)`: every function is compiled once.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def _mirrored(number, bits):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _word(data, place, little):  # type: ignore[no-untyped-def]
-    """Four bytes as a number. place: unsigned, which spares numba the question whether it counts from the end."""
+    """Four bytes as a number. place: unsigned, so numba need not check for a negative index."""
     first, second = np.uint32(data[place]), np.uint32(data[place + np.uintp(1)])
     third, fourth = np.uint32(data[place + np.uintp(2)]), np.uint32(data[place + np.uintp(3)])
     if little:
@@ -52,8 +52,8 @@ def _word(data, place, little):  # type: ignore[no-untyped-def]
 
 @compiled()
 def value(data, start, length, padding, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """The check of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are cut to 32 bits; an
-    unsigned index spares it the question whether it counts from the end."""
+    """The check of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are cut to 32 bits; with
+    an unsigned index it need not check for a negative one."""
     if kind == XOR:
         together = np.int64(0)
         for item in range(length):
@@ -112,7 +112,7 @@ def values(data, starts, length, padding, kind, width, tables, initial, reflecte
 
 @compiled()
 def _matches(data, place, pattern):  # type: ignore[no-untyped-def]
-    """1: the pattern stands there; 0: it does not; -1: the data end within it."""
+    """1: the pattern is at this place; 0: it is not; -1: the data end within it."""
     for item in range(pattern.size):
         if place + item >= data.size:
             return -1
@@ -123,7 +123,7 @@ def _matches(data, place, pattern):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _length(data, place, rule, longest):  # type: ignore[no-untyped-def]
-    """Bytes of the frame that begins here; 0: none can; -1: not known yet."""
+    """Bytes of the frame that begins here; 0: no frame; -1: not known yet."""
     if rule == FIXED:
         return longest
     if rule == XBUS:
@@ -151,7 +151,7 @@ def _digit(byte):  # type: ignore[no-untyped-def]
 def _line(data, place, longest):  # type: ignore[no-untyped-def]
     """Bytes of the line that begins here, as in `_length`, and the exclusive-or of all but its first.
 
-    The end is looked for four bytes at a time; the loop behind has a known end, so that it takes many bytes at once.
+    The end is searched for four bytes at a time; the following loop has a known end, so it can process many bytes at once.
     """
     start, stop = np.uintp(place + 1), np.uintp(min(place + longest, data.size))
     end, feed = start, np.uint8(LINE_FEED)
@@ -211,8 +211,8 @@ def _holds(data, place, length, check, kind, width, tables, initial, reflected, 
 
 @compiled()
 def find(data, sync, trailer, shape, check, positions, base, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """Starts and lengths of the good frames, where the rest begins, where in it the next frame is expected (-1: unknown), corrupt frames
-    and skipped bytes. positions, base: of a CRC over frames that are all alike (`Checksum.by_position`), else (0, 256) and 0."""
+    """Starts and lengths of the good frames, the beginning of the rest, the expected place of the next frame in it (-1: unknown), corrupt
+    frames and skipped bytes. positions, base: of a CRC over frames that are all alike (`Checksum.by_position`), else (0, 256) and 0."""
     rule, longest, expected = shape
     covered_from, _, size, little = check
     covered = positions.shape[0]
@@ -324,7 +324,7 @@ def scaled(data, starts, places, scales):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _floats(data, starts, offset, width, little, scale, out):  # type: ignore[no-untyped-def]
-    """Bits first, numbers then: each loop is simple enough to be done several frames at a time."""
+    """Bits first, then numbers: each loop is simple enough to process several frames at a time."""
     if width == 4:
         words = np.empty(starts.size, np.uint32)
         for frame in range(starts.size):

@@ -27,9 +27,9 @@ from planrunner.plan.quantity import Quantity, parse_quantity
 LONGEST = 4096
 """Maximum size of a reply in bytes; anything longer is invalid."""
 GLANCE = 0.001
-"""Seconds of looking whether something lies unread."""
+"""Seconds of waiting for unread data."""
 QUIET = 0.02
-"""Seconds without a byte after which unread rests count as over."""
+"""Seconds without a byte after which unread data are assumed to be complete."""
 
 MOST_REMARKS = 100
 """Maximum number of remarks kept between queries."""
@@ -45,10 +45,10 @@ def lock_of(address: str) -> threading.RLock:
 
 
 class AnswerFraming(Protocol):
-    """How the end of an answer is known."""
+    """How the end of an answer is detected."""
 
     def read(self, incoming: Incoming) -> bytes:
-        """The next answer without its frame."""
+        """The next answer, without its framing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +63,9 @@ class LineAnswers:
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
-    """address: VISA resource name. timeout: s, for opening and for an answer. sent_end: appended to what is sent. pace: s between two
-    messages at least. baud: of a serial line. tries: of a request that may be asked again. idle: characters that may come unasked, such as
-    a prompt, and are dropped without a remark."""
+    """address: VISA resource name. timeout: s, for opening and for an answer. sent_end: appended to every message. pace: minimum s between
+    two messages. baud: of a serial line. tries: of a request that may be repeated. idle: characters that may arrive without a request, such
+    as a prompt, and are discarded without a remark."""
 
     address: str
     timeout: float = 2.0
@@ -97,12 +97,12 @@ class Wire(Protocol):
 
 @dataclass(slots=True)
 class Incoming:
-    """The bytes that come in, until `deadline` [monotonic s]; `got` is what came so far."""
+    """The received bytes, until `deadline` [monotonic s]; `got` is the data so far."""
 
     resource: Wire
     deadline: float
     whole: bool
-    """Whether the bus marks the end of a message (GPIB, USB), which is then read at once."""
+    """Whether the bus marks the end of a message (GPIB, USB), so that a message is read at once."""
     got: bytearray = field(default_factory=bytearray)
 
     def until(self, end: bytes) -> bytes:
@@ -123,7 +123,7 @@ class Incoming:
         return bytes(self.got[start:])
 
     def until_quiet(self, seconds: float) -> bytes:
-        """Everything until nothing came for so long; waits for the first byte until the deadline."""
+        """All data until a silence of the given length; waits for the first byte until the deadline."""
         self._byte()
         _wait_at_most(self.resource, seconds)
         with contextlib.suppress(_nothing_came()):
@@ -170,9 +170,9 @@ class MessageLink:
     def query(
         self, text: str, *, after: Sequence[str] = (), again: bool = True, framing: AnswerFraming | None = None
     ) -> str:
-        """The answer to `text`, without terminator and blanks. after: commands sent in the same breath before it. again: whether it may
-        be asked a second time on a new connection when no answer comes; not for what changes the instrument. framing: of this answer,
-        where it differs."""
+        """The answer to `text`, without terminator and blanks. after: commands sent immediately before it. again: whether the request may
+        be repeated on a new connection if there is no answer; not allowed for commands that change the instrument. framing: of this answer,
+        if it is different."""
         tries = self.settings.tries if again and not after else 1
         with self._held(f"'{text}'"):
             for left in reversed(range(tries)):
@@ -197,7 +197,7 @@ class MessageLink:
             self._give_up()
 
     def close(self) -> None:
-        """Let go of the resource. May be called twice."""
+        """Release the resource. May be called twice."""
         resource, self._resource = self._resource, None
         if resource is not None:
             with contextlib.suppress(Exception):  # a dead link cannot be closed politely
@@ -207,7 +207,7 @@ class MessageLink:
 
     @contextlib.contextmanager
     def _held(self, asked: str) -> Iterator[None]:
-        """One exchange at a time, failures in words."""
+        """One exchange at a time; failures become messages."""
         address = self.settings.address
         patience = self.settings.tries * 3 * self.settings.timeout
         if not self._lock.acquire(timeout=patience):
@@ -295,7 +295,7 @@ class MessageLink:
             raise LinkFailure(f"sends data without a request ({shown(rests[:40])}…): {_GARBAGE}")
 
     def _await_silence(self, resource: Wire) -> None:
-        """A serial line remembers: after a failure it must have been silent for a time-out before it is asked again."""
+        """A serial line keeps late data: after a failure it must have been silent for a time-out before the next request."""
         if not self.settings.address.startswith("ASRL"):
             return
         end = time.monotonic() + 3 * self.settings.timeout
@@ -328,7 +328,7 @@ def shown(data: bytes | bytearray) -> str:
 
 
 def _wait_at_most(resource: Wire, seconds: float) -> None:
-    """The time-out of the next read; set only where it differs."""
+    """The time-out of the next read; set only if it changes."""
     if abs(resource.timeout - seconds * 1000) > 0.5:
         resource.timeout = seconds * 1000
 
@@ -349,8 +349,8 @@ def _manager() -> Any:
 
 
 def _count_steadily() -> None:
-    """PyVISA-py counts its time-outs on the computer's clock: set back while an answer is awaited, that would be awaited as much longer.
-    Let it count on the monotonic one."""
+    """PyVISA-py measures its time-outs with the computer's clock. If this clock is set back during a request, the time-out is extended
+    accordingly; therefore make it use the monotonic clock."""
     steady = SimpleNamespace(time=time.monotonic, sleep=time.sleep, perf_counter=time.perf_counter)
     for name in ("sessions", "tcpip", "protocols.rpc"):
         module = sys.modules.get(f"pyvisa_py.{name}")
@@ -414,7 +414,7 @@ class LinkKeys(Record):
     )
 
     def check_identity(self, said: str, expected: str) -> None:
-        """Raises `InstrumentError` unless the instrument is one that the driver, or the bench file, expects at this address."""
+        """Raises `InstrumentError` if the instrument at this address is not the one that the driver, or the bench file, expects."""
         wanted = self.model_contains or expected
         if wanted.casefold() not in said.casefold():
             raise InstrumentError(

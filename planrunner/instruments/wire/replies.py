@@ -1,4 +1,4 @@
-"""Numbers out of replies and into commands, with clear errors for replies that hold none."""
+"""Numbers from replies and for commands, with clear errors for replies without numbers."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def numbers(link: MessageLink, request: str, count: int, framing: AnswerFraming | None = None) -> list[float]:
-    """The numbers that a request is answered with, separated by commas or semicolons. Raises `InstrumentError` when there are fewer or
-    something is no finite number; then what still comes is not read as the next answer."""
+    """The numbers in the answer to a request, separated by commas or semicolons. Raises `InstrumentError` if there are too few, or if one
+    is not a finite number; data that arrive later are then not used as the next answer."""
     reply = link.query(request, framing=framing)
     try:
         return parsed(reply, request, count, link.settings.address)

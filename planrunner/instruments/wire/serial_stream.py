@@ -16,11 +16,11 @@ from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.wire.framing import Piece
 
 CAPACITY = 8 * 2**20
-"""Bytes; a minute of the fastest sensor."""
+"""Size of the buffer in bytes: a minute of the fastest sensor."""
 NEWEST = 2**16
 """Bytes kept without a consumer."""
 PAUSE = 0.004
-"""Seconds between reads: long enough to be cheap, short against what the operating system holds (4 kB at 1.8 Mbit/s: 22 ms)."""
+"""Seconds between reads: long enough to be cheap, short compared with the buffer of the operating system (4 kB at 1.8 Mbit/s: 22 ms)."""
 TIMEOUT = 0.05
 MOST = 2**16
 
@@ -36,7 +36,7 @@ class SerialPort(Protocol):
 
 
 class Ring:
-    """Pieces of a stream between the thread that reads and the one that takes. `dropped`: bytes that found no room."""
+    """Pieces of a stream between the thread that reads and the one that takes. `dropped`: bytes dropped because the buffer was full."""
 
     def __init__(self, capacity: int = CAPACITY):
         self.capacity = capacity
@@ -48,7 +48,7 @@ class Ring:
 
     @property
     def held(self) -> int:
-        """Bytes that wait to be taken."""
+        """Number of waiting bytes."""
         return self._held
 
     def put(self, piece: Piece) -> None:
@@ -62,13 +62,14 @@ class Ring:
                 self._held -= len(self._pieces.popleft().data)
 
     def take(self) -> Sequence[Piece]:
-        """All there is, oldest first."""
+        """All waiting bytes, oldest first."""
         with self._lock:
             pieces, self._pieces, self._held = self._pieces, deque(), 0
         return pieces
 
     def follow(self, following: bool) -> None:
-        """Begin or cease to follow; either way what is there is let go. Dropped bytes are counted anew when following begins."""
+        """Begin or end following; in both cases the waiting bytes are discarded. The count of dropped bytes restarts when following
+        begins."""
         with self._lock:
             self._pieces, self._held, self._following = deque(), 0, following
             if following:
