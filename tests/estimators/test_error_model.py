@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -300,17 +300,88 @@ def test_an_accelerometer_with_everything_is_found_within_its_uncertainty() -> N
     effects = (*ACCEL, "accel_second_order", "accel_third_order", "accel_asymmetry", "accel_cross_coupling")
     at_rest = [one for one in at_all_places() if not one.rate]
     errors = []
-    for _ in range(60):
-        found = estimate(
-            played(at_rest, outputs, "m/s^2", 1e-6 * G, draw),
-            dict.fromkeys(imu.ACCELS, effects),
-            uncertainty="within_segment",
-        )
+    model = ErrorModelParameters(outputs={"az": effects}, axes={"az": "z"}, uncertainty="within_segment")
+    for _ in range(40):
+        made = ErrorModelEstimator().quantities(request_of(played(at_rest, outputs, "m/s^2", 1e-6 * G, draw), model))
+        found = {item.name: item for item in made.coefficients}
         for name, value in truth.items():
             item = found[f"{name}_z"]
             errors.append((item.value - value) / item.standard_uncertainty)
-    assert np.std(errors) == pytest.approx(1.0, abs=0.25)  # 240 values, some of them correlated
+    assert np.std(errors) == pytest.approx(1.0, abs=0.25)  # 160 values, some of them correlated
     assert abs(np.mean(errors)) < 0.3
+
+
+@dataclass(frozen=True)
+class Case:
+    """An effect of size one in the unit of its parameter, in the x output. added: from rates and forces (k, 3), temperature above
+    25 degC [K], time [h] and change of temperature [K/min]."""
+
+    effects: tuple[str, ...]
+    name: str
+    unit: str
+    added: Callable[[Array, Array, float, float, float], Array | float]
+    accel: bool = False
+
+
+DEG, UG = math.radians(1), 1e-6 * G
+CASES = [
+    Case(("gyro_scale_quadratic",), "gyro_scale_quadratic_x", "ppm/(deg/s)", lambda w, f, k, h, r: 1e-6 / DEG * w[:, 0] ** 2),
+    Case(
+        ("gyro_bias_temperature", "gyro_bias_temperature_cubic"),
+        "gyro_bias_temperature_cubic_x", "deg/s/K^3", lambda w, f, k, h, r: DEG * k**3,
+    ),
+    Case(
+        ("gyro_misalignment_temperature",),
+        "gyro_misalignment_temperature_towards_y_x", "arcsec/K", lambda w, f, k, h, r: ARCSEC * k * w[:, 1],
+    ),
+    Case(("gyro_bias_drift",), "gyro_bias_drift_x", "deg/h/h", lambda w, f, k, h, r: DEG / 3600 * h),
+    Case(("gyro_thermal_gradient",), "gyro_thermal_gradient_x", "deg/s/(K/s)", lambda w, f, k, h, r: DEG * r / 60),
+    Case(("gyro_scale_asymmetry",), "gyro_scale_asymmetry_x", "ppm", lambda w, f, k, h, r: 1e-6 * np.abs(w[:, 0])),
+    Case(("accel_second_order",), "accel_second_order_x", "ug/g^2", lambda w, f, k, h, r: UG * (f[:, 0] / G) ** 2, True),
+    Case(("accel_third_order",), "accel_third_order_x", "ug/g^3", lambda w, f, k, h, r: UG * (f[:, 0] / G) ** 3, True),
+    Case(("accel_asymmetry",), "accel_asymmetry_x", "ppm", lambda w, f, k, h, r: 1e-6 * np.abs(f[:, 0]), True),
+    Case(
+        ("accel_cross_coupling",),
+        "accel_cross_coupling_K_zx_x", "ug/g^2", lambda w, f, k, h, r: UG * f[:, 2] * f[:, 0] / G**2, True,
+    ),
+    Case(
+        ("accel_misalignment_temperature",),
+        "accel_misalignment_temperature_towards_z_x", "arcsec/K", lambda w, f, k, h, r: ARCSEC * k * f[:, 2], True,
+    ),
+    Case(("accel_thermal_gradient",), "accel_thermal_gradient_x", "ug/(K/min)", lambda w, f, k, h, r: UG * r, True),
+    Case(("accel_bias_drift",), "accel_bias_drift_x", "ug/h", lambda w, f, k, h, r: UG * h, True),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_each_effect_is_found_at_its_size(case: Case) -> None:
+    """Beside bias, scale factor and misalignment, at three temperatures and along a ramp, without noise."""
+    segments = [
+        *at_all_places((0.0, 25.0, 40.0, 60.0)),
+        replace(imu.rest("east north up"), temperature=298.15, ramp_to=328.15),
+    ]
+    channel, unit = ("ax", "m/s^2") if case.accel else ("gx", "rad/s")
+    recorded = []
+    for place, one in enumerate(segments):
+        rates, forces = around(one)
+        start, ramp = 200.0 * place, (one.ramp_to or 0.0) - (one.temperature or 0.0) if one.ramp_to else 0.0
+        minutes = (one.dwell or 0.0) / 60
+        # The mean over a ramp, by many steps; 25 degC at its beginning.
+        warm = (
+            (one.temperature or 298.15) - 298.15 + ramp * (np.arange(2000) + 0.5) / 2000
+            if ramp
+            else [(one.temperature or 0) - 298.15]
+        )
+        middle = (start + 30 * minutes) / 3600
+        extra = np.mean([np.mean(case.added(rates, forces, float(k), middle, ramp / minutes)) for k in warm])
+        felt = forces if case.accel else rates
+        value = float(felt[:, 0].mean()) * 1.001 + 1e-3 + float(extra)
+        recorded.append(from_means(one, {channel: value}, unit, 1e-9, start=start))
+    base = ACCEL if case.accel else GYRO
+    found = estimate(recorded, {channel: (*base, *case.effects)})
+    item = found[case.name]
+    assert item.unit == case.unit
+    assert item.value == pytest.approx(1.0, rel=1e-4)
 
 
 # -- planning --------------------------------------------------------------------------------------------------------

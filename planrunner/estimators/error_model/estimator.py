@@ -228,24 +228,40 @@ def _fitted(request: EstimateRequest[ErrorModelParameters], group: Together) -> 
     """The outputs of a group. How far errors of table and site move an output depends on its amplitudes, which a first fit gives."""
     parameters, basis = request.parameters, request.parameters.uncertainty
     recorded = [request.segments[row] for row in group.rows]
+    together = observe(recorded, [one.name for one in group.outputs], request.sensor)
     seen, abouts = [], []
-    for one in group.outputs:
-        whole = observe(recorded, [one.name], request.sensor)
+    for k, one in enumerate(group.outputs):
+        whole = _of_channel(together, k)
         left = replace(whole, mean=whole.mean - np.reshape(one.ideal, (-1, 1)))
         seen.append((whole, left))
         about = coefficients_by_noise(one.columns.matrix, left, one.columns.magnitudes, one.names)
         abouts.append(one.response(about[0]))
     responses = _stacked(abouts)
     inputs = request.setup.inputs
-    table = table_errors(group.model, group.segments, request.site, request.setup, responses)
+    acting = (
+        *flicker_errors(together, inputs, parameters.drift_span.value),
+        *table_errors(group.model, group.segments, request.site, request.setup, responses),
+    )
     site = site_errors(group.model, group.segments, request.site, inputs, responses)
     found = []
     for k, (one, (whole, left)) in enumerate(zip(group.outputs, seen, strict=True)):
-        effects = (*flicker_errors(left, inputs, parameters.drift_span.value), *_of_output(table, k))
+        effects = _of_output(acting, k)
         fit = fit_outputs(one.columns.matrix, left, one.columns.magnitudes, one.names, basis, effects=effects)
         require_basis(fit, basis, f"{request.name}, {one.name}")
         found.append(FittedOutput(one, whole, fit, _of_output(site, k)))
     return found
+
+
+def _of_channel(together: Observations, k: int) -> Observations:
+    """The observations of one channel alone."""
+    return replace(
+        together,
+        channels=together.channels[k : k + 1],
+        units=together.units[k : k + 1],
+        mean=together.mean[:, k : k + 1],
+        standard_error=together.standard_error[:, k : k + 1],
+        correlation=np.ones((1, 1)),
+    )
 
 
 def _stacked(rows: Sequence[Array]) -> Array:
