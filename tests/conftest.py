@@ -32,13 +32,22 @@ atexit.register(shutil.rmtree, os.environ["PLANRUNNER_STATE"], ignore_errors=Tru
 settings.register_profile("planrunner", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("planrunner")
 sys.dont_write_bytecode = False
-# Hundreds of megabytes of modules and shared results are searched for circles less often.
+# Circles are not searched for while modules are imported and tests are collected, and never among these afterwards; less often in the
+# hundreds of megabytes of shared results.
+gc.disable()
 gc.set_threshold(20_000, 20, 20)
 
 ROOT = Path(__file__).resolve().parents[1]
 FLAGSHIP = ROOT / "plans" / "flexure_gyro_eight_position.yaml"
 KEPT_OPEN = 8  # descriptors that libraries open once, and fixtures that the session shares
 PAGE, NO_PAGE = "report: [report.html, summary.md]", "report: [summary.md]"
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """What is there before the first test stays to the end."""
+    gc.collect()
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

@@ -198,9 +198,23 @@ def test_the_order_of_making_safe():
     assert stated is not None and safe_order(stated) == ("chamber", "table")
 
 
-@settings(max_examples=400, deadline=None)
-@given(st.sampled_from(sorted(shipped_benches())), st.integers(0, 10**9), st.text(max_size=6), st.integers(0, 30))
+SLIP = (st.sampled_from(sorted(shipped_benches())), st.integers(0, 10**9), st.text(max_size=6), st.integers(0, 30))
+
+
+@settings(max_examples=60, deadline=None)
+@given(*SLIP)
 def test_a_bench_with_a_slip_of_the_pen_gives_findings_never_a_traceback(name, place, typed, deleted):
+    slip(name, place, typed, deleted)
+
+
+@pytest.mark.slow
+@settings(max_examples=1000, deadline=None)
+@given(*SLIP)
+def test_slips_of_the_pen_at_length(name, place, typed, deleted):
+    slip(name, place, typed, deleted)
+
+
+def slip(name, place, typed, deleted):
     text = shipped_benches()[name].read_text(encoding="utf-8")
     at = place % len(text)
     try:

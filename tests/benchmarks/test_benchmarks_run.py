@@ -23,6 +23,7 @@ def test_every_module_is_named() -> None:
     assert {path.stem for path in (ROOT / "benchmarks").glob("*.py")} - MEASURES_WITH == set(command.NAMES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", command.NAMES)
 def test_it_runs_at_a_small_size(name: str) -> None:
     if name in UNIX and sys.platform == "win32":

@@ -98,6 +98,7 @@ def test_answers_go_on_where_they_stopped_and_failures_are_counted(made: Path) -
     assert failed["case-00003"]["error"] == "ValueError: cannot read case-00003"
 
 
+@pytest.mark.slow
 def test_a_campaign_is_the_same_on_one_and_two_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(campaign, "assigned", lambda seed, n: ("poor", "mems", "none"))
     monkeypatch.setattr("tests.blind.generator.assigned", lambda seed, n: ("poor", "mems", "none"))
@@ -168,6 +169,7 @@ def test_the_oracle_finds_what_is_strong(effects: tuple[str, ...], tmp_path: Pat
     assert Scored(oracle.label_of(shown), oracle.diagnose(shown)).right
 
 
+@pytest.mark.slow
 def test_the_oracle_leaves_none_alone_and_its_probabilities_add_up(made: Path) -> None:
     for name in ("case-00000", "case-00001"):
         answer = oracle.diagnose(folder.shown(made, name))
@@ -175,12 +177,14 @@ def test_the_oracle_leaves_none_alone_and_its_probabilities_add_up(made: Path) -
         assert sum(answer["posterior"].values()) == pytest.approx(1, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_the_oracle_closes_what_it_refits(tmp_path: Path) -> None:
     closure = oracle.diagnose(known(tmp_path, "gyro_scale_asymmetry"))["closure"]
     assert closure["before"] == pytest.approx(30, rel=0.05)  # √λ
     assert 0.8 < closure["shrinks_by"] < 1  # three parameters leave about √3 of 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["stepwise_bic", "whitened_bic", "lasso"])
 def test_baselines_find_a_strong_effect_and_have_no_word_for_unknown(name: str, tmp_path: Path) -> None:
     answer = getattr(baselines, name)(known(tmp_path, "gyro_scale_asymmetry"))
@@ -188,6 +192,7 @@ def test_baselines_find_a_strong_effect_and_have_no_word_for_unknown(name: str, 
     assert answer["verdict"]["kind"] in ("effect", "pair") and "posterior" not in answer
 
 
+@pytest.mark.slow
 def test_thresholded_least_squares_keeps_what_is_large(made: Path) -> None:
     """It names what it keeps of all columns at once; on pure noise that is still something."""
     answer = baselines.stlsq(folder.shown(made, "case-00000"))
@@ -202,6 +207,7 @@ def test_score_is_a_table_and_a_file(made: Path, tmp_path: Path, capsys: pytest.
     assert figures["answers"][NOTHING.replace(":", ".")]["false alarm"]["all"]["hits"] == 0
 
 
+@pytest.mark.slow
 def test_the_first_cases_alone_are_answered_and_scored(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:

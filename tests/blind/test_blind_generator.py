@@ -136,6 +136,7 @@ def test_excess_noise_begins_where_a_wrong_declaration_ends(factor: float) -> No
     assert generator._strength(work, drawn) == pytest.approx(144.0)
 
 
+@pytest.mark.slow
 def test_beside_excess_noise_the_other_effect_has_its_strength_in_that_noise() -> None:
     """A pair's strength is in units of the true noise: three times the noise leaves a ninth of the energy."""
     mems, rng = SENSORS["mems"], np.random.default_rng(3)

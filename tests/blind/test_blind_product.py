@@ -27,6 +27,7 @@ def sample(here: Path, setups: tuple[tuple[str, str], ...], seed: int) -> dict[s
     return folder.verified_labels(here)
 
 
+@pytest.mark.slow
 def test_a_case_becomes_an_observation(tmp_path: Path) -> None:
     """Units, signs and noise are carried over: the product's nominal stimulus is the generator's."""
     folder.write_setups(tmp_path)

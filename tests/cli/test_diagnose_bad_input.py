@@ -34,7 +34,7 @@ def diagnosed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..
     return run
 
 
-@pytest.mark.parametrize("count", [4, 5, 6])
+@pytest.mark.parametrize("count", [4, *(pytest.param(count, marks=pytest.mark.slow) for count in (5, 6))])
 def test_few_segments_are_answered(diagnosed: Callable[..., Ended], count: int) -> None:
     code, out, _ = diagnosed(count)
     assert code == DONE and "No effect is named" in out
@@ -46,7 +46,7 @@ def test_too_few_segments_are_refused(diagnosed: Callable[..., Ended], count: in
     assert code == WRONG_INPUT and f"the recording has {count} segments" in err
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
+@pytest.mark.parametrize("value", [np.nan, *(pytest.param(value, marks=pytest.mark.slow) for value in (np.inf, 1e300))])
 def test_what_is_no_number_is_left_out_and_reported(diagnosed: Callable[..., Ended], value: float) -> None:
     code, out, err = diagnosed(gyro_x_deg_per_s=set_at(10, 12, value))
     assert code == DONE and "No effect is named" in out
@@ -69,10 +69,8 @@ def test_a_channel_that_does_not_follow_the_plan_is_refused(diagnosed: Callable[
     assert "error[gap-nominal-misfit]: 'gyro_x' does not follow the plan" in err and words in err
 
 
-def test_exchanged_columns_are_refused(
-    diagnosed: Callable[..., Ended], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    diagnosed()
+def test_exchanged_columns_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    laboratory(tmp_path, listed()[:12])
     table = pq.read_table(tmp_path / "recording.parquet")
     pq.write_table(
         pa.table({ALONE.get(name, name): table[name] for name in table.column_names}), tmp_path / "recording.parquet"

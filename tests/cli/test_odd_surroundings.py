@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,6 +37,11 @@ def planrunner(
     return done
 
 
+def slowly(value: str) -> Any:
+    """A case of the slow tests: each starts a process."""
+    return pytest.param(value, marks=pytest.mark.slow)
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("odd")
@@ -46,11 +52,11 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_terminal_that_knows_only_ascii(run: Path, tmp_path: Path) -> None:
-    for arguments in (["show", FLAGSHIP], ["estimate", run], ["report", run, "report.html"], ["export", run]):
-        done = planrunner(*arguments, cwd=tmp_path, env=ASCII)
-        assert done.returncode == 0, done.stderr
-        assert done.stdout.isascii()
+@pytest.mark.parametrize("command", [slowly("estimate"), "report", slowly("export")])
+def test_a_terminal_that_knows_only_ascii(command: str, run: Path, tmp_path: Path) -> None:
+    done = planrunner(command, run, *(["report.html"] if command == "report" else []), cwd=tmp_path, env=ASCII)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.isascii()
 
 
 @pytest.mark.slow
@@ -63,10 +69,11 @@ def test_json_stays_json_without_utf8(run: Path, tmp_path: Path) -> None:
         assert json.loads(done.stdout)
 
 
-def test_a_reader_that_goes_away(run: Path, tmp_path: Path) -> None:
-    for arguments in (["show", FLAGSHIP], ["export", run]):
-        assert planrunner(*arguments, cwd=tmp_path, shell="| true").returncode == 0
-        assert planrunner(*arguments, cwd=tmp_path, shell=">&-").returncode == 0
+@pytest.mark.parametrize("away", ["| true", ">&-"])
+@pytest.mark.parametrize("command", ["show", slowly("export")])
+def test_a_reader_that_goes_away(command: str, away: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    what = FLAGSHIP if command == "show" else request.getfixturevalue("run")
+    assert planrunner(command, what, cwd=tmp_path, shell=away).returncode == 0
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
@@ -76,11 +83,11 @@ def test_output_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     assert "No space left on device" in done.stderr
 
 
-def test_narrow_terminals_and_no_home(tmp_path: Path) -> None:
-    for width in ("1", "30"):
-        done = planrunner("show", FLAGSHIP, cwd=tmp_path, env={"COLUMNS": width, "HOME": "", "NO_COLOR": "1"})
-        assert done.returncode == 0
-        assert "\033" not in done.stdout
+@pytest.mark.parametrize("width", ["1", slowly("30")])
+def test_narrow_terminals_and_no_home(width: str, tmp_path: Path) -> None:
+    done = planrunner("show", FLAGSHIP, cwd=tmp_path, env={"COLUMNS": width, "HOME": "", "NO_COLOR": "1"})
+    assert done.returncode == 0
+    assert "\033" not in done.stdout
 
 
 def test_a_seed_is_not_negative(tmp_path: Path) -> None:

@@ -38,6 +38,7 @@ def test_declared_rocking_drifts_lie_within_their_intervals(analysis):
     assert [limit["verdict"] for limit in results["limits"]] == ["pass"] * 3
 
 
+@pytest.mark.slow
 def test_the_report_opens_with_the_comparison_of_both_methods(analysis):
     results = json.loads((analysis / "results.json").read_text(encoding="utf-8"))
     estimate = results["estimates"][0]

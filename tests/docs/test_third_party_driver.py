@@ -33,6 +33,7 @@ def test_the_docs_show_the_code_that_is_tested() -> None:
     assert shown_whole("writing-a-driver.md", "votsch_chamber")
 
 
+@pytest.mark.slow
 def test_its_readings_stand_in_every_segment(folder: Path, planrunner: Planrunner) -> None:
     (folder / "room.txt").write_text("21.5\n22.25\n", encoding="utf-8")
     run = planrunner("run", "plan.yaml", "--bench", "mine.yaml", *GIVEN, "--json")
@@ -42,6 +43,7 @@ def test_its_readings_stand_in_every_segment(folder: Path, planrunner: Planrunne
     assert {segment["readings"]["room.air_degC"] for segment in segments} == {22.25}
 
 
+@pytest.mark.slow
 def test_what_it_cannot_do_is_said_before_anything_moves(folder: Path, planrunner: Planrunner) -> None:
     (folder / "room.txt").write_text("", encoding="utf-8")
     before = set((folder / "runs").glob("*"))
@@ -51,6 +53,7 @@ def test_what_it_cannot_do_is_said_before_anything_moves(folder: Path, planrunne
     assert set((folder / "runs").glob("*")) == before
 
 
+@pytest.mark.slow
 def test_its_keys_and_name_are_checked(folder: Path, planrunner: Planrunner) -> None:
     bench = (folder / "mine.yaml").read_text(encoding="utf-8")
     (folder / "key.yaml").write_text(bench.replace("file: room.txt", "fle: room.txt"), encoding="utf-8")
@@ -60,6 +63,7 @@ def test_its_keys_and_name_are_checked(folder: Path, planrunner: Planrunner) -> 
     assert "monitor: A thermometer that another program reads and logs." in planrunner("bench", "list").stdout
 
 
+@pytest.mark.slow
 def test_the_documented_chamber_is_installed_checked_and_asked(tmp_path: Path) -> None:
     chamber = installed("votsch_chamber", tmp_path)
     bench = (ROOT / "plans" / "benches" / "virtual.yaml").read_text(encoding="utf-8")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from third_party import EXAMPLES, ROOT, installed, shown_whole
 
 
@@ -13,6 +14,7 @@ def test_the_docs_show_the_code_that_is_tested() -> None:
     assert len(code.splitlines()) <= 40
 
 
+@pytest.mark.slow
 def test_installed_from_its_folder_it_works_in_a_plan(tmp_path: Path) -> None:
     planrunner = installed("median_output", tmp_path)
     plan = (ROOT / "plans" / "flexure_gyro_eight_position.yaml").read_text(encoding="utf-8")

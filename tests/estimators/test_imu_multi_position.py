@@ -185,6 +185,11 @@ def test_a_sound_plan_is_identified_and_predicted() -> None:
     assert not design.remarks
     predicted = {item.name: item for item in design.predicted}
     assert set(predicted) == set(imu.named(imu.drawn_truth(np.random.default_rng(0))))
+
+
+@pytest.mark.slow
+def test_coefficients_scatter_as_predicted() -> None:
+    design = designed(imu.plan())
     draw = np.random.default_rng(8)
     truth = {"A_g": np.eye(3), "A_a": np.eye(3), "b_g": np.zeros(3), "b_a": np.zeros(3), "G": np.zeros((3, 3))}
     values = [

@@ -51,6 +51,7 @@ def test_two_wrong_segments_do_not_hide_each_other() -> None:
     assert {one.label for one in outliers(line(RATES, values), "residual")} == {"R0", "R24"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("basis", ["residual", "within_segment"])
 def test_false_alarms_are_as_seldom_as_stated(basis: str) -> None:
     """At most 1 % of sound recordings have an outlier: of 1000 not more than 21 (0.1 % of the binomial distribution beyond)."""

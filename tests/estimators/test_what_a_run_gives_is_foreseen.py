@@ -113,7 +113,7 @@ def test_names_units_and_uncertainties_are_those_of_the_run(tmp_path: Path) -> N
     [
         pytest.param(ALLAN, ("N_torquer_x", "N_torquer_y"), id="allan"),
         pytest.param(ROCKING, (), id="rocking"),
-        pytest.param(NAVIGATION, ("heading", "pitch", "roll"), id="navigation"),
+        pytest.param(NAVIGATION, ("heading", "pitch", "roll"), id="navigation", marks=pytest.mark.slow),
     ],
 )
 def test_estimators_with_a_foresight_of_their_own(text: str, by_noise: tuple[str, ...], tmp_path: Path) -> None:
@@ -135,7 +135,13 @@ def test_estimators_with_a_foresight_of_their_own(text: str, by_noise: tuple[str
                 assert found.standard_uncertainty == pytest.approx(item.standard_uncertainty, rel=0.1), item.name
 
 
-@pytest.mark.parametrize("plan", ["flexure_gyro_eight_position", "imu_multi_position", "fixture_angles"])
+@pytest.mark.parametrize(
+    "plan",
+    [
+        "flexure_gyro_eight_position",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("imu_multi_position", "fixture_angles")),
+    ],
+)
 def test_names_of_shipped_plans(plan: str, tmp_path: Path) -> None:
     checked = check_plan(PLANS / f"{plan}.yaml")
     info = dict.fromkeys(checked.plan.record if checked.plan else (), "x")

@@ -100,6 +100,7 @@ def test_what_is_not_in_the_catalogue_is_said_to_be(fault: Fault, kind: str) -> 
     assert max(found.posterior.kinds, key=lambda name: found.posterior.kinds[name]) == kind
 
 
+@pytest.mark.slow
 def test_effects_on_the_noise() -> None:
     walk = diagnose(record(seed=15, fault=_walk))
     assert walk.verdict.effects == ("gyro_bias_random_walk",)

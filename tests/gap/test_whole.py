@@ -48,6 +48,7 @@ def test_a_dead_zone_is_found_within_its_interval(
     assert abs(one.value - true) < 3 * one.standard_uncertainty
 
 
+@pytest.mark.slow
 def test_a_strong_dead_zone_stands_alone(tmp_path: Path) -> None:
     """At some eighty standard deviations the nominal parameters fitted without it are far off: looked for where those put the output, it
     leaves a fifth of itself to be named besides."""
@@ -68,6 +69,7 @@ def test_a_limit_is_found_within_its_interval(tmp_path: Path) -> None:
     assert abs(one.value - lowered) < 3 * one.standard_uncertainty
 
 
+@pytest.mark.slow
 def test_a_delay_far_below_the_grid_is_found(tmp_path: Path) -> None:
     """Less than a microsecond: what rocking shows of it is in proportion to it, so that any would do, with an amplitude."""
     found, true = _diagnosed(tmp_path, "rocking", "fog", "time_latency", 900.0, 7)

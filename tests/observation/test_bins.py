@@ -241,6 +241,7 @@ def held_by_no_one(index: int, rows: int) -> RecordedSegment:
     return RecordedSegment(made, {"gyro_x": "deg/s"}, statistics_of(blocks(("gyro_x",)), ("gyro_x",), rows), blocks)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_samples() -> None:
     peaks = []
     for rows in (1_000_000, 10_000_000):

@@ -117,7 +117,7 @@ def test_schema_and_reader_agree_on_every_example() -> None:
                 assert agree({**base, path[1:]: example}) is True, path
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.integers(0, 2**32), st.integers(1, 4))
 def test_schema_and_reader_agree_on_mutated_plans(seed: int, times: int) -> None:
     draw = random.Random(seed)

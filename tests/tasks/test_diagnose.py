@@ -462,7 +462,25 @@ def test_segments_that_share_samples_are_refused(tmp_path):
     assert "error[gap-overlap]: 'P1' and 'P2' share 1 s of the recording" in refused(tmp_path)
 
 
-def test_a_known_effect_is_named_from_file_and_from_run_alike(tmp_path, capsys, monkeypatch):
+def test_a_known_effect_is_named(tmp_path, capsys):
+    named_from_file(tmp_path, capsys)
+
+
+@pytest.mark.slow
+def test_a_known_effect_is_named_from_run_as_from_file(tmp_path, capsys, monkeypatch):
+    found = named_from_file(tmp_path, capsys)
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "plan.yaml", "--data", ".", "--quiet", "--flushed"]) == DONE
+    (run,) = (tmp_path / "runs").iterdir()
+    capsys.readouterr()
+    assert main(["diagnose", str(run), "--json"]) == DONE
+    again = json.loads(capsys.readouterr().out)
+    assert again["verdict"] == found["verdict"]
+    assert again["posterior"] == pytest.approx(found["posterior"], abs=1e-6)
+
+
+def named_from_file(tmp_path, capsys):
+    """The diagnosis of a recording with an asymmetry, as JSON."""
     laboratory(tmp_path, effect=asymmetry)
     page, given = tmp_path / "page.html", ["--segments", str(tmp_path / "segments.csv")]
     given = [str(tmp_path / "plan.yaml"), "--recording", str(tmp_path / "recording.parquet"), *given]
@@ -472,11 +490,4 @@ def test_a_known_effect_is_named_from_file_and_from_run_alike(tmp_path, capsys, 
     assert "gyro_scale_asymmetry" in {*found["verdict"]["effects"], *found["verdict"]["class"]}
     assert found["where"][0]["channel"].startswith("gyro")
     assert "gyro_scale_asymmetry" in page.read_text(encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    assert main(["run", "plan.yaml", "--data", ".", "--quiet", "--flushed"]) == DONE
-    (run,) = (tmp_path / "runs").iterdir()
-    capsys.readouterr()
-    assert main(["diagnose", str(run), "--json"]) == DONE
-    again = json.loads(capsys.readouterr().out)
-    assert again["verdict"] == found["verdict"]
-    assert again["posterior"] == pytest.approx(found["posterior"], abs=1e-6)
+    return found

@@ -100,6 +100,7 @@ def test_values_are_distinguished() -> None:
     assert parsed("table_tilt") == ("table_tilt", {})
 
 
+@pytest.mark.slow
 def test_without_effects_nothing_changes(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = _simulated(plan)
     assert "Nothing was added" in capsys.readouterr().out
