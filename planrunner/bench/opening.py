@@ -20,7 +20,6 @@ from types import TracebackType
 from planrunner.bench.clock import VirtualClock, WallClock
 from planrunner.bench.lock import bench_lock
 from planrunner.bench.model import (
-    SINGLE_ROLES,
     Bench,
     driver_of,
     real_instruments,
@@ -53,9 +52,8 @@ class SafetyFailure:
 class OpenBench:
     """A bench whose instruments are connected. A context manager: leaving it makes safe what was taken control of, then closes everything.
 
-    table, chamber, sensor: the instrument of that role, or None. monitors: every other instrument by name. instruments: all of them by
-    name. limits: limits that the instruments enforce themselves. watchdog: of a guarded bench. safe: whether the last attempt brought all
-    controlled instruments to their safe state.
+    table, chamber, sensor: the instrument of that role, or None. instruments: all of them by name. limits: limits that the instruments
+    enforce themselves. watchdog: of a guarded bench. safe: whether the last attempt brought all controlled instruments to their safe state.
     """
 
     def __init__(self, bench: Bench, clock: RunClock, site: Site):
@@ -79,10 +77,6 @@ class OpenBench:
     @property
     def sensor(self) -> Instrument | None:
         return self._of_role("sensor")
-
-    @property
-    def monitors(self) -> Mapping[str, Instrument]:
-        return {name: item for name, item in self.instruments.items() if self._roles[name] not in SINGLE_ROLES}
 
     def _of_role(self, role: str) -> Instrument | None:
         return next((item for name, item in self.instruments.items() if self._roles[name] == role), None)

@@ -18,12 +18,12 @@ from planrunner.archive.run_folder import RunWriter
 from planrunner.base.documents import JsonObject
 from planrunner.execution.connected_bench import ConnectedBench
 from planrunner.execution.continuity import Continuity
-from planrunner.execution.holding import Holding, LimitPassedError
 from planrunner.execution.lookout import EVERY, Lookout, StoppedAtOnceError
 from planrunner.execution.operator import Boundary, Operator
 from planrunner.execution.outcome import Failure, Outcome
 from planrunner.execution.progress import Meter, ProgressCallback, seconds_behind
 from planrunner.execution.reaching import Patience, Reaching
+from planrunner.execution.readings import Holding, LimitPassedError
 from planrunner.execution.stopping import StopRequest
 from planrunner.instruments.interfaces import (
     Closes,

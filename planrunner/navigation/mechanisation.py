@@ -28,11 +28,11 @@ class Knots:
     height: Array
 
 
-def loop_gains(time: float = LOOP_TIME) -> Array:
-    """Gains of the third-order vertical loop with all three poles at 1/time (Widnall and Sinha, J. Guidance and Control 3, 1980), where
-    2·g/R compensates for the instability of the free channel."""
+def loop_gains() -> Array:
+    """Gains of the third-order vertical loop with all three poles at 1/`LOOP_TIME` (Widnall and Sinha, J. Guidance and Control 3, 1980),
+    where 2·g/R compensates for the instability of the free channel."""
     g = float(normal_gravity(0.0))
-    return np.array([3 / time, 3 / time**2 + 2 * g / SEMI_MAJOR_AXIS, 1 / time**3])
+    return np.array([3 / LOOP_TIME, 3 / LOOP_TIME**2 + 2 * g / SEMI_MAJOR_AXIS, 1 / LOOP_TIME**3])
 
 
 class Navigator:

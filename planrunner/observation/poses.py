@@ -55,7 +55,6 @@ def poses(
     nominal: Sequence[str],
     *,
     only: Collection[str] | None = None,
-    power_on: float = 0.0,
 ) -> Observed:
     """Recorded poses for a diagnosis: one channel `accel`, the accelerometer reading along gravity.
 
@@ -77,7 +76,7 @@ def poses(
         rows_of(item, [triad[axis] for axis in range(3)], size=None if size is None else int(size[index]))
         for index, item in enumerate(recording)
     ]
-    time = [part.time - power_on for part in rows]
+    time = [part.time for part in rows]
     samples = [np.column_stack([part.table[name] for name in names]) * factors for part in rows]
     warm = [temperature_of(item, part.time, None) for item, part in zip(recording, rows, strict=True)]
     directions = directions_of(np.array([part.mean(axis=0) for part in samples]), site.gravity, nominal)

@@ -11,7 +11,7 @@ from typing import Literal
 
 from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
-from planrunner.base.findings import Findings, Mark
+from planrunner.base.findings import Findings, InputError, Mark
 from planrunner.plan import source
 from planrunner.plan.kinds import (
     CHANNEL,
@@ -340,3 +340,25 @@ class Plan(Record):
         ["report.html", "summary.md"],
         default=("report.html", "summary.md"),
     )
+
+
+def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan | None, Findings]:
+    """The plan in a document, as far as it can be read, and the findings about it (added to `log`, if given).
+
+    A part with an error is left out (a segment is marked as not sound), so that all other parts can still be checked.
+    """
+    log = Findings() if log is None else log
+    if root.get("planrunner") is None and root.get("planrunner_bench") is not None:
+        log.error("form-bench", root.mark, "this is a bench file, not a plan", "give it with --bench")
+        return None, log
+    return RecordOf(Plan).read(root, log), log
+
+
+def parse_plan(text: str, shown: str) -> tuple[Plan | None, Findings]:
+    """The plan in `text` and all findings about it. shown: file name in findings. Never raises because of the content."""
+    log = Findings()
+    try:
+        root = source.parse(text, shown, log)
+    except InputError as error:
+        return None, Findings(error.findings)
+    return read_plan(root, log)

@@ -172,10 +172,10 @@ def is_signed(text: str) -> bool:
     return _SIGNED.fullmatch(text) is not None
 
 
-def parse_symmetric(text: str, dimension: str | None = None) -> Quantity | None:
+def parse_symmetric(text: str) -> Quantity | None:
     """The positive bound of `±0.5 deg/h`, or None if the text has no leading ±. Raises `QuantityError`."""
     signed = _SIGNED.fullmatch(text)
-    return parse_quantity(signed[2], dimension) if signed else None
+    return parse_quantity(signed[2]) if signed else None
 
 
 def _parts(text: str) -> re.Match[str] | None:

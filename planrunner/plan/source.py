@@ -66,10 +66,6 @@ class Mapping:
     def get(self, key: str) -> Node | None:
         return next((node for name, node in self.entries if name.text == key), None)
 
-    def key_mark(self, key: str) -> Mark:
-        """Where `key` itself is written, or where the mapping begins if it is absent."""
-        return next((name.mark for name, _ in self.entries if name.text == key), self.mark)
-
 
 Node = Scalar | Sequence | Mapping
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -44,9 +43,9 @@ class ShowContext:
     probability: float = 0.95
 
 
-def render_show(context: ShowContext, template: str = "show.html", folder: Path | None = None) -> str:
+def render_show(context: ShowContext) -> str:
     """One self-contained HTML page. The same context gives the same text. Raises `ReportError`."""
-    return render(template, show_view(context), folder)
+    return render("show.html", show_view(context))
 
 
 def show_view(context: ShowContext) -> JsonObject:

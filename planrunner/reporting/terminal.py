@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 _GAP = 2  # between columns
 _MOST_TEXT = 24  # minimum width of a text column on a narrow terminal, characters
+PROBABILITY = 0.95
+"""Coverage of the expanded uncertainties on the terminal."""
 VERDICT = {"pass": "bold green", "warned": "bold yellow", "fail": "bold red", "none": "bold"}
 
 
@@ -55,24 +57,22 @@ def console(width: int | None = None, file: TextIO | None = None) -> Console:
     return made
 
 
-def coefficients_table(
-    estimate: Estimate, probability: float = 0.95, only: Sequence[str] | None = None
-) -> RenderableType:
+def coefficients_table(estimate: Estimate, only: Sequence[str] | None = None) -> RenderableType:
     """Coefficients with standard and expanded uncertainties. only: names to show, such as `estimate.headline`."""
     shown = [item for item in estimate.coefficients if only is None or item.name in only]
-    return _coefficients(f"{estimate.name} ({estimate.estimator})", shown, probability, "value")
+    return _coefficients(f"{estimate.name} ({estimate.estimator})", shown, "value")
 
 
-def predicted_table(name: str, design: Design, probability: float = 0.95) -> RenderableType:
+def predicted_table(name: str, design: Design) -> RenderableType:
     """The expected uncertainties at the declared nominal values."""
-    return _coefficients(f"{name}: predicted", design.predicted, probability, "nominal")
+    return _coefficients(f"{name}: predicted", design.predicted, "nominal")
 
 
-def _coefficients(title: str, shown: Iterable[Coefficient], probability: float, value: str) -> RenderableType:
-    percent = words.number(100 * probability)
+def _coefficients(title: str, shown: Iterable[Coefficient], value: str) -> RenderableType:
+    percent = words.number(100 * PROBABILITY)
     titles = ("coefficient", value, "u", f"± U ({percent} %)", "unit", "k", "d.o.f.")
     keys = ("name", "value", "standard", "expanded", "unit", "factor", "freedom")
-    rows = [coefficient_row(item, probability) for item in shown]
+    rows = [coefficient_row(item, PROBABILITY) for item in shown]
     columns = [(text, text not in ("coefficient", "unit")) for text in titles]
     return _Columns(title, columns, [[_text(row[key]) for key in keys] for row in rows])
 

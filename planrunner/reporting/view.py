@@ -33,6 +33,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
 from typing import TypeGuard
 
 from planrunner.base.documents import Json, JsonObject
@@ -45,10 +46,9 @@ from planrunner.reporting.certificate import certificate_view, guard_band
 from planrunner.reporting.context import ReportContext, site_facts
 from planrunner.reporting.rounding import format_pair
 from planrunner.reporting.segment_tables import segment_table, segment_tables
+from planrunner.reporting.templates import render
 from planrunner.reporting.verdict import Stamp, stamp
 from planrunner.uncertainty.decision import coverage_factor
-
-__all__ = ["coefficient_row", "limit_row", "report_view", "table_view"]
 
 MAX_ROWS = 2000
 STRONG = 0.3  # stronger correlations are listed in words
@@ -249,3 +249,12 @@ class Picture:
 
     def __html__(self) -> str:
         return self.draw()
+
+
+def render_report(context: ReportContext, template: str, folder: Path | None = None) -> str:
+    """The report made from the context with `template` (such as `report.html` or `summary.md`): one self-contained text.
+
+    folder: a user's template folder, searched before the shipped one. The same context gives the same text.
+    Raises `ReportError`.
+    """
+    return render(template, report_view(context), folder)

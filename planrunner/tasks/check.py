@@ -25,9 +25,8 @@ from planrunner.instruments.models import SensorModel
 from planrunner.plan import source
 from planrunner.plan.expand import StatedSegment, expand
 from planrunner.plan.meaning import check_channels, check_meaning
-from planrunner.plan.model import EstimateSpec, Limit, Plan
+from planrunner.plan.model import EstimateSpec, Limit, Plan, parse_plan
 from planrunner.plan.quantity import parse_symmetric
-from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Schedule
 from planrunner.plan.units import unit
 from planrunner.reporting.budgets import shown_unit

@@ -21,7 +21,7 @@ from planrunner.bench.model import BenchModels
 from planrunner.bench.scheduling import build_schedule
 from planrunner.gap.answer.segment_menu import MenuEntry, menu
 from planrunner.plan.expand import StatedSegment, expand
-from planrunner.plan.reader import parse_plan
+from planrunner.plan.model import parse_plan
 from planrunner.plan.schedule import Segment
 
 if TYPE_CHECKING:

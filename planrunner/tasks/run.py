@@ -38,8 +38,8 @@ from planrunner.plan import source
 from planrunner.plan.selection import closest_label
 from planrunner.reporting.certificate_requirements import is_certificate
 from planrunner.reporting.context import CertificateFacts, ReportContext
-from planrunner.reporting.report import render_report
 from planrunner.reporting.verdict import Headline
+from planrunner.reporting.view import render_report
 from planrunner.tasks.certify import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
 from planrunner.tasks.check import Document, Sound, check_plan
 from planrunner.tasks.report import report_context

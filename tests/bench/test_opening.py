@@ -82,7 +82,6 @@ def test_instruments_by_role_and_made_safe_in_order_on_leaving():
         assert opened.table is opened.instruments["t"]
         assert opened.chamber is opened.instruments["c"]
         assert opened.sensor is opened.instruments["s"]
-        assert list(opened.monitors) == ["m"]
         assert isinstance(opened.clock, VirtualClock)
         opened.take_control()
         LOG.clear()

@@ -20,13 +20,13 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import FoldChoice, predictions
 from planrunner.gap.answer.diagnosis import Diagnosis
 from planrunner.gap.answer.diagnosis import diagnose as diagnosed
-from planrunner.gap.hypotheses.whole import forms, shape_alone
+from planrunner.gap.hypotheses.forms import shape_alone, whole_forms
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import ChamberModel, NoiseModel, OutputModel, SensorModel, TableAxis, TableModel
 from planrunner.observation.samples import observed
 from planrunner.physics.earth import Site
 from planrunner.plan.expand import expand
-from planrunner.plan.reader import parse_plan
+from planrunner.plan.model import parse_plan
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
 from planrunner.tasks.propose import Frame, propose_next
 from tests.blind.folder import Shown
@@ -168,7 +168,7 @@ def _told(answer: Diagnosis, effects: Sequence[str]) -> list[FoldChoice]:
         apart = Variant(tuple(chain(*columns)), widths=tuple(map(len, columns)))
         return [FoldChoice(pair or weighing.weigh([apart])[0], 1.0)]
     shaped = shape_alone(known[0])
-    exact = forms(weighing, shaped) if shaped is not None else []
+    exact = whole_forms(weighing, shaped) if shaped is not None else []
     return [FoldChoice(weighed, share, bool(exact)) for weighed, share in exact or known[0].likely_forms()]
 
 

@@ -14,7 +14,7 @@ from planrunner.design.study import Asked
 from planrunner.estimators.interface import EstimationError
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording_file import open_recording
-from planrunner.plan.reader import load_plan
+from planrunner.plan.model import parse_plan
 from planrunner.plan.run_information import gather
 from planrunner.plan.units import suggestion
 from planrunner.tasks.check import check_plan
@@ -89,7 +89,7 @@ def test_rates_missing_about_an_axis_are_said_once_and_not_as_a_spread_of_states
 
 @pytest.mark.parametrize("given", ["device_serial", "device_serial=", "device_serial= "])
 def test_run_information_without_its_value(given: str) -> None:
-    plan, _ = load_plan(EIGHT)
+    plan, _ = parse_plan(EIGHT.read_text(encoding="utf-8"), str(EIGHT))
     assert plan is not None
     with pytest.raises(InputError) as caught:
         gather(plan, [given, "operator=A. Example"], None)
@@ -98,7 +98,7 @@ def test_run_information_without_its_value(given: str) -> None:
 
 
 def test_run_information_under_a_misspelt_name() -> None:
-    plan, _ = load_plan(EIGHT)
+    plan, _ = parse_plan(EIGHT.read_text(encoding="utf-8"), str(EIGHT))
     assert plan is not None
     with pytest.raises(InputError) as caught:
         gather(plan, ["device_seriel=7"], None)

@@ -18,8 +18,7 @@ from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroSt
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest
 from planrunner.estimators.monte_carlo_validation import TITLE, linear_chain, validated
 from planrunner.plan.expand import expand
-from planrunner.plan.model import USUAL, EstimateSpec, MonteCarloSpec
-from planrunner.plan.reader import parse_plan
+from planrunner.plan.model import USUAL, EstimateSpec, MonteCarloSpec, parse_plan
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 FEW = MonteCarloSpec(digits=1, draws=100_000, seed=3)

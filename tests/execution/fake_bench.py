@@ -172,7 +172,6 @@ class Bench:
     table: Any
     chamber: Any
     sensor: Any
-    monitors: list[Any] = field(default_factory=list)
     instruments: dict[str, Any] = field(default_factory=dict)
     calls: Calls = field(default_factory=Calls)
     safe_fails: bool = False
@@ -200,7 +199,7 @@ def make_bench(**sensor: Any) -> Bench:
     table, chamber = Table(clock, calls), Chamber(clock, calls)
     probe = Sensor(clock, calls, table, **sensor)
     named = {"table": table, "chamber": chamber, "sensor": probe}
-    return Bench(clock, table, chamber, probe, [], named, calls)
+    return Bench(clock, table, chamber, probe, named, calls)
 
 
 def segment(index: int, label: str, **given: Any) -> Segment:

@@ -70,4 +70,4 @@ def make_watched_bench(**sensor: Any) -> Bench:
     probe = CountingSensor(clock, calls, table, **{"block": 10, **sensor})
     probe.counted, probe.said = [], []
     named: Mapping[str, Any] = {"table": table, "chamber": chamber, "sensor": probe}
-    return Bench(clock, table, chamber, probe, [], dict(named), calls)
+    return Bench(clock, table, chamber, probe, dict(named), calls)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planrunner.gap.evidence.designs_weighed import Left, eigen
-from planrunner.gap.evidence.weighing import ChannelWeights
+from planrunner.gap.evidence.weighing import ChannelWeights, Left, eigen
 from planrunner.gap.hypotheses.candidates import Weighing
 from tests.gap.turntable import record
 

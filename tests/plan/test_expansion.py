@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from planrunner.base.findings import Findings
 from planrunner.plan.expand import MAX_SEGMENTS, StatedSegment, expand
+from planrunner.plan.model import parse_plan
 from planrunner.plan.quantity import Quantity
-from planrunner.plan.reader import parse_plan
 from planrunner.plan.rewriting import with_rates
 
 HEAD = "planrunner: 1\ntitle: t\nsensor: {kind: k, outputs: [o]}\n"

@@ -11,7 +11,7 @@ import pytest
 from planrunner.bench.model import models, read_bench
 from planrunner.bench.scheduling import build_schedule
 from planrunner.plan.expand import expand
-from planrunner.plan.reader import parse_plan
+from planrunner.plan.model import parse_plan
 from planrunner.plan.schedule import Schedule, Watch
 
 HEAD = """\

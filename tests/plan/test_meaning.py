@@ -10,8 +10,7 @@ import pytest
 from planrunner.base.findings import Findings
 from planrunner.plan.expand import expand
 from planrunner.plan.meaning import check_meaning
-from planrunner.plan.model import Plan
-from planrunner.plan.reader import load_plan, parse_plan
+from planrunner.plan.model import Plan, parse_plan
 from planrunner.plan.selection import Labels, matches, select
 
 from .mutation import SHIPPED_PLANS
@@ -178,7 +177,7 @@ def test_missing_keys_come_with_an_example() -> None:
 
 @pytest.mark.parametrize("path", SHIPPED_PLANS, ids=lambda path: path.stem)
 def test_shipped_plans_are_sound(path: Path) -> None:
-    plan, log = load_plan(path)
+    plan, log = parse_plan(path.read_text(encoding="utf-8"), str(path))
     assert plan is not None
     check_meaning(plan, expand(plan, log), REPORTS, log)
     assert [str(item) for item in log.errors] == []
@@ -192,7 +191,9 @@ def test_each_method_is_said_in_sixty_lines() -> None:
 
 def test_the_tilted_axes_plan_expands_as_its_method_says() -> None:
     """Six repeats of three temperatures, each with two zeros, both signs of six rates, and the power taken off."""
-    plan, log = load_plan(next(path for path in SHIPPED_PLANS if path.stem == "scale_factor_tilted"))
+    plan, log = parse_plan(
+        next(path for path in SHIPPED_PLANS if path.stem == "scale_factor_tilted").read_text(encoding="utf-8"), "tilted"
+    )
     assert plan is not None
     labels = [segment.label for segment in expand(plan, log)]
     assert len(labels) == 6 * 3 * (2 + 12 + 1)

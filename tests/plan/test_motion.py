@@ -8,8 +8,8 @@ import pytest
 
 from planrunner.base.findings import Findings
 from planrunner.plan.expand import expand
+from planrunner.plan.model import parse_plan
 from planrunner.plan.motion import motion_of
-from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Spin
 
 HEAD = "planrunner: 1\ntitle: t\nsensor: {kind: k, outputs: [o]}\nsegments:\n"

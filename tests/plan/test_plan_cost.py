@@ -7,7 +7,7 @@ import sys
 
 from planrunner.plan.expand import expand
 from planrunner.plan.meaning import check_meaning
-from planrunner.plan.reader import parse_plan
+from planrunner.plan.model import parse_plan
 from tests.counted_calls import calls
 
 from .mutation import SHIPPED_PLANS
@@ -18,10 +18,10 @@ import sys
 from pathlib import Path
 from planrunner.plan.expand import expand
 from planrunner.plan.meaning import check_meaning
-from planrunner.plan.reader import load_plan
+from planrunner.plan.model import parse_plan
 heavy, paths = sys.argv[1].split(","), sys.argv[2:]
 for path in paths:
-    plan, log = load_plan(Path(path))
+    plan, log = parse_plan(Path(path).read_text(encoding="utf-8"), path)
     assert plan is not None, list(map(str, log))
     check_meaning(plan, expand(plan, log), ["report.html", "summary.md"], log)
     print(Path(path).stem, *(name for name in heavy if name in sys.modules))

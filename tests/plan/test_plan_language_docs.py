@@ -14,9 +14,9 @@ import pytest
 from planrunner.base.findings import Finding
 from planrunner.plan.expand import expand
 from planrunner.plan.meaning import check_meaning
+from planrunner.plan.model import parse_plan
 from planrunner.plan.motion import motion_of
 from planrunner.plan.quantity import Quantity
-from planrunner.plan.reader import parse_plan
 from planrunner.plan.reference import keys_reference
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"

@@ -17,8 +17,8 @@ from jsonschema import Draft202012Validator
 
 from planrunner.base.findings import InputError
 from planrunner.plan import source
+from planrunner.plan.model import read_plan
 from planrunner.plan.quantity import anchored
-from planrunner.plan.reader import read_plan
 from planrunner.tasks.write_schemas import SCHEMAS, plan_schema, text
 
 from .mutation import ROOT, SHIPPED_PLANS, as_yaml, examples, mutate

@@ -105,13 +105,11 @@ def test_marks_count_characters_and_lines_as_editors_do() -> None:
     assert isinstance(second, source.Mapping)
     lines = text.split("\n")
     assert first.mark == Mark("f", 5, lines[4].index("{") + 1)
-    assert first.key_mark("dwell") == Mark("f", 5, lines[4].index("dwell") + 1)
     dwell, label = first.get("dwell"), second.get("label")
     assert dwell is not None
     assert label is not None
     assert dwell.mark == Mark("f", 5, lines[4].index("5 s") + 1)
     assert label.mark == Mark("f", 7, lines[6].index("[") + 1)
-    assert first.key_mark("absent") == first.mark
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])

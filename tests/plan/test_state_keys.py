@@ -43,7 +43,7 @@ sys.modules[name] = module
 exec(compile(source.replace(place, {DECLARED!r} + place), spec.origin, "exec"), module.__dict__)
 
 from planrunner.plan.expand import expand
-from planrunner.plan.reader import parse_plan
+from planrunner.plan.model import parse_plan
 from planrunner.plan.reference import keys_reference
 from planrunner.tasks.write_schemas import plan_schema
 

@@ -14,7 +14,7 @@ from planrunner.instruments.parameters import QuantityLike
 from planrunner.plan import source
 from planrunner.plan.expand import expand
 from planrunner.plan.kinds import ByShape, ListOf, MapOf, QuantityOf, Record, WordOr, keys_of
-from planrunner.plan.reader import parse_plan
+from planrunner.plan.model import parse_plan
 from planrunner.plan.units import EXAMPLES
 
 GROUPS = ("planrunner.instruments", "planrunner.estimators")

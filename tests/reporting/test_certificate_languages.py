@@ -22,8 +22,8 @@ from planrunner.estimators.flexure_gyro.tables import descriptions
 from planrunner.reporting import language as catalogues
 from planrunner.reporting import translated_words
 from planrunner.reporting.language import filled, languages, spoken, translations
-from planrunner.reporting.report import render_report
 from planrunner.reporting.templates import ReportError, available, render
+from planrunner.reporting.view import render_report
 
 ROOT = Path(__file__).resolve().parents[2]
 LOCALES = ROOT / "locales"

@@ -15,7 +15,7 @@ from planrunner.estimators.interface import Coefficient, Estimate
 from planrunner.reporting.certificate import certificate_view, css_string
 from planrunner.reporting.certificate_requirements import ASKED
 from planrunner.reporting.context import CertificateFacts
-from planrunner.reporting.report import render_report
+from planrunner.reporting.view import render_report
 
 # Clause → what must stand on the page; the texts of told information are those of the example.
 CLAUSES = {

@@ -9,7 +9,7 @@ import certificate_example as example
 import pytest
 from printed_sheets import printed_sheets
 
-from planrunner.reporting.report import render_report
+from planrunner.reporting.view import render_report
 
 
 @pytest.mark.parametrize(("name", "end"), [("certificate.html", "End of calibration"), ("certificate.zh.html", "结束")])

@@ -15,8 +15,8 @@ import reporting_example as example
 from diagnosis_example import diagnosis
 
 from planrunner.reporting.diagnosis_page import DiagnosisContext, render_page
-from planrunner.reporting.report import render_report
 from planrunner.reporting.show_page import ShowContext, render_show
+from planrunner.reporting.view import render_report
 
 BROWSER = next(
     (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None

@@ -12,7 +12,7 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.base.shipped import shipped
 from planrunner.estimators.analysis import analyse
 from planrunner.execution.stopping import StopRequest
-from planrunner.reporting.report import render_report
+from planrunner.reporting.view import render_report
 from planrunner.tasks.check import check_plan
 from planrunner.tasks.report import report_context
 from planrunner.tasks.run import sound_run, start

@@ -14,10 +14,9 @@ import reporting_example as example
 from planrunner.estimators.interface import Coefficient, Estimate, Role, Table, TableColumn
 from planrunner.reporting.budgets import budget_views
 from planrunner.reporting.context import ReportContext
-from planrunner.reporting.report import render_report
 from planrunner.reporting.show_page import ShowContext, render_show
 from planrunner.reporting.verdict import Headline
-from planrunner.reporting.view import coefficient_row, table_view
+from planrunner.reporting.view import coefficient_row, render_report, table_view
 
 VOID = {"meta", "br", "hr", "img", "link", "input", "col", "wbr"}
 NAMESPACES = {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}

@@ -12,9 +12,9 @@ from rich.console import RenderableType
 
 from planrunner.estimators.interface import Role, Table, TableColumn
 from planrunner.reporting import terminal
-from planrunner.reporting.report import render_report
 from planrunner.reporting.sandbox import markdown
 from planrunner.reporting.show_page import timeline_table
+from planrunner.reporting.view import render_report
 
 
 def printed(*shown: RenderableType, width: int = 100) -> str:

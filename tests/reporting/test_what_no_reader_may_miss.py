@@ -19,8 +19,8 @@ from planrunner.bench.model import models, read_bench, shipped_benches
 from planrunner.cli import main
 from planrunner.instruments.models import DataOrigin
 from planrunner.reporting.diagnosis_page import DiagnosisContext, render_page
-from planrunner.reporting.report import render_report
 from planrunner.reporting.rounding import in_parentheses
+from planrunner.reporting.view import render_report
 
 ROOT = Path(__file__).resolve().parents[2]
 

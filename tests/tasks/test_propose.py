@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from planrunner.gap.answer.segment_menu import MenuEntry
-from planrunner.plan.reader import parse_plan
+from planrunner.plan.model import parse_plan
 from planrunner.tasks.diagnose import diagnose_recorded, recorded_file
 from planrunner.tasks.propose import Frame, plan_text
 from tests.tasks.test_diagnose import laboratory, listed

@@ -24,8 +24,7 @@ from planrunner.gap.answer.posterior import PRIORS, Posterior, posterior
 from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
 from planrunner.gap.answer.where import MisfitPlace, places
 from planrunner.gap.hypotheses.candidates import ABSORBED, FULL, Candidate, Weighed, Weighing
-from planrunner.gap.hypotheses.forms import candidates_of
-from planrunner.gap.hypotheses.whole import forms, shape_alone
+from planrunner.gap.hypotheses.forms import candidates_of, shape_alone, whole_forms
 from planrunner.observation.refusals import ObservationError
 
 Forms = list[tuple[Weighed, float]]
@@ -167,7 +166,7 @@ def hypotheses(names: Sequence[str] | None) -> list[Effect]:
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
     """The forms of an effect that is fully determined by its shape, if the shape can be found exactly."""
     effect = shape_alone(candidate)
-    found = forms(weighing, effect) if effect is not None else []
+    found = whole_forms(weighing, effect) if effect is not None else []
     return {candidate.id: found} if found else {}
 
 

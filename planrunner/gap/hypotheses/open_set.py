@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, averaged, from_eigen, log_mean_exp
-from planrunner.gap.evidence.designs_weighed import Eigen, Left, eigen
 from planrunner.gap.evidence.spectrum import BANDS
-from planrunner.gap.evidence.weighing import ChannelWeights
+from planrunner.gap.evidence.weighing import ChannelWeights, Eigen, Left, eigen
 from planrunner.gap.hypotheses.bursts import BURSTS, bursts
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.patterns import CHANGING, WHOLE, Rows, designs, factors, sorts

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, log_mean_exp
-from planrunner.gap.evidence.designs_weighed import Eigen, Left
-from planrunner.gap.evidence.weighing import lasting
+from planrunner.gap.evidence.weighing import Eigen, Left, lasting
 from planrunner.gap.hypotheses.candidates import Weighing
 
 Array = NDArray[np.float64]
