@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
+from enum import StrEnum
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,11 +73,48 @@ def duration_of(statistics: Iterable[Statistics]) -> float | None:
     return max(item.end for item in held) - min(item.start for item in held) if held else None
 
 
+class FindKind(StrEnum):
+    """What may be wrong with single samples."""
+
+    SPIKE = "spike"
+    BURST = "burst"
+    STUCK = "stuck"
+    CLIPPED = "clipped"
+    REPEATED = "repeated"
+    LOST = "lost"
+    STEP = "step"
+
+
+@dataclass(frozen=True, slots=True)
+class Find:
+    """Samples of a segment that are not what the sensor measured.
+
+    channel: empty if all are concerned. first, rows: the first row of the segment, counted from 0, and how many. time: of the first, s;
+    seconds: duration. size: in the channel's unit, largest distance from the samples around them; the value of a stuck or clipped stretch;
+    the number of lost samples. noise: standard deviation of the samples around it, same unit; NaN if unknown. before, after: level of the
+    samples before and after, same unit. count: number of finds that this one stands for. bad: by the rule of the screening the samples do
+    not count.
+    """
+
+    kind: FindKind
+    channel: str
+    first: int
+    rows: int
+    time: float
+    seconds: float
+    size: float
+    noise: float = math.nan
+    before: float = math.nan
+    after: float = math.nan
+    count: int = 1
+    bad: bool = True
+
+
 @dataclass(frozen=True)
 class RecordedSegment:
     """A segment as executed. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block. expected: the
     segment was not recorded, and the statistics are predicted from the schedule: the noise is the declared noise, and the means are
-    without noise."""
+    without noise. finds: what screening found; None for a segment that has not been screened. share: of its samples that count."""
 
     segment: Segment
     units: dict[str, str]
@@ -84,6 +123,8 @@ class RecordedSegment:
     truncated: bool = False
     readings: dict[str, float] = field(default_factory=dict)
     expected: bool = False
+    finds: tuple[Find, ...] | None = None
+    share: float = 1.0
 
     @property
     def label(self) -> str:
@@ -110,6 +151,20 @@ def expected_segment(segment: Segment, units: dict[str, str], statistics: Statis
         )
 
     return RecordedSegment(segment, units, statistics, blocks, expected=True)
+
+
+class Watcher(Protocol):
+    """Looks at samples while they are read for their statistics."""
+
+    def through(self, blocks: Iterable[Block]) -> Iterator[Block]:
+        """The same blocks."""
+
+    def finds(self) -> tuple[Find, ...]:
+        """What was found, when the blocks are at their end."""
+
+
+Watch = Callable[[Segment, Mapping[str, str], int], Watcher]
+"""Makes the watcher of a segment with some channels (name → unit) and a number of rows."""
 
 
 def in_time_order(recording: Sequence[RecordedSegment]) -> tuple[RecordedSegment, ...]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from planrunner.archive.analyses import Basis, StoredAnalysis, add_analysis
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal_state import Acknowledged, JournalState, Rejected
-from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.recording import RecordedSegment, Watch
 from planrunner.archive.segment_file import SegmentData
 from planrunner.archive.statistics import statistics_of
 from planrunner.archive.verifying import BENCH, MENDED, PLAN, Examined, examine, open_run
@@ -97,10 +97,11 @@ class RunReader:
 
     # -- samples -------------------------------------------------------------------------------------------------------
 
-    def recording(self, schedule: Schedule) -> tuple[RecordedSegment, ...]:
+    def recording(self, schedule: Schedule, watch: Watch | None = None) -> tuple[RecordedSegment, ...]:
         """The acknowledged segments with statistics, in the order of the schedule. Each file is read once.
 
-        schedule: made from the run's own plan and bench. Raises `IntegrityError` if it does not match the recording.
+        schedule: made from the run's own plan and bench. watch: screens the samples in the same pass. Raises
+        `IntegrityError` if it does not match the recording.
         """
         segments = []
         for item in self.acknowledged():
@@ -113,9 +114,11 @@ class RunReader:
             read = partial(self.blocks, item)
             rows = sum(part.rows for part in item.parts)
             readings = {name: float("nan") if value is None else float(value) for name, value in item.readings.items()}
-            statistics = statistics_of(self._blocks(item, first, tuple(units)), tuple(units), rows)
-            segment = schedule.segments[item.index]
-            segments.append(RecordedSegment(segment, units, statistics, read, item.truncated, readings))
+            segment, blocks = schedule.segments[item.index], self._blocks(item, first, tuple(units))
+            watcher = None if watch is None else watch(segment, units, rows)
+            statistics = statistics_of(blocks if watcher is None else watcher.through(blocks), tuple(units), rows)
+            finds = None if watcher is None else watcher.finds()
+            segments.append(RecordedSegment(segment, units, statistics, read, item.truncated, readings, finds=finds))
         return tuple(segments)
 
     def blocks(self, item: Acknowledged, channels: Sequence[str] | None = None) -> Iterator[Block]:

@@ -28,7 +28,9 @@ from planrunner.estimators.lost_samples import lost_samples
 from planrunner.estimators.method import designed
 from planrunner.estimators.monte_carlo_validation import Chains, linear_chain, validated
 from planrunner.estimators.results import Results, segment_statistics
+from planrunner.estimators.screened_estimate import estimated
 from planrunner.instruments.models import SensorModel
+from planrunner.observation.screening import screened
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
 from planrunner.plan.model import USUAL, EstimateSpec, Limit, MonteCarloSpec
@@ -51,6 +53,7 @@ def analyse(
 
     Never raises because of the data: failures are messages, by the name of the estimate or by `limit on …`.
     """
+    recording = screened(recording, sensor)
     made: dict[str, Estimate] = {}
     failures: dict[str, str] = {}
     unfit: list[str] = []
@@ -163,8 +166,14 @@ def _estimate(
     estimator = estimator_of(spec)
     detection = _detection(spec, estimator)
     uses = {used: made[used] for used in spec.uses}
-    request = EstimateRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, detection, setup)
-    estimate = combined(estimator.estimate(request))
+
+    def requested(segments: tuple[RecordedSegment, ...]) -> EstimateRequest[Record]:
+        return EstimateRequest(name, segments, spec.parameters, site, sensor, uses, detection, setup)
+
+    estimate, counted = estimated(
+        chosen, spec.outliers, lambda segments: combined(estimator.estimate(requested(segments)))
+    )
+    request = requested(counted)
     if spec.validate is not None:
         chained = isinstance(estimator, Chains)
         draws = estimator.chain(request, estimate) if isinstance(estimator, Chains) else linear_chain(estimate)

@@ -11,7 +11,7 @@ from dataclasses import field, fields
 
 import numpy as np
 
-from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.recording import Find, RecordedSegment
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError, Mark
@@ -25,6 +25,8 @@ __all__ = ["FORMAT", "DataOrigin", "Results", "segment_statistics"]
 
 FORMAT = 2
 """In format 2 the columns of a table have title, unit and role; format 1, with titles only, can still be read."""
+NAMED = 1000
+"""Finds of a segment that are written into the results, at most."""
 _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 
@@ -110,6 +112,22 @@ def segment_statistics(recorded: RecordedSegment) -> JsonObject:
         "truncated": bool(recorded.truncated),
         "readings": {name: float(value) for name, value in recorded.readings.items()},
         "channels": channels,
+        **({"finds": [_find_to(one) for one in recorded.finds[:NAMED]]} if recorded.finds else {}),
+    }
+
+
+def _find_to(one: Find) -> JsonObject:
+    return {
+        "kind": one.kind.value,
+        "channel": one.channel,
+        "first": one.first,
+        "rows": one.rows,
+        "time": one.time,
+        "seconds": one.seconds,
+        "size": one.size,
+        "noise": one.noise,
+        "count": one.count,
+        "bad": one.bad,
     }
 
 

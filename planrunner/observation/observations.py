@@ -26,7 +26,8 @@ class Observations:
 
     mean: (n, k). standard_error: (n, k), of each mean from its own segment, NaN if the segment is too short. batches: (n,), number of
     batches for it. start, end: (n,), of the recorded interval, half-open, s on the run's clock. correlation: (k, k) between the channels'
-    samples, over all segments. expected: from a schedule, not from a recording: means without noise, and the declared noise.
+    samples, over all segments. expected: from a schedule, not from a recording: means without noise, and the declared noise. share: (n,)
+    of the samples that count; None for all.
     """
 
     channels: tuple[str, ...]
@@ -39,11 +40,13 @@ class Observations:
     end: Array
     correlation: Array
     expected: bool = False
+    share: Array | None = None
 
     @property
     def seconds(self) -> Array:
-        """Recorded time, (n,)."""
-        return self.end - self.start
+        """Recorded time that counts, (n,)."""
+        lasted: Array = self.end - self.start
+        return lasted if self.share is None else lasted * self.share
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +113,7 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
         *recorded_times(segments),
         correlation,
         all(recorded.expected for recorded in segments),
+        np.array([recorded.share for recorded in segments]),
     )
 
 

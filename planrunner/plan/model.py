@@ -173,6 +173,13 @@ class EstimateSpec(Record):
         "drift",
         default_factory=tuple,
     )
+    outliers: str = key(
+        Choice(("exclude", "keep", "refuse")),
+        "What happens to samples that screening finds to be wrong (spikes, bursts, stuck, clipped and repeated samples): `exclude` leaves "
+        "them out and states what changes, `keep` uses them, `refuse` makes no estimate; all three name them.",
+        "keep",
+        default="exclude",
+    )
     validate: str | MonteCarloSpec | None = key(
         WordOr(("monte_carlo",), RecordOf(MonteCarloSpec)),
         "Compare the reported intervals with Monte Carlo draws (JCGM 101).",

@@ -34,6 +34,7 @@ from planrunner.execution.outcome import Outcome
 from planrunner.execution.progress import ProgressCallback
 from planrunner.execution.stopping import StopRequest
 from planrunner.instruments.interfaces import Foresees, InstrumentError, UnservedError
+from planrunner.observation.screening import watch_of
 from planrunner.plan import source
 from planrunner.plan.selection import closest_label
 from planrunner.reporting.certificate_requirements import is_certificate
@@ -375,7 +376,7 @@ def _analyse(run: Path, issue: Issue, checked: Sound | None = None, *, kept: boo
     reader = RunReader.open(run)
     same = checked is not None and (checked.plan_bytes, checked.bench_bytes) == (reader.plan_bytes, reader.bench_bytes)
     sound = checked if checked is not None and same else sound_run(reader)
-    recording = reader.recording(sound.schedule)
+    recording = reader.recording(sound.schedule, watch_of(sound.sensor))
     setup = replace(sound.setup, information=recorded_information(reader))
     results = analyse(sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor, setup)
     results = replace(results, origin=sound.models.origin)

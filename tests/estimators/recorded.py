@@ -67,7 +67,7 @@ def from_means(
     def no_samples(channels: Sequence[str]) -> Iterator[Block]:
         raise AssertionError("this estimator must do with statistics")
 
-    return RecordedSegment(planned, dict.fromkeys(means, unit), statistics, no_samples)
+    return RecordedSegment(planned, dict.fromkeys(means, unit), statistics, no_samples, finds=())
 
 
 def from_samples(

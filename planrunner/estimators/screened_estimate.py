@@ -1,0 +1,150 @@
+"""What screening found in the samples of an estimate: by `outliers` of the plan the estimate does without, with, or not at all.
+
+An estimate without bad samples is compared with the one that uses them, so that a report states what they would have changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from planrunner.archive.recording import Find, FindKind, RecordedSegment
+from planrunner.estimators.interface import (
+    Cell,
+    Estimate,
+    EstimationError,
+    Role,
+    Table,
+    TableColumn,
+    UnfitDataError,
+)
+from planrunner.observation.left_out import rows_of, without_bad
+
+NAMED = 3  # finds in a sentence
+LISTED = 100  # finds in a table
+SMALL = 0.01
+"""Standard uncertainties: a smaller change of a coefficient is not listed."""
+_SILENT = (FindKind.LOST,)  # the gaps in time have a warning of their own
+
+
+def estimated(
+    segments: Sequence[RecordedSegment], outliers: str, estimate: Callable[[tuple[RecordedSegment, ...]], Estimate]
+) -> tuple[Estimate, tuple[RecordedSegment, ...]]:
+    """The estimate by the choice `outliers`, with its warnings and tables, and the segments that it used.
+
+    Raises `EstimationError` as the estimator does, and `UnfitDataError` for bad samples that are refused.
+    """
+    found = [(recorded, one) for recorded in segments for one in recorded.finds or ()]
+    if not found:
+        return estimate(tuple(segments)), tuple(segments)
+    bad = [(recorded, one) for recorded, one in found if one.bad]
+    if bad and outliers == "refuse":
+        raise UnfitDataError(
+            f"there are bad samples, and the plan refuses them: {_named(bad)}. Record the segments again, leave them out of `segments`, or "
+            "write `outliers: exclude`"
+        )
+    excluded = bool(bad) and outliers == "exclude"
+    used = tuple(without_bad(one) if excluded else one for one in segments)
+    try:
+        made = estimate(used)
+    except EstimationError as error:
+        if not excluded:
+            raise
+        raise type(error)(f"{error} (without bad samples: {_named(bad)}; `outliers: keep` uses them)") from None
+    warnings = list(made.warnings)
+    tables = [*made.tables, _table(found, excluded)]
+    if excluded:
+        text, more = _effect(made, estimate, segments)
+        warnings.append(f"Bad samples were left out: {_named(bad)}. {text} Look at the recording.")
+        tables += more
+    elif bad:
+        warnings.append(
+            f"Bad samples were used, as the plan says: {_named(bad)}. `outliers: exclude` states what they change."
+        )
+    rest = [item for item in found if not item[1].bad and item[1].kind not in _SILENT]
+    if rest:
+        warnings.append(f"Screening also found, and left in: {_named(rest)}. Look at the recording.")
+    return replace(made, warnings=tuple(warnings), tables=tuple(tables)), used
+
+
+def _effect(
+    made: Estimate,
+    estimate: Callable[[tuple[RecordedSegment, ...]], Estimate],
+    segments: Sequence[RecordedSegment],
+) -> tuple[str, tuple[Table, ...]]:
+    """What the bad samples change, in a sentence and as a table."""
+    try:
+        other = {item.name: item for item in estimate(tuple(segments)).coefficients}
+    except EstimationError as error:
+        return f"With them there is no estimate ({error}).", ()
+    rows: list[tuple[Cell, ...]] = []
+    largest, name = 0.0, ""
+    for item in made.coefficients:
+        if item.name not in other:
+            continue
+        change = other[item.name].near(item.value) - item.value
+        u = item.standard_uncertainty
+        ratio = abs(change) / u if u > 0 else (float("inf") if change else 0.0)
+        if ratio > largest:
+            largest, name = ratio, item.name
+        if ratio > SMALL:
+            rows.append((item.name, item.value, u, item.value + change, change, ratio, item.unit))
+    if not rows:
+        return f"They change no coefficient by more than {SMALL:g} standard uncertainties.", ()
+    columns = (
+        TableColumn("coefficient"),
+        TableColumn("without bad samples", Role.VALUE),
+        TableColumn("standard uncertainty", Role.STANDARD_UNCERTAINTY),
+        TableColumn("with bad samples", Role.VALUE),
+        TableColumn("change", Role.VALUE),
+        TableColumn("change in standard uncertainties", Role.VALUE),
+        TableColumn("unit"),
+    )
+    text = f"With them {name} would change by {largest:.2g} standard uncertainties, the most of all coefficients."
+    return text, (Table("Coefficients with and without bad samples", columns, tuple(rows)),)
+
+
+def _table(found: Sequence[tuple[RecordedSegment, Find]], excluded: bool) -> Table:
+    columns = (
+        TableColumn("segment"),
+        TableColumn("channel"),
+        TableColumn("kind"),
+        TableColumn("time", Role.NUMBER, "s"),
+        TableColumn("duration", Role.NUMBER, "s"),
+        TableColumn("samples", Role.COUNT),
+        TableColumn("size", Role.VALUE),
+        TableColumn("unit"),
+        TableColumn("left out"),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (
+            recorded.label,
+            one.channel or "all",
+            one.kind.value,
+            one.time,
+            one.seconds,
+            one.rows,
+            one.size,
+            recorded.units.get(one.channel, ""),
+            "yes" if one.bad and excluded else "no",
+        )
+        for recorded, one in found[:LISTED]
+    ]
+    return Table("Screening of the samples", columns, tuple(rows))
+
+
+def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> str:
+    """The longest finds by kind, segment, channel and time, and how many more there are."""
+    ordered = sorted(found, key=lambda item: -item[1].rows)
+    texts = []
+    for recorded, one in ordered[:NAMED]:
+        what = f"{one.count} {one.kind.value}s" if one.count > 1 else one.kind.value
+        where = f" of {one.channel}" if one.channel else ""
+        samples = f", {one.rows} samples" if one.rows > 1 else ""
+        unit = recorded.units.get(one.channel, "")
+        texts.append(f"{what}{where} in '{recorded.label}' at {one.time:.6g} s ({one.size:.4g} {unit}{samples})")
+    more = len(ordered) - NAMED
+    left = sum(
+        rows_of([one for other, one in found if other is each]) for each in {id(r): r for r, _ in found}.values()
+    )
+    return ", ".join(texts) + (f" and {more} more, {left} rows in all" if more > 0 else "")

@@ -1,0 +1,551 @@
+"""Screening: spikes, bursts, stuck and clipped stretches, lost and repeated samples, and steps, found in one pass over a segment.
+
+Samples are taken in pieces of fixed size from the segment's beginning, so that the finds do not depend on the division into blocks, and
+memory does not grow with the data. A piece costs a few sums; only one that contains a large change between neighbours is examined.
+
+*Spikes and bursts.* A sample is an outlier if it lies more than g scale estimates from the median of the samples around it: the
+identifier of Hampel (1985), with g chosen for the number of samples as by Davies and Gather, "The Identification of Multiple Outliers",
+J. Am. Stat. Assoc. 88 (1993) 782-792: a white Gaussian sample exceeds it with the probability `CHANCE`. The local median follows motion,
+so that a turning or rocking sensor is compared with its own course. The scale is the median absolute deviation from that course
+(Rousseeuw and Croux, "Alternatives to the Median Absolute Deviation", ibid. 1273-1283, for why it is not used alone): it vanishes where
+more than half of the samples have one value, so it is never less than a trimmed mean of the deviations, half a count, or a part of the
+usual change from sample to sample.
+
+*Stuck.* Runs of equal samples are compared with the other runs of the same segment: a stretch is stuck if it is more than `RUN` times as
+long as 99 % of them, and if noise as large as that of the segment would leave the count in which it stands. Coarse counts, in which the
+noise does not reach the next count, therefore never count as stuck; neither do smooth signals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import Find, FindKind, RecordedSegment, Watch
+from planrunner.instruments.interfaces import Block
+from planrunner.instruments.models import SensorModel
+from planrunner.plan.schedule import Rest, Segment, Spin
+from planrunner.plan.units import DIMENSIONS, unit
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+CHANCE = 1e-12
+"""Probability that a sample of white Gaussian noise is found to be an outlier: none among 10⁸ samples, except with a chance of 10⁻⁴."""
+RUN = 10
+"""A stuck stretch is longer than so many times the length that 99 % of the runs of equal samples keep to."""
+
+_PIECE = 1 << 14  # samples that are examined together
+_BESIDE = 64  # samples of context on either side of a piece
+_NEAR, _FAR = 7, 65  # samples of the running medians
+_NEAR_SCALE, _FAR_SCALE = (
+    1.80,
+    1.50,
+)  # σ per median absolute deviation from them, of white Gaussian noise; checked by a test
+_NEAR_WIDER, _FAR_WIDER = 1.10, 1.02  # standard deviation of an independent sample from such a median, σ
+_LARGE = 6.2  # mean changes: a larger change between neighbours, 7σ in white noise, has the piece examined
+_APART = 4.7  # mean changes: 5.3σ in white noise; of two samples with a large change between them one lies so far from its surroundings
+_FEW = 50  # large changes that are looked at one by one
+_SAMPLED = 4096  # distances from which the scale is taken
+_JERK = 1.5  # mean changes around a sample, in a segment that may move freely: less is no outlier
+_LEAST = 16  # samples of a segment that is examined
+_TOGETHER = 8  # good samples between outliers of one burst, at most
+_SPIKE = 3  # samples of a spike, at most
+_MANY, _SHARE, _BURSTS = (
+    20,
+    1e-3,
+    0.05,
+)  # more finds than both, or a larger share of samples in bursts, are the noise's own kind
+_KEPT = 10_000  # finds of one kind and channel
+_HELD = 2_000  # stretches of equal samples that are kept to be judged at the end
+_SHORT = 64  # lengths of runs that are counted one by one
+_RUNS = 20  # runs from which the usual length is known
+_UNLIKELY = -math.log(CHANCE)
+_BINS, _FEWEST_BINS = 1024, 64  # means in which steps are sought
+_STEP = 8.0  # robust standard deviations of the differences between neighbouring means
+_STEP_LENGTHS = (4, 16)  # means on either side
+_PAUSE, _EARLY = 1.5, 0.5  # sample intervals: a sample is lost, or has come twice
+_JITTER = 0.01  # share of irregular intervals from which the clock jitters
+_LONG_PAUSE = 5.5  # sample intervals: samples are lost, even with jitter
+_LARGEST = 1e100  # a larger number is no measurement
+_CLIPPED = 10  # samples at the largest value
+
+
+def screened(recording: Sequence[RecordedSegment], sensor: SensorModel) -> tuple[RecordedSegment, ...]:
+    """The segments with their finds; those that have not been screened while they were read are read again."""
+    watch = watch_of(sensor)
+    return tuple(item if item.finds is not None or item.expected else _screened(item, watch) for item in recording)
+
+
+def _screened(item: RecordedSegment, watch: Watch) -> RecordedSegment:
+    watcher = watch(item.segment, item.units, item.statistics.count + item.statistics.rejected)
+    for _ in watcher.through(item.blocks(tuple(item.units))):
+        pass
+    return replace(item, finds=watcher.finds())
+
+
+def watch_of(sensor: SensorModel) -> Watch:
+    """Screens the sensor's outputs. Thermometers and encoders that are constant at rest are left alone."""
+
+    def watch(segment: Segment, units: Mapping[str, str], rows: int) -> Screening:
+        counts, scales = {}, {}
+        for output in sensor.outputs:
+            if (
+                output.name in units
+                and not output.constant
+                and unit(output.unit).dimension != DIMENSIONS["temperature"]
+            ):
+                counts[output.name], scales[output.name] = output.noise.resolution, output.full_scale
+        steady = isinstance(segment.motion, Rest | Spin) and segment.attitude is not None
+        return Screening(counts, scales, rows, steady=steady)
+
+    return watch
+
+
+def threshold(samples: int) -> float:
+    """g: scale estimates from which a sample among so many is an outlier; of few samples the scale is known less well."""
+    from scipy.special import stdtrit
+
+    return -float(stdtrit(max(0.3 * samples, 3.0), CHANCE / 2))
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Equal samples. row, time: of the first; last: time of the last, s; before, after: the samples on either side."""
+
+    row: int
+    length: int
+    time: float
+    last: float
+    value: float
+    before: float
+    after: float
+
+
+@dataclass
+class _Runs:
+    """Runs of equal samples of one channel. lengths: number of runs by length, the last for longer ones; long: the longest; row, time,
+    before: of the run that goes on; length: of it so far; count: smallest change; bend, bends: sum and number of second differences."""
+
+    lengths: Rows = field(default_factory=lambda: np.zeros(_SHORT + 1, dtype=np.int64))
+    long: list[_Run] = field(default_factory=list)
+    row: int = 0
+    time: float = math.nan
+    before: float = math.nan
+    length: int = 0
+    count: float = math.inf
+    bend: float = 0.0
+    bends: int = 0
+
+    def add(self, values: Array, rows: Rows, times: Array) -> None:
+        """The next samples (n,), each from the last one before them on, except at the segment's beginning."""
+        if not self.length:
+            self.row, self.time, self.length = int(rows[0]), float(times[0]), 1
+        ends = np.append(
+            np.flatnonzero(np.diff(values)), len(values) - 1
+        )  # the last samples of runs, and of these samples
+        lengths = np.diff(ends, prepend=-1)
+        lengths[0] += self.length - 1
+        closed = lengths[:-1]
+        self.lengths += np.bincount(np.minimum(closed, _SHORT), minlength=_SHORT + 1)
+        for k in np.flatnonzero(closed >= RUN):
+            self._hold(values, rows, times, int(ends[k - 1]) if k else -1, int(ends[k]), int(closed[k]))
+        if len(closed):
+            begin = int(ends[-2])
+            self.row, self.time, self.before = int(rows[begin + 1]), float(times[begin + 1]), float(values[begin])
+            steps = np.abs(values[ends[:-1] + 1] - values[ends[:-1]])
+            self.count = min(self.count, float(steps.min()))
+        self.length = int(lengths[-1])
+        self.bend += float(np.abs(np.diff(values, 2)).sum())
+        self.bends += max(len(values) - 2, 0)
+
+    def add_changing(self, values: Array, rows: Rows, times: Array) -> None:
+        """The same where every sample differs from the one before."""
+        if self.length >= RUN:
+            self._hold(values, rows, times, -1, 0, self.length)
+        self.lengths[min(max(self.length, 1), _SHORT)] += 1
+        self.lengths[1] += len(values) - 2
+        self.row, self.time, self.before, self.length = int(rows[-1]), float(times[-1]), float(values[-2]), 1
+
+    def _hold(self, values: Array, rows: Rows, times: Array, before: int, last: int, length: int) -> None:
+        """A run that ends at `last`; before: the place of the sample before it, negative for the run that went on."""
+        went_on = before < 0
+        row, time = (self.row, self.time) if went_on else (int(rows[before + 1]), float(times[before + 1]))
+        left = self.before if went_on else float(values[before])
+        after = float(values[last + 1]) if last + 1 < len(values) else math.nan
+        self.long.append(_Run(row, length, time, float(times[last]), float(values[last]), left, after))
+        if len(self.long) > 2 * _HELD:
+            self.long = sorted(self.long, key=lambda one: -one.length)[:_HELD]
+
+    def finish(self, values: Array, rows: Rows, times: Array) -> None:
+        """The last run ends with the last of these samples."""
+        self.lengths[min(self.length, _SHORT)] += 1
+        if self.length >= RUN:
+            self._hold(values, rows, times, -1, len(values) - 1, self.length)
+
+    def stuck(self) -> list[_Run]:
+        """The stretches that stand longer than counts and noise allow."""
+        runs = int(self.lengths.sum())
+        usual = int(np.searchsorted(np.cumsum(self.lengths), 0.99 * runs))
+        longer = [one for one in self.long if one.length > RUN * max(usual, 1)]
+        bends = self.bends - sum(one.length - 2 for one in longer)
+        if runs < _RUNS or usual >= _SHORT or not longer or bends <= 0:
+            return []
+        # The mean size of a second difference of white noise is 1.954 σ; of a signal that only changes between two counts it is one
+        # count, which would be noise of 0.52 counts.
+        noise = self.bend / bends / 1.954
+        beyond = noise**2 - 0.3 * self.count**2
+        if beyond <= 0:
+            return []
+        stays = math.erf(self.count / (2 * math.sqrt(2 * beyond)))
+        return [one for one in longer if one.length * -math.log(max(stays, 1e-300)) > _UNLIKELY]
+
+
+class Screening:
+    """The pass over one segment."""
+
+    def __init__(self, counts: Mapping[str, float], full_scales: Mapping[str, float], rows: int, *, steady: bool):
+        """counts: channel → declared count, 0 if none; full_scales: either sign; both in the channels' units. steady: the segment is
+        planned at rest or turning evenly, so that changes within it are none of the stimulus."""
+        self.channels, self.steady = tuple(counts), steady
+        self.counts = np.array([counts[name] for name in self.channels])
+        self.full_scales = full_scales
+        k, room = len(self.channels), min(_PIECE, max(rows, 1)) + 2 * _BESIDE
+        self.values, self.time = np.empty((k, room)), np.empty(room)
+        self.rows = np.empty(room, dtype=np.int64)
+        self.filled, self.begin = _BESIDE, _BESIDE  # before `begin` there are no samples yet
+        self.row, self.done = 0, 0
+        self.runs = [_Runs() for _ in self.channels]
+        self.levels: list[list[float]] = [[] for _ in self.channels]
+        self.usual = [math.inf] * k  # mean change between neighbours
+        self.largest, self.smallest = np.full(k, -math.inf), np.full(k, math.inf)
+        self.at_top, self.at_bottom = np.zeros((2, k)), np.zeros((2, k))  # samples at an extreme value, and beside it
+        self.bin = int(2 ** min(14, max(4, math.ceil(math.log2(max(rows / _BINS, 1))))))
+        self.means: list[list[Array]] = [[] for _ in self.channels]
+        self.bin_times: list[Array] = []
+        self.found: list[list[Find]] = [[] for _ in self.channels]
+        self.more = [0] * k  # finds that were not kept
+        self.in_time: list[Find] = []
+        self.pauses = 0
+        self.interval = math.nan
+        self.work = np.empty(room)
+
+    def through(self, blocks: Iterable[Block]) -> Iterator[Block]:
+        """Hands the blocks on while it looks at them."""
+        for block in blocks:
+            if self.channels:
+                self.add(block)
+            yield block
+
+    def add(self, block: Block) -> None:
+        """The next samples; rows with a missing number are passed over."""
+        columns = [np.asarray(block.channels[name], dtype=float) for name in self.channels]
+        time, numbers = block.time, np.arange(self.row, self.row + len(block.time))
+        self.row += len(time)
+        if not all(abs(float(np.add.reduce(one))) < _LARGEST for one in columns):  # false for NaN and infinity as well
+            good = np.all([np.abs(one) < _LARGEST for one in columns], axis=0)
+            time, numbers, columns = time[good], numbers[good], [one[good] for one in columns]
+        taken = 0
+        while taken < len(time):
+            step = min(self.values.shape[1] - self.filled, len(time) - taken)
+            place, part = slice(self.filled, self.filled + step), slice(taken, taken + step)
+            for k, one in enumerate(columns):
+                self.values[k, place] = one[part]
+            self.time[place], self.rows[place] = time[part], numbers[part]
+            self.filled, taken = self.filled + step, taken + step
+            if self.filled == self.values.shape[1]:
+                self._look(self.filled - _BESIDE)
+                self._move_on()
+
+    def finds(self) -> tuple[Find, ...]:
+        """What was found, in order of time; to be asked once, at the end."""
+        if self.filled > _BESIDE:
+            self._look(self.filled)
+            last = slice(self.filled - 1, self.filled)
+            for k, runs in enumerate(self.runs):
+                runs.finish(self.values[k, last], self.rows[last], self.time[last])
+        out = [item for k in range(len(self.channels)) for item in self._of_channel(k)]
+        return tuple(sorted((*out, *self._of_time()), key=lambda item: item.first))
+
+    def _move_on(self) -> None:
+        keep = 2 * _BESIDE
+        for array in (self.values, self.time, self.rows):
+            array[..., :keep] = array[..., self.filled - keep : self.filled].copy()
+        self.filled, self.begin = keep, 0
+
+    def _look(self, end: int) -> None:
+        """The samples from the context on up to `end`, which have not been looked at."""
+        first = _BESIDE
+        count = end - first
+        if count <= 0:
+            return
+        start = self.done
+        self._times(first - min(start, 1), end)
+        whole = count - count % self.bin
+        if whole and self.steady:
+            self.bin_times.append(self.time[first : first + whole : self.bin].copy())
+        for k in range(len(self.channels)):
+            values = self.values[k, first - min(start, 1) : end]
+            if len(values) > 1:
+                self._channel(k, start, values, end)
+            if whole and self.steady:
+                self.means[k].append(self.values[k, first : first + whole].reshape(-1, self.bin).sum(axis=1) / self.bin)
+        self.done += count
+
+    def _channel(self, k: int, start: int, values: Array, end: int) -> None:
+        changes = self.work[: len(values) - 1]
+        np.subtract(values[1:], values[:-1], out=changes)
+        np.abs(changes, out=changes)
+        level, most, runs = float(np.add.reduce(changes)) / len(changes), float(changes.max()), self.runs[k]
+        rows, times = self.rows[end - len(values) : end], self.time[end - len(values) : end]
+        if changes.min() > 0:
+            runs.add_changing(values, rows, times)
+        else:
+            runs.add(values, rows, times)
+            self._extremes(k, values[min(start, 1) :], level)
+        if level > 0:
+            usual = min(level, self.usual[k])
+            large = max(_LARGE * usual, 3 * self._count(k))
+            if most > large:
+                places = np.flatnonzero(changes > large) + end - len(values)
+                if self._stands_out(k, places, usual):
+                    self._examine(k, places, end)
+            if len(self.levels[k]) < _RUNS:
+                self.levels[k].append(level)
+                self.usual[k] = float(np.median(self.levels[k]))
+
+    def _count(self, k: int) -> float:
+        """The channel's count, declared or seen; 0 if neither."""
+        seen = self.runs[k].count
+        return max(float(self.counts[k]), seen if math.isfinite(seen) else 0.0)
+
+    def _stands_out(self, k: int, places: Rows, usual: float) -> bool:
+        """Whether a sample beside one of a few large changes (n,) is far from the samples around it: two opposite deviations of usual
+        size make a large change too."""
+        if len(places) > _FEW:
+            return True
+        for place in places:
+            around = self.values[k, max(self.begin, place - _TOGETHER) : min(self.filled, place + 2 + _TOGETHER)]
+            off = np.abs(self.values[k, place : place + 2] - np.median(around))
+            if off.max() > _APART * usual:
+                return True
+        return False
+
+    def _extremes(self, k: int, values: Array, level: float) -> None:
+        """Counts samples at the largest and smallest value, and those just below it."""
+        beside = max(0.1 * level, 1.01 * self._count(k))
+        for sign, extreme, tally in ((1.0, self.largest, self.at_top), (-1.0, -self.smallest, self.at_bottom)):
+            own = sign * values
+            top, known = float(own.max()), float(extreme[k])
+            if top > known:
+                tally[1, k] = tally[:, k].sum() if known > top - beside else 0.0
+                tally[0, k] = 0.0
+                known = top
+            tally[0, k] += np.count_nonzero(own == known)
+            tally[1, k] += np.count_nonzero((own < known) & (own >= known - beside))
+            if sign > 0:
+                self.largest[k] = known
+            else:
+                self.smallest[k] = -known
+
+    def _examine(self, k: int, places: Rows, end: int) -> None:
+        """Outliers near large changes, by their distance from local medians. places: (n,), the samples before these changes."""
+        x, begin = self.values[k, self.begin : self.filled], self.begin
+        if len(x) < _LEAST:
+            return
+        g, changes = threshold(len(x)), np.abs(np.diff(x))
+        near = np.zeros(len(x) + 1, dtype=np.int64)
+        np.add.at(near, np.maximum(places - begin - _FAR, 0), 1)
+        np.add.at(near, np.minimum(places - begin + _FAR, len(x)), -1)
+        looked = np.flatnonzero(np.cumsum(near[:-1]))
+        looked = looked[(looked >= _BESIDE - begin) & (looked < end - begin)]
+        outlying = np.zeros(len(looked), dtype=bool)
+        moving = np.flatnonzero(
+            (np.append(changes, 1.0) > 0) & (np.append(1.0, changes) > 0)
+        )  # a stretch that is stuck has no scale
+        sampled = moving[:: max(1, len(moving) // _SAMPLED)] if len(moving) >= _LEAST else np.arange(len(x))
+        for size, factor, wider in ((_NEAR, _NEAR_SCALE, _NEAR_WIDER), (_FAR, _FAR_SCALE, _FAR_WIDER)):
+            if len(x) < 3 * size or (size == _FAR and not self.steady):
+                continue
+            ordered = np.sort(_off(x, size, sampled))
+            usual = max(
+                factor * float(ordered[len(ordered) // 2]),
+                1.395 * float(ordered[: max(1, int(0.95 * len(ordered)))].mean()),
+                0.3 * _trimmed(changes),
+                self._count(k) / 2,
+            )
+            off, scale = _off(x, size, looked), np.full(len(looked), usual)
+            if not self.steady:
+                scale = np.maximum(scale, _JERK * _mean_around(np.append(changes, changes[-1]), _FAR)[looked])
+            outlying |= off > g * wider * scale
+        found = looked[outlying] + begin
+        for group in np.split(found, np.flatnonzero(np.diff(found) > _TOGETHER) + 1) if len(found) else ():
+            self._note(k, int(group[0]), int(group[-1]) + 1)
+
+    def _note(self, k: int, low: int, high: int) -> None:
+        """Keeps an outlier or a burst, from one place in the buffer to another."""
+        around = np.concatenate(
+            [self.values[k, max(self.begin, low - _FAR) : low], self.values[k, high : min(self.filled, high + _FAR)]]
+        )
+        before, after = (
+            self.values[k, max(self.begin, low - 4) : low],
+            self.values[k, high : min(self.filled, high + 4)],
+        )
+        before, after = (before if len(before) else after), (after if len(after) else before)
+        own = self.values[k, low:high] - float(np.median(around))
+        if len(self.found[k]) >= _KEPT:
+            self.more[k] += 1
+            return
+        self.found[k].append(
+            Find(
+                FindKind.SPIKE if high - low <= _SPIKE else FindKind.BURST,
+                self.channels[k],
+                int(self.rows[low]),
+                int(self.rows[high - 1] - self.rows[low]) + 1,
+                float(self.time[low]),
+                float(self.time[high - 1] - self.time[low]) + self.interval,
+                float(own[np.argmax(np.abs(own))]),
+                1.4826 * float(np.median(np.abs(around - np.median(around)))),
+                float(np.median(before)),
+                float(np.median(after)),
+            )
+        )
+
+    def _of_channel(self, k: int) -> list[Find]:
+        """What is known of one channel at the end of the segment."""
+        stuck = [self._stretch(k, one) for one in self.runs[k].stuck()][:_KEPT]
+        spikes: list[Find] = []
+        bursts: list[Find] = []
+        for one in self.found[k]:
+            if not any(
+                one.first < other.first + other.rows + _FAR and other.first - _FAR < one.first for other in stuck
+            ):
+                (spikes if one.kind is FindKind.SPIKE else bursts).append(one)
+        samples = max(self.done, 1)
+        many = self.more[k] > 0 or len(spikes) + len(bursts) > max(_MANY, _SHARE * samples)
+        long = sum(one.rows for one in bursts) > max(_MANY, _BURSTS * samples)
+        found = [*stuck, *(_as_one(spikes) if many else spikes), *(_as_one(bursts) if many or long else bursts)]
+        return [*found, *self._flat_tops(k, stuck), *self._steps(k, found)]
+
+    def _stretch(self, k: int, run: _Run) -> Find:
+        """A run of equal samples; clipped where it stands at an extreme value of the segment, of which there is more."""
+        extremes = ((self.largest[k], self.at_top[0, k]), (self.smallest[k], self.at_bottom[0, k]))
+        limit = 0.99 * self.full_scales.get(self.channels[k], math.inf)
+        clipped = abs(run.value) >= limit or any(run.value == value and at > run.length + 1 for value, at in extremes)
+        seconds = run.last - run.time + (self.interval if math.isfinite(self.interval) else 0.0)
+        kind = FindKind.CLIPPED if clipped else FindKind.STUCK
+        before, after = (run.after if math.isnan(run.before) else run.before), run.after
+        after = before if math.isnan(after) else after
+        return Find(kind, self.channels[k], run.row, run.length, run.time, seconds, run.value, math.nan, before, after)
+
+    def _flat_tops(self, k: int, stuck: Sequence[Find]) -> list[Find]:
+        """Noise that is cut off at the largest or smallest value: the samples there are many more than those just below."""
+        runs = self.runs[k]
+        if not runs.bends or runs.bend / runs.bends / 1.954 <= 1.1 * runs.count:
+            return []
+        found = []
+        for value, (at, beside) in ((self.largest[k], self.at_top[:, k]), (self.smallest[k], self.at_bottom[:, k])):
+            own = at - sum(one.rows for one in stuck if one.size == value)
+            if own >= _CLIPPED and own > 4 * beside:
+                kind, begin = FindKind.CLIPPED, float(self.time[_BESIDE if self.begin else 0])
+                found.append(Find(kind, self.channels[k], 0, int(own), begin, 0.0, float(value), bad=False))
+        return found
+
+    def _steps(self, k: int, found: Sequence[Find]) -> list[Find]:
+        """Changes of level that stay: differences of neighbouring means far beyond those elsewhere in the segment."""
+        if not self.steady or not self.means[k]:
+            return []
+        means, times = np.concatenate(self.means[k]), np.concatenate(self.bin_times)
+        if len(means) < _FEWEST_BINS:
+            return []
+        for one in found:
+            touched = (times + self.bin * self.interval >= one.time) & (times <= one.time + one.seconds)
+            if np.count_nonzero(~touched) > 0:
+                means[touched] = np.interp(np.flatnonzero(touched), np.flatnonzero(~touched), means[~touched])
+        out: list[Find] = []
+        for length in _STEP_LENGTHS:
+            sums = np.concatenate(([0.0], np.cumsum(means - means.mean())))
+            inner = np.arange(length, len(means) - length + 1)
+            if len(inner) < _FEWEST_BINS:
+                break
+            rise = (sums[inner + length] - 2 * sums[inner] + sums[inner - length]) / length
+            off = rise - np.median(rise)
+            scale = max(1.4826 * float(np.median(np.abs(off))), 1.2533 * _trimmed(np.abs(off)), self.counts[k] / length)
+            taken = np.zeros(len(rise), dtype=bool)
+            while True:
+                left = np.where(taken, 0.0, np.abs(off))
+                at = int(np.argmax(left))
+                if left[at] <= _STEP * scale or len(out) >= _MANY:
+                    break
+                taken[max(0, at - 2 * length) : at + 2 * length + 1] = True
+                time = float(times[inner[at]])
+                if all(abs(time - other.time) > 2 * length * self.bin * self.interval for other in out):
+                    row = int(inner[at]) * self.bin
+                    name = self.channels[k]
+                    out.append(Find(FindKind.STEP, name, row, 0, time, 0.0, float(rise[at]), scale, bad=False))
+        return out
+
+    def _times(self, low: int, end: int) -> None:
+        """Lost and repeated samples."""
+        time = self.time[low:end]
+        if len(time) < 2:
+            return
+        steps = np.diff(time)
+        if math.isnan(self.interval):
+            self.interval = float(np.median(steps))
+        if float(steps.max()) > _PAUSE * self.interval:
+            for place in np.flatnonzero(steps > _PAUSE * self.interval):
+                self.pauses += 1
+                if len(self.in_time) < _KEPT:
+                    gap, at = float(steps[place]), low + int(place)
+                    missing = max(round(gap / self.interval) - 1, 0)
+                    if missing:
+                        row = int(self.rows[at + 1])
+                        kind = FindKind.LOST
+                        self.in_time.append(
+                            Find(kind, "", row, 0, float(self.time[at]), gap, float(missing), bad=False)
+                        )
+        if float(steps.min()) < _EARLY * self.interval:
+            for place in np.flatnonzero(steps < _EARLY * self.interval):
+                self.pauses += 1
+                at = low + int(place) + 1
+                same = bool(np.all(self.values[:, at] == self.values[:, at - 1]))
+                if same and len(self.in_time) < _KEPT:
+                    row, kind = int(self.rows[at]), FindKind.REPEATED
+                    self.in_time.append(Find(kind, "", row, 1, float(self.time[at]), self.interval, 1.0))
+
+    def _of_time(self) -> list[Find]:
+        """Without what a clock that jitters does anyway."""
+        if self.pauses <= _JITTER * max(self.done, 1):
+            return self.in_time
+        return [one for one in self.in_time if one.kind is FindKind.LOST and one.seconds > _LONG_PAUSE * self.interval]
+
+
+def _as_one(finds: Sequence[Find]) -> list[Find]:
+    """Finds that are too many to be outliers: they belong to the noise and count."""
+    if not finds:
+        return []
+    largest = max(finds, key=lambda one: abs(one.size))
+    return [replace(largest, rows=sum(one.rows for one in finds), count=len(finds), bad=False)]
+
+
+def _off(values: Array, size: int, places: Rows) -> Array:
+    """Distances of some of the values (n,) from the medians of the `size` values around them."""
+    wide = np.pad(values, size // 2, mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(wide, size)
+    return np.asarray(np.abs(values[places] - np.median(windows[places], axis=1)))
+
+
+def _mean_around(values: Array, size: int) -> Array:
+    """Means of the `size` values around each of (n,)."""
+    sums = np.concatenate(([0.0], np.cumsum(np.pad(values, size // 2, mode="edge"))))
+    return np.asarray((sums[size:] - sums[:-size]) / size)
+
+
+def _trimmed(sizes: Array) -> float:
+    """Mean of the smallest 95 % of (n,) sizes."""
+    return float(np.sort(sizes)[: max(1, int(0.95 * len(sizes)))].mean())

@@ -1,0 +1,163 @@
+"""Screening: what is found in known data, and that noise, counts and motion alone give no find."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from planrunner.archive.recording import Find, FindKind
+from planrunner.instruments.interfaces import Block
+from planrunner.observation.screening import Screening, threshold
+
+Array = np.ndarray
+ROWS, STEP = 6000, 0.02
+
+
+def screened(values: Array, *, steady: bool = True, time: Array | None = None, rows: int = 997) -> tuple[Find, ...]:
+    """values: (k, n)."""
+    time = 100 + np.arange(values.shape[1]) * STEP if time is None else time
+    names = [f"c{k}" for k in range(len(values))]
+    screening = Screening(dict.fromkeys(names, 0.0), {}, values.shape[1], steady=steady)
+    for low in range(0, values.shape[1], rows):
+        part = slice(low, low + rows)
+        screening.add(Block(time[part], {name: values[k, part] for k, name in enumerate(names)}))
+    return screening.finds()
+
+
+def noise(seed: int = 0, rows: int = ROWS, channels: int = 2) -> Array:
+    return np.random.default_rng(seed).standard_normal((channels, rows))
+
+
+def bad(finds: tuple[Find, ...]) -> list[tuple[FindKind, int, int]]:
+    return [(one.kind, one.first, one.rows) for one in finds if one.bad]
+
+
+def test_the_threshold_is_that_of_the_normal_distribution_for_many_samples_and_larger_for_few() -> None:
+    """2·(1 − Φ(7.13)) = 10⁻¹²."""
+    assert threshold(10**6) == pytest.approx(7.13, abs=0.01)
+    assert threshold(20) > 100
+
+
+@pytest.mark.parametrize("size", [10.0, -1000.0])
+def test_one_sample_is_found_and_its_size_is_stated(size: float) -> None:
+    values = noise()
+    values[1, 3000] += size
+    (one,) = screened(values)
+    assert (one.kind, one.channel, one.first, one.rows, one.bad) == (FindKind.SPIKE, "c1", 3000, 1, True)
+    assert one.time == pytest.approx(160.0) and one.size == pytest.approx(size, abs=4) and 0.7 < one.noise < 1.3
+
+
+@pytest.mark.parametrize("place", [0, 1, 5998, 5999, 16319, 16320, 16384, 16448])
+def test_spikes_at_ends_and_at_the_borders_of_pieces_are_found_once(place: int) -> None:
+    values = noise(3, rows=20_000 if place >= ROWS else ROWS, channels=1)
+    values[0, place] += 100
+    assert bad(screened(values)) == [(FindKind.SPIKE, place, 1)]
+
+
+def test_a_burst_is_one_find() -> None:
+    values = noise()
+    values[0, 3000:3020] += 40 * np.where(np.arange(20) % 2, 1, -1)
+    assert bad(screened(values)) == [(FindKind.BURST, 3000, 20)]
+
+
+def test_a_stuck_second_of_all_channels_is_found_in_each() -> None:
+    values = noise()
+    values[:, 3000:3050] = values[:, 2999:3000]
+    found = screened(values)
+    assert bad(found) == [(FindKind.STUCK, 2999, 51)] * 2
+    assert {one.channel for one in found} == {"c0", "c1"} and found[0].seconds == pytest.approx(1.02)
+
+
+def test_a_stretch_longer_than_a_piece_is_one_find() -> None:
+    values = noise(2, rows=60_000, channels=1)
+    values[0, 10_000:55_000] = 0.25
+    assert bad(screened(values)) == [(FindKind.STUCK, 10_000, 45_000)]
+
+
+def test_a_stretch_at_full_scale_is_clipped_and_cut_tops_are_reported_but_kept() -> None:
+    values = noise(channels=1)
+    values[0] = np.minimum(values[0], 1.0)
+    (one,) = screened(values)
+    assert (one.kind, one.size, one.bad) == (FindKind.CLIPPED, 1.0, False)
+    values[0, 3000:3100] = 1.0
+    assert (FindKind.CLIPPED, 3000, 100) in [
+        (kind, max(first, 3000), 100) for kind, first, rows in bad(screened(values))
+    ]
+
+
+def test_a_step_is_reported_and_kept() -> None:
+    values = noise()
+    values[0, 3000:] += 1.0
+    (one,) = screened(values)
+    assert one.kind is FindKind.STEP and not one.bad
+    assert one.size == pytest.approx(1, abs=0.3) and one.time == pytest.approx(160, abs=1)
+
+
+def test_lost_and_repeated_samples_are_read_from_the_time() -> None:
+    values, time = noise(), 100 + np.arange(ROWS) * STEP
+    kept = np.delete(np.arange(ROWS), [1000, 1001, 1002])
+    (one,) = screened(values[:, kept], time=time[kept])
+    assert (one.kind, one.first, one.size, one.bad) == (FindKind.LOST, 1000, 3.0, False)
+    twice = np.insert(np.arange(ROWS), 2001, 2000)
+    late = time[twice].copy()
+    late[2001] += 0.001
+    assert bad(screened(values[:, twice], time=late)) == [(FindKind.REPEATED, 2001, 1)]
+
+
+COURSES: dict[str, Callable[[Array], Array]] = {
+    "white": lambda x: x,
+    "coarse counts": lambda x: 5 * np.round((x + 1.3) / 5),
+    "fine counts": lambda x: 0.5 * np.round(x / 0.5),
+    "rounding carried over": lambda x: 4 * np.diff(np.round(np.cumsum(x, axis=1) / 4), axis=1, prepend=0),
+    "anti-correlated": lambda x: np.diff(x, axis=1, prepend=0),
+    "filtered": lambda x: np.apply_along_axis(lambda row: np.convolve(row, np.ones(8) / 8, "same"), 1, x),
+    "random walk": lambda x: np.cumsum(x, axis=1),
+    "line": lambda x: x + 3 * np.sin(2 * np.pi * 20 * STEP * np.arange(x.shape[1])),
+    "turning": lambda x: 1e-3 * x + 100 * np.sin(2 * np.pi * 0.05 * STEP * np.arange(x.shape[1])),
+    "no noise": lambda x: 0 * x + 100 * np.sin(2 * np.pi * 0.05 * STEP * np.arange(x.shape[1])),
+    "no noise, counts": lambda x: np.round(0 * x + 100 * np.sin(2 * np.pi * 0.005 * STEP * np.arange(x.shape[1])), 1),
+    "slow, coarse counts": lambda x: np.round(0.1 * x + 3 * np.sin(2 * np.pi * 0.005 * STEP * np.arange(x.shape[1]))),
+    "constant": lambda x: 0 * x + 1.0,
+    "held twice": lambda x: np.repeat(x[:, ::2], 2, axis=1),
+}
+
+
+@pytest.mark.parametrize("steady", [True, False])
+@pytest.mark.parametrize("name", COURSES)
+def test_noise_counts_and_motion_alone_give_no_bad_sample(name: str, steady: bool) -> None:
+    for seed in range(3):
+        assert bad(screened(COURSES[name](noise(seed)), steady=steady)) == []
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2, 5, 17, 60])
+def test_short_segments_are_taken_as_they_are(rows: int) -> None:
+    assert screened(noise(rows=rows)) == ()
+
+
+def test_the_finds_do_not_depend_on_the_blocks_and_missing_numbers_are_passed_over() -> None:
+    values = noise(5, rows=40_000)
+    values[0, [5, 17_000, 30_000]] += 50
+    values[1, 20_000:20_100] = 0.5
+    values[0, 8000] = np.nan
+    one = screened(values, rows=40_000)
+    assert bad(one) == [
+        (FindKind.SPIKE, 5, 1),
+        (FindKind.SPIKE, 17_000, 1),
+        (FindKind.STUCK, 20_000, 100),
+        (FindKind.SPIKE, 30_000, 1),
+    ]
+    assert bad(screened(values, rows=313)) == bad(one)
+
+
+def test_samples_that_are_often_far_off_belong_to_the_noise() -> None:
+    """Student's t with 2 degrees of freedom: many samples beyond any Gaussian bound."""
+    values = np.random.default_rng(1).standard_t(2, (1, 40_000))
+    found = screened(values)
+    assert bad(found) == [] and any(one.kind is FindKind.SPIKE and one.count > 40 for one in found)
+
+
+@pytest.mark.slow
+def test_white_noise_of_ten_million_samples_gives_no_find() -> None:
+    assert screened(noise(7, rows=10**7, channels=1), rows=65_536) == ()
