@@ -163,7 +163,7 @@ class Watcher(Protocol):
         """What was found, when the blocks are at their end."""
 
 
-Watch = Callable[[Segment, Mapping[str, str], int], Watcher]
+WatcherOf = Callable[[Segment, Mapping[str, str], int], Watcher]
 """Makes the watcher of a segment with some channels (name → unit) and a number of rows."""
 
 

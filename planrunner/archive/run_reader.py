@@ -11,7 +11,7 @@ from pathlib import Path
 from planrunner.archive.analyses import Basis, StoredAnalysis, add_analysis
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal_state import Acknowledged, JournalState, Rejected
-from planrunner.archive.recording import RecordedSegment, Watch
+from planrunner.archive.recording import RecordedSegment, WatcherOf
 from planrunner.archive.segment_file import SegmentData
 from planrunner.archive.statistics import statistics_of
 from planrunner.archive.verifying import BENCH, MENDED, PLAN, Examined, examine, open_run
@@ -97,7 +97,7 @@ class RunReader:
 
     # -- samples -------------------------------------------------------------------------------------------------------
 
-    def recording(self, schedule: Schedule, watch: Watch | None = None) -> tuple[RecordedSegment, ...]:
+    def recording(self, schedule: Schedule, watch: WatcherOf | None = None) -> tuple[RecordedSegment, ...]:
         """The acknowledged segments with statistics, in the order of the schedule. Each file is read once.
 
         schedule: made from the run's own plan and bench. watch: screens the samples in the same pass. Raises

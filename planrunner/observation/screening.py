@@ -25,14 +25,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.archive.recording import Find, FindKind, RecordedSegment, Watch
+from planrunner.archive.recording import Find, FindKind, RecordedSegment, WatcherOf
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import SensorModel
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.units import DIMENSIONS, unit
 
 Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
+RowNumbers = NDArray[np.int64]
 
 CHANCE = 1e-12
 """Probability that a sample of white Gaussian noise is found to be an outlier: none among 10⁸ samples, except with a chance of 10⁻⁴."""
@@ -81,14 +81,14 @@ def screened(recording: Sequence[RecordedSegment], sensor: SensorModel) -> tuple
     return tuple(item if item.finds is not None or item.expected else _screened(item, watch) for item in recording)
 
 
-def _screened(item: RecordedSegment, watch: Watch) -> RecordedSegment:
+def _screened(item: RecordedSegment, watch: WatcherOf) -> RecordedSegment:
     watcher = watch(item.segment, item.units, item.statistics.count + item.statistics.rejected)
     for _ in watcher.through(item.blocks(tuple(item.units))):
         pass
     return replace(item, finds=watcher.finds())
 
 
-def watch_of(sensor: SensorModel) -> Watch:
+def watch_of(sensor: SensorModel) -> WatcherOf:
     """Screens the sensor's outputs. Thermometers and encoders that are constant at rest are left alone."""
 
     def watch(segment: Segment, units: Mapping[str, str], rows: int) -> Screening:
@@ -131,7 +131,7 @@ class _Runs:
     """Runs of equal samples of one channel. lengths: number of runs by length, the last for longer ones; long: the longest; row, time,
     before: of the run that goes on; length: of it so far; count: smallest change; bend, bends: sum and number of second differences."""
 
-    lengths: Rows = field(default_factory=lambda: np.zeros(_SHORT + 1, dtype=np.int64))
+    lengths: RowNumbers = field(default_factory=lambda: np.zeros(_SHORT + 1, dtype=np.int64))
     long: list[_Run] = field(default_factory=list)
     row: int = 0
     time: float = math.nan
@@ -141,7 +141,7 @@ class _Runs:
     bend: float = 0.0
     bends: int = 0
 
-    def add(self, values: Array, rows: Rows, times: Array) -> None:
+    def add(self, values: Array, rows: RowNumbers, times: Array) -> None:
         """The next samples (n,), each from the last one before them on, except at the segment's beginning."""
         if not self.length:
             self.row, self.time, self.length = int(rows[0]), float(times[0]), 1
@@ -163,7 +163,7 @@ class _Runs:
         self.bend += float(np.abs(np.diff(values, 2)).sum())
         self.bends += max(len(values) - 2, 0)
 
-    def add_changing(self, values: Array, rows: Rows, times: Array) -> None:
+    def add_changing(self, values: Array, rows: RowNumbers, times: Array) -> None:
         """The same where every sample differs from the one before."""
         if self.length >= RUN:
             self._hold(values, rows, times, -1, 0, self.length)
@@ -171,7 +171,7 @@ class _Runs:
         self.lengths[1] += len(values) - 2
         self.row, self.time, self.before, self.length = int(rows[-1]), float(times[-1]), float(values[-2]), 1
 
-    def _hold(self, values: Array, rows: Rows, times: Array, before: int, last: int, length: int) -> None:
+    def _hold(self, values: Array, rows: RowNumbers, times: Array, before: int, last: int, length: int) -> None:
         """A run that ends at `last`; before: the place of the sample before it, negative for the run that went on."""
         went_on = before < 0
         row, time = (self.row, self.time) if went_on else (int(rows[before + 1]), float(times[before + 1]))
@@ -181,7 +181,7 @@ class _Runs:
         if len(self.long) > 2 * _HELD:
             self.long = sorted(self.long, key=lambda one: -one.length)[:_HELD]
 
-    def finish(self, values: Array, rows: Rows, times: Array) -> None:
+    def finish(self, values: Array, rows: RowNumbers, times: Array) -> None:
         """The last run ends with the last of these samples."""
         self.lengths[min(self.length, _SHORT)] += 1
         if self.length >= RUN:
@@ -233,6 +233,7 @@ class Screening:
         self.pauses = 0
         self.interval = math.nan
         self.work = np.empty(room)
+        self.count_up = np.arange(room)
 
     def through(self, blocks: Iterable[Block]) -> Iterator[Block]:
         """Hands the blocks on while it looks at them."""
@@ -243,23 +244,32 @@ class Screening:
 
     def add(self, block: Block) -> None:
         """The next samples; rows with a missing number are passed over."""
-        columns = [np.asarray(block.channels[name], dtype=float) for name in self.channels]
-        time, numbers = block.time, np.arange(self.row, self.row + len(block.time))
-        self.row += len(time)
-        if not all(abs(float(np.add.reduce(one))) < _LARGEST for one in columns):  # false for NaN and infinity as well
-            good = np.all([np.abs(one) < _LARGEST for one in columns], axis=0)
-            time, numbers, columns = time[good], numbers[good], [one[good] for one in columns]
-        taken = 0
-        while taken < len(time):
-            step = min(self.values.shape[1] - self.filled, len(time) - taken)
+        columns = [block.channels[name] for name in self.channels]
+        taken, count = 0, len(block.time)
+        while taken < count:
+            step = min(self.values.shape[1] - self.filled, count - taken)
             place, part = slice(self.filled, self.filled + step), slice(taken, taken + step)
-            for k, one in enumerate(columns):
-                self.values[k, place] = one[part]
-            self.time[place], self.rows[place] = time[part], numbers[part]
-            self.filled, taken = self.filled + step, taken + step
+            for row, one in zip(self.values, columns, strict=True):
+                row[place] = one[part]
+            self.time[place] = block.time[part]
+            self.rows[place] = self.count_up[:step] + (self.row + taken)
+            taken += step
+            self._keep(step)
             if self.filled == self.values.shape[1]:
                 self._look(self.filled - _BESIDE)
                 self._move_on()
+        self.row += count
+
+    def _keep(self, step: int) -> None:
+        """The next so many rows of the buffer count, without those that have a missing number."""
+        place = slice(self.filled, self.filled + step)
+        values = self.values[:, place]
+        if not all(abs(float(np.add.reduce(row))) < _LARGEST for row in values):  # true for NaN and infinity as well
+            good = np.all(np.abs(values) < _LARGEST, axis=0)
+            step = int(np.count_nonzero(good))
+            for array in (self.values, self.time, self.rows):
+                array[..., self.filled : self.filled + step] = array[..., place][..., good]
+        self.filled += step
 
     def finds(self) -> tuple[Find, ...]:
         """What was found, in order of time; to be asked once, at the end."""
@@ -323,7 +333,7 @@ class Screening:
         seen = self.runs[k].count
         return max(float(self.counts[k]), seen if math.isfinite(seen) else 0.0)
 
-    def _stands_out(self, k: int, places: Rows, usual: float) -> bool:
+    def _stands_out(self, k: int, places: RowNumbers, usual: float) -> bool:
         """Whether a sample beside one of a few large changes (n,) is far from the samples around it: two opposite deviations of usual
         size make a large change too."""
         if len(places) > _FEW:
@@ -352,7 +362,7 @@ class Screening:
             else:
                 self.smallest[k] = -known
 
-    def _examine(self, k: int, places: Rows, end: int) -> None:
+    def _examine(self, k: int, places: RowNumbers, end: int) -> None:
         """Outliers near large changes, by their distance from local medians. places: (n,), the samples before these changes."""
         x, begin = self.values[k, self.begin : self.filled], self.begin
         if len(x) < _LEAST:
@@ -533,7 +543,7 @@ def _as_one(finds: Sequence[Find]) -> list[Find]:
     return [replace(largest, rows=sum(one.rows for one in finds), count=len(finds), bad=False)]
 
 
-def _off(values: Array, size: int, places: Rows) -> Array:
+def _off(values: Array, size: int, places: RowNumbers) -> Array:
     """Distances of some of the values (n,) from the medians of the `size` values around them."""
     wide = np.pad(values, size // 2, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(wide, size)

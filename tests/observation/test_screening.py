@@ -6,12 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from planrunner.archive.recording import Find, FindKind
 from planrunner.instruments.interfaces import Block
 from planrunner.observation.screening import Screening, threshold
 
-Array = np.ndarray
+Array = NDArray[np.float64]
 ROWS, STEP = 6000, 0.02
 
 

@@ -120,6 +120,24 @@ def _stuck(made: Recorded, draw: np.random.Generator) -> Array:
     return out
 
 
+def _burst(made: Recorded, draw: np.random.Generator) -> Array:
+    """Twenty samples of one channel scatter fifty times as widely as the others."""
+    out = made.values.copy()
+    row, channel = draw.integers(len(out) - 20), draw.integers(out.shape[1])
+    out[row : row + 20, channel] += 50 * made.white[channel] * draw.standard_normal(20)
+    return out
+
+
+def _limited(made: Recorded, draw: np.random.Generator) -> Array:
+    """For two seconds one channel reads a large value at which its electronics saturate."""
+    out = made.values.copy()
+    rows, channel = round(2 * made.sampling), draw.integers(out.shape[1])
+    first = int(draw.integers(len(out) - rows))
+    rows = min(rows, int(np.searchsorted(made.step, made.step[first] + 1)) - first)
+    out[first : first + rows, channel] = out[:, channel].max() + 100 * made.white[channel]
+    return out
+
+
 def _line(made: Recorded, draw: np.random.Generator) -> Array:
     """Vibration at 20 Hz, three times the noise of a sample."""
     phase = draw.uniform(0, 2 * np.pi, len(made.white))
@@ -145,6 +163,8 @@ WORLDS: Mapping[str, World] = {
     "rounding carried over": World(_fed_back),
     "one spike": World(_spike),
     "stuck for a second": World(_stuck),
+    "burst of 20 samples": World(_burst),
+    "saturated for two seconds": World(_limited),
     "20 Hz line": World(_line),
     "reversed channel": World(_reversed, warns=True),
 }

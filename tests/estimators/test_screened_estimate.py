@@ -1,0 +1,57 @@
+"""Bad samples and estimates: left out, used or refused as the plan says, and named with what they change.
+
+The recordings come from `tests.worlds`, which shares no code with planrunner.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planrunner.estimators.interface import Estimate
+from tests.worlds.campaigns import CAMPAIGNS
+from tests.worlds.coverage import estimated, known, recorded
+from tests.worlds.faults import WORLDS, Recorded
+
+CLEAN = WORLDS["white noise"]
+
+
+def made(estimator: str, fault: bool, outliers: str = "exclude") -> Estimate | str:
+    campaign = CAMPAIGNS[estimator]
+    sound = known(campaign, CLEAN)
+    estimates = {name: replace(spec, outliers=outliers) for name, spec in sound.plan.estimates.items()}
+    _, data = recorded(campaign, CLEAN, np.random.default_rng(8))
+    values = data.values.copy()
+    if fault:
+        values[1000, 0] += 1000 * data.white[0]
+    sound = replace(sound, plan=replace(sound.plan, estimates=estimates))
+    return estimated(campaign, sound, Recorded(data.time, data.step, values, data.white, data.mean, data.sampling))
+
+
+@pytest.mark.parametrize("estimator", CAMPAIGNS)
+def test_one_bad_sample_moves_no_coefficient_by_a_tenth_of_its_uncertainty(estimator: str) -> None:
+    clean, spiked = made(estimator, False), made(estimator, True)
+    assert not isinstance(clean, str) and not isinstance(spiked, str)
+    for item in clean.coefficients:
+        assert abs(spiked[item.name].value - item.value) <= 0.1 * item.standard_uncertainty, item.name
+        assert spiked[item.name].standard_uncertainty == pytest.approx(item.standard_uncertainty, rel=0.02)
+    (warning,) = [text for text in spiked.warnings if "Bad samples were left out" in text]
+    assert "spike" in warning and not [text for text in clean.warnings if "samples" in text]
+    assert {"Screening of the samples", "Coefficients with and without bad samples"} <= {
+        table.title for table in spiked.tables
+    }
+
+
+def test_kept_samples_are_used_and_named() -> None:
+    kept, clean = made("flexure_gyro_static", True, "keep"), made("flexure_gyro_static", False)
+    assert not isinstance(kept, str) and not isinstance(clean, str)
+    assert abs(kept["D_X_F"].value - clean["D_X_F"].value) > 0.1 * clean["D_X_F"].standard_uncertainty
+    assert any("Bad samples were used" in text for text in kept.warnings)
+
+
+def test_refused_samples_give_no_estimate_and_the_reason() -> None:
+    message = made("flexure_gyro_static", True, "refuse")
+    assert isinstance(message, str) and "spike of torquer_x in 'P1'" in message
+    assert isinstance(made("flexure_gyro_static", False, "refuse"), Estimate)
