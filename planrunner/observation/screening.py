@@ -67,6 +67,7 @@ _RUNS = 20  # runs from which the usual length is known
 _UNLIKELY = -math.log(CHANCE)
 _BINS, _FEWEST_BINS = 1024, 64  # means in which steps are sought
 _STEP = 8.0  # robust standard deviations of the differences between neighbouring means
+_LEVEL = 0.25  # of a step: less changes within either side of it
 _STEP_LENGTHS = (4, 16)  # means on either side
 _PAUSE, _EARLY = 1.5, 0.5  # sample intervals: a sample is lost, or has come twice
 _JITTER = 0.01  # share of irregular intervals from which the clock jitters
@@ -428,18 +429,25 @@ class Screening:
     def _of_channel(self, k: int) -> list[Find]:
         """What is known of one channel at the end of the segment."""
         stuck = [self._stretch(k, one) for one in self.runs[k].stuck()][:_KEPT]
+        if not self.steady and 2 * sum(one.rows for one in stuck) > self.done:
+            stuck = _as_one(stuck)  # a sensor that moves now and then, without noise at rest
         spikes: list[Find] = []
         bursts: list[Find] = []
         for one in self.found[k]:
             if not any(
                 one.first < other.first + other.rows + _FAR and other.first - _FAR < one.first for other in stuck
             ):
-                (spikes if one.kind is FindKind.SPIKE else bursts).append(one)
+                (spikes if one.kind is FindKind.SPIKE else bursts).append(self._judged(one))
         samples = max(self.done, 1)
         many = self.more[k] > 0 or len(spikes) + len(bursts) > max(_MANY, _SHARE * samples)
         long = sum(one.rows for one in bursts) > max(_MANY, _BURSTS * samples)
         found = [*stuck, *(_as_one(spikes) if many else spikes), *(_as_one(bursts) if many or long else bursts)]
         return [*found, *self._flat_tops(k, stuck), *self._steps(k, found)]
+
+    def _judged(self, one: Find) -> Find:
+        """A burst with which the segment begins or ends may be motion that is not over yet, or already ends: it counts."""
+        at_an_end = one.first < _SPIKE or one.first + one.rows > self.row - _SPIKE
+        return replace(one, bad=False) if one.kind is FindKind.BURST and at_an_end else one
 
     def _stretch(self, k: int, run: _Run) -> Find:
         """A run of equal samples; clipped where it stands at an extreme value of the segment, of which there is more."""
@@ -484,10 +492,16 @@ class Screening:
                 break
             rise = (sums[inner + length] - 2 * sums[inner] + sums[inner - length]) / length
             off = rise - np.median(rise)
+            half = length // 2
+            before = (sums[inner] - 2 * sums[inner - half] + sums[inner - length]) / half
+            after = (sums[inner + length] - 2 * sums[inner + half] + sums[inner]) / half
+            level = np.maximum(np.abs(before), np.abs(after)) < _LEVEL * np.abs(
+                rise
+            )  # a transient or a ramp changes there too
             scale = max(1.4826 * float(np.median(np.abs(off))), 1.2533 * _trimmed(np.abs(off)), self.counts[k] / length)
             taken = np.zeros(len(rise), dtype=bool)
             while True:
-                left = np.where(taken, 0.0, np.abs(off))
+                left = np.where(taken | ~level, 0.0, np.abs(off))
                 at = int(np.argmax(left))
                 if left[at] <= _STEP * scale or len(out) >= _MANY:
                     break

@@ -18,12 +18,12 @@ ROWS, STEP = 6000, 0.02
 
 def screened(values: Array, *, steady: bool = True, time: Array | None = None, rows: int = 997) -> tuple[Find, ...]:
     """values: (k, n)."""
-    time = 100 + np.arange(values.shape[1]) * STEP if time is None else time
+    times: Array = np.asarray(100 + np.arange(values.shape[1]) * STEP if time is None else time, dtype=float)
     names = [f"c{k}" for k in range(len(values))]
     screening = Screening(dict.fromkeys(names, 0.0), {}, values.shape[1], steady=steady)
     for low in range(0, values.shape[1], rows):
         part = slice(low, low + rows)
-        screening.add(Block(time[part], {name: values[k, part] for k, name in enumerate(names)}))
+        screening.add(Block(times[part], {name: values[k, part] for k, name in enumerate(names)}))
     return screening.finds()
 
 
@@ -97,7 +97,7 @@ def test_a_step_is_reported_and_kept() -> None:
 
 
 def test_lost_and_repeated_samples_are_read_from_the_time() -> None:
-    values, time = noise(), 100 + np.arange(ROWS) * STEP
+    values, time = noise(), np.asarray(100 + np.arange(ROWS) * STEP, dtype=float)
     kept = np.delete(np.arange(ROWS), [1000, 1001, 1002])
     (one,) = screened(values[:, kept], time=time[kept])
     assert (one.kind, one.first, one.size, one.bad) == (FindKind.LOST, 1000, 3.0, False)
