@@ -29,6 +29,7 @@ NAMES = (
     "virtual_run",
     "least_squares_fit",
     "recording_memory",
+    "screening",
     "allan",
     "monte_carlo",
     "inertial_stream",
