@@ -113,7 +113,7 @@ class Laboratory(Record):
     )
     traceability: str | None = key(
         Text(r"[^\x00-\x1f]{1,1000}", "a statement"),
-        "How results are traceable to the SI, in addition to the calibrations of instruments and site.",
+        "Statement on the traceability of results to the SI; certificates show it in addition to the calibrations of instruments and site.",
         "Angles and rates through the table's calibration; Earth rate from the conventional value (WGS 84).",
         default=None,
     )

@@ -1,7 +1,7 @@
 """Effects of the catalogue added to a simulation: their parameters with units, and their contributions to the outputs of a sensor.
 
-An effect is added with the same columns that a diagnosis searches for. If the diagnosis then finds it, the two agree with each other, but
-this does not show that they are true to reality; recordings made by others serve for that.
+An effect is added with the same columns that a diagnosis searches for. If the diagnosis then finds it, simulation and diagnosis agree with
+each other, but this does not validate either; recordings from other sources do.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
 
 
 def _value(text: str, parameter: EffectParameter, effect: str, mark: Mark) -> float:
-    """A number in the parameter's unit, from a text with that unit, one of its dimension, or none."""
+    """A number in the parameter's unit, from a text with this unit, another unit of the same dimension, or no unit."""
     number, _, given = text.strip().partition(" ")
     wanted = parameter.unit
     hint = f"write a number, or a number with a unit such as '{parameter.natural:g} {wanted}'"

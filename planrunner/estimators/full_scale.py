@@ -77,7 +77,7 @@ def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: A
         "slope is its misalignment, not its scale factor"
     )
     turned = _nearest_axis(request, moving[0])
-    hint = f"align its input axis with the rotation axis, or fit the output along {turned}, which turns"
+    hint = f"align its input axis with the rotation axis, or fit an output along {turned}, about which the table turns"
     return [Remark("physics-input-axis", message, hint, "outputs")]
 
 

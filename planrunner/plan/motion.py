@@ -151,7 +151,10 @@ def _check_move(
     there = positions[move.start] + turn
     if abs(math.remainder(there - positions[move.end], TURN)) > _ANGLE_TOLERANCE:
         angle = math.degrees(positions[move.end])
-        message = f"move {number} ({text}) does not end at its position: it ends at {_degrees(there)} deg, {move.end} is at {angle:g} deg"
+        message = (
+            f"move {number} ({text}) does not end at its position: it ends at {_degrees(there)} deg, but {move.end} is at {angle:g} "
+            "deg"
+        )
         log.error("meaning-cycle-landing", mark, message, f"to land on {move.end}, turn {_turns(positions, move)}")
 
 

@@ -133,7 +133,7 @@ def type_words(kind: Kind) -> str:
             return f"a quantity of {kind.dimension or 'any dimension'}{sign}"
         case ListOf():
             item = type_words(kind.item)
-            return f"{item}, or a list of such" if kind.single else f"a list: {item}"
+            return f"{item}, or a list of such" if kind.single else f"a list, each item: {item}"
         case MapOf():
             names = f" ({', '.join(kind.names)})" if kind.names else ""
             return f"names{names}, each with {type_words(kind.item)}"

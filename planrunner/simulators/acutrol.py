@@ -1,7 +1,7 @@
 """An ACUTROL 3000 / ACT2000 motion controller: ACL messages, modes and demands axis by axis, status byte, interlock.
 
-A message is `:Main:Sub axis,argument`, more commands after `;`, every word abbreviable. Only the commands used on a bench are implemented;
-any other sets the remote-interface bit in the status byte and has no reply.
+A message is `:Main:Sub axis,argument`, more commands after `;`, and every word can be abbreviated. Only the commands used on a bench are
+implemented; any other sets the remote-interface bit in the status byte and has no reply.
 """
 
 from __future__ import annotations
@@ -276,7 +276,7 @@ class Acutrol:
         return place
 
     def _axes(self, arguments: list[str]) -> list[int]:
-        """All axes for `all` and where none is named."""
+        """All axes for `all`, or if none is named."""
         if not arguments or arguments[0].lower() == "all":
             return list(range(len(self.held)))
         return [self._axis(arguments)]

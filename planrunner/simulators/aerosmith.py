@@ -43,7 +43,7 @@ class Aerosmith:
             return "?"
 
     def later(self) -> list[str]:
-        """The answer of a lasting motion that has come to its end."""
+        """The answer to a lasting motion that has ended."""
         if self.lasting and self.plant.paths.still(self.plant.live.now()):
             self.lasting = False
             return [""]

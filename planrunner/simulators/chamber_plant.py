@@ -41,18 +41,18 @@ class ChamberPlant:
         return found
 
     def regulate(self, setpoint: float | None = None) -> None:
-        """Run, towards a setpoint or the one it has."""
+        """Run, towards a new setpoint or the present one."""
         self.setpoint = self.setpoint if setpoint is None else setpoint
         self.running = not self.alarms
         self._drive()
 
     def set_only(self, setpoint: float) -> None:
-        """Take a setpoint; it acts at once where the chamber runs."""
+        """Accept a setpoint; it acts at once if the chamber runs."""
         self.setpoint = setpoint
         self._drive()
 
     def set_ramp(self, ramp: float) -> None:
-        """The setpoint's ramp from now on; 0 for as fast as it can."""
+        """The ramp of the setpoint from now on; 0 for the largest rate."""
         self.ramp = ramp
         self._drive()
 
@@ -69,13 +69,13 @@ class ChamberPlant:
         self.alarms = ()
 
     def disturb(self, *, stuck: bool | None = None, overshoot: float | None = None) -> None:
-        """stuck: its air keeps its temperature, whatever the command; overshoot: K beyond every setpoint."""
+        """stuck: the air keeps its temperature regardless of commands; overshoot: K beyond every setpoint."""
         self.stuck = self.stuck if stuck is None else stuck
         self.overshoot = self.overshoot if overshoot is None else overshoot
         self._drive()
 
     def _drive(self) -> None:
-        """Bring the world's air on its way."""
+        """Send the present target to the air of the world."""
         now = self.live.before_change()
         world = self.live.world
         air = float(world.air(np.array([now]))[0])

@@ -14,10 +14,10 @@ class Controller(Protocol):
     """Reply to an identity query."""
 
     def answer(self, message: str) -> str | None:
-        """The reply to a message, both without terminators; None where it gives none."""
+        """The reply to a message, both without terminators; None if there is none."""
 
     def later(self) -> list[str]:
-        """Replies that have become due since; empty for instruments that only speak when spoken to."""
+        """Replies that have become due since; empty for instruments that send only replies to messages."""
 
     def watch(self) -> None:
         """Check the limits of the instrument; called many times per second."""

@@ -1,4 +1,5 @@
-"""Frames of a sensor that is only declared in the bench file: synchronisation, numbers at their places, a counter, a check at the end."""
+"""Frames of a sensor that is only declared in the bench file: synchronisation, numbers at given positions, a counter, and a checksum at the
+end."""
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ class FieldPlace:
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """The counter: its place, counts a frame, and where it starts anew."""
+    """The counter: its position, counts per frame, and the value at which it restarts."""
 
     place: FieldPlace
     step: int
@@ -50,7 +51,7 @@ class Running:
 
 @dataclass(frozen=True, slots=True)
 class FrameCheck:
-    """How the check is computed, bytes that it takes, the first byte that it covers."""
+    """The checksum: its algorithm, its number of bytes, the first byte that it covers."""
 
     of: Callable[[Bytes], NDArray[np.generic]]
     width: int
@@ -74,7 +75,7 @@ CHECKS: Mapping[str, tuple[Callable[[Bytes], NDArray[np.generic]], int]] = {
     "zero_sum8": (sum_to_zero, 1),
     "xor8": (exclusive_or, 1),
 }
-"""By the names of bench files: how they are computed, and their bytes."""
+"""Checksums by their names in bench files: algorithm and number of bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +86,10 @@ class DeclaredFrame:
     running: Running | None = None
     check: FrameCheck | None = None
     steady: Sequence[tuple[int, bytes]] = ()
-    """Bytes at their places that are the same in all frames, such as a status word."""
+    """Bytes at given positions that are the same in all frames, such as a status word."""
 
     def frames(self, channels: Mapping[str, Array], numbers: Array) -> Bytes:
-        """Frames (n, length) of channels (n,) in the fields' units; numbers: of the frames, running."""
+        """Frames (n, length) of channels (n,) in the fields' units; numbers: running numbers of the frames."""
         frames = np.zeros((numbers.size, self.length), dtype=np.uint8)
         frames[:, : len(self.sync)] = np.frombuffer(self.sync, dtype=np.uint8)
         for at, data in self.steady:
@@ -120,7 +121,7 @@ class Alarms:
     set_is_good: bool
 
     def told(self, ails: Collection[str]) -> tuple[int, bytes]:
-        """Its place and bytes. What the sensor ails from is said by the bits whose words name it, or by all where none does."""
+        """Its position and bytes. A fault of the sensor sets the bits whose words name it, or all bits if none does."""
         wrong = {text for text in self.bits if any(word in text for word in ails)} or set(self.bits if ails else ())
         high = set(self.bits) - wrong if self.set_is_good else wrong
         return self.at, sum(1 << self.bits[text] for text in high).to_bytes(self.width, self.order)
@@ -128,7 +129,7 @@ class Alarms:
 
 @dataclass(slots=True)
 class DeclaredUnit:
-    """units: of the virtual sensor's channels. words: line → mode that it is switched into by it; switch: called with the mode."""
+    """units: of the virtual sensor's channels. words: line → mode to which it switches; switch: called with the mode."""
 
     units: Mapping[str, str]
     form: DeclaredFrame
@@ -147,7 +148,7 @@ class DeclaredUnit:
         return form.frames(channels, numbers)
 
     def hear(self, data: bytes) -> bytes:
-        """Words that switch its mode are not answered."""
+        """Lines that switch the mode are not answered."""
         self.heard += data
         for word, mode in self.words.items():
             if word in self.heard:

@@ -2,8 +2,8 @@
 
 A fault script is a YAML file of faults; the control channel accepts single faults while the bench runs.
 
-Frames between a sensor and the computer can be corrupted, lost, doubled, out of order, read at another baud rate, or those of another
-instrument.
+Frames between a sensor and the computer can be corrupted, lost, doubled, out of order, read at another baud rate, or replaced by those of
+another instrument.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ _ALL = tuple(dict.fromkeys([*WORDS, *LINE, *TABLE, *CHAMBER]))
 
 
 class Fault(Record):
-    """One thing that goes wrong."""
+    """One fault."""
 
     instrument: str = key(Text(), "Instrument of the bench that has the fault.", "table")
     fault: str = key(Choice(_ALL), "Kind of fault.", "late")
@@ -155,8 +155,8 @@ def _check(fault: Fault, roles: Mapping[str, str], log: Findings) -> None:
 
 @dataclass(slots=True)
 class DeclaredFault:
-    """A fault that was declared. begins, ends: s on the bench's clock; begun: whether it has taken effect; left: replies that it
-    still takes."""
+    """A fault that was declared. begins, ends: s on the bench's clock; begun: whether it has taken effect; left: number of replies that it
+    still affects."""
 
     number: int
     fault: Fault
@@ -174,7 +174,7 @@ class FaultBoard:
     declared: int = 0
 
     def declare(self, fault: Fault, now: float) -> int:
-        """Its number, to clear it by."""
+        """The number of the fault, with which it can be cleared."""
         self.declared += 1
         begins = now + fault.begins.value
         ends = begins + (fault.lasts.value if fault.lasts else float("inf"))
@@ -188,7 +188,7 @@ class FaultBoard:
                 item.ends = float("-inf")
 
     def changes(self, now: float) -> tuple[list[Fault], list[Fault]]:
-        """Faults that have begun and that have ended since it was last asked."""
+        """Faults that have begun and that have ended since the last call."""
         begun = [item for item in self.standing.values() if not item.begun and item.begins <= now < item.ends]
         over = [item for item in self.standing.values() if now >= item.ends or item.left == 0]
         for item in begun:
@@ -198,11 +198,11 @@ class FaultBoard:
         return [item.fault for item in begun if item not in over], [item.fault for item in over if item.begun]
 
     def active(self, instrument: str, now: float) -> list[Fault]:
-        """The faults that an instrument has now."""
+        """The present faults of an instrument."""
         return [item.fault for item in self._active(instrument, now)]
 
     def of_reply(self, instrument: str, message: str, now: float) -> Fault | None:
-        """The fault that strikes the reply to a message, counted as struck."""
+        """The fault that affects the reply to a message; the reply is counted."""
         for item in self._active(instrument, now):
             if item.fault.fault in WORDS and (item.fault.message or "") in message:
                 if item.left is not None:
@@ -223,11 +223,11 @@ class FaultBoard:
 
 
 _COMPASS = b"$HEHDT,274.07,T*03\r\n"
-"""What a heading sensor says."""
+"""Line of a heading sensor."""
 
 
 def struck(frames: Bytes, faults: Sequence[Fault], draw: np.random.Generator) -> Bytes:
-    """The frames (n, length) as they leave under the faults that stand."""
+    """The frames (n, length) after the effect of the active faults."""
     for fault in faults:
         if not len(frames):
             return frames
@@ -250,7 +250,7 @@ def struck(frames: Bytes, faults: Sequence[Fault], draw: np.random.Generator) ->
 
 
 def _corrupted(frames: Bytes, rows: np.ndarray, draw: np.random.Generator) -> Bytes:
-    """One byte of each chosen frame is another."""
+    """One byte of each chosen frame is changed."""
     changed = frames.copy()
     places = draw.integers(0, frames.shape[1], rows.size)
     changed[rows, places] ^= draw.integers(1, 256, rows.size).astype(np.uint8)

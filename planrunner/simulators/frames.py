@@ -1,8 +1,8 @@
-"""Frames as simulated sensors put them together: numbers as columns of bytes, one row a frame, and check values, written bit by bit
+"""Frames of simulated sensors: numbers as columns of bytes, one row per frame, and check values, written bit by bit
 from their polynomials.
 
 A cyclic redundancy check is the remainder of the message, as a polynomial over GF(2), after division by the generator. Here the register
-takes one byte of every frame at a time; the table of what a byte does to it is worked out by shifting.
+takes one byte of every frame at a time; the table of the effect of a byte is computed by shifting.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Order = Literal["big", "little"]
 def integers(
     values: NDArray[np.generic] | Sequence[float], width: int, order: Order = "big", signed: bool = True
 ) -> Bytes:
-    """Whole numbers (n,) as (n, width) bytes, in two's complement; what does not fit stays at the end of the range."""
+    """Whole numbers (n,) as (n, width) bytes, in two's complement; values outside the range are clipped to its ends."""
     bits = 8 * width
     low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
     whole = np.asarray(values)
@@ -56,13 +56,13 @@ def joined(*parts: Bytes) -> Bytes:
 _REVERSED = np.packbits(
     np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1), axis=1, bitorder="little"
 ).ravel()
-"""Every byte with its bits the other way round."""
+"""Every byte with its bits in reverse order."""
 
 
 @dataclass(frozen=True)
 class Crc:
     """width: bits, 8 to 32; start: the register before the first byte; reflected: every byte, and the result, from its lowest bit on;
-    inverted: the result's bits are exchanged."""
+    inverted: the bits of the result are inverted."""
 
     width: int
     polynomial: int

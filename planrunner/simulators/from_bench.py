@@ -1,5 +1,5 @@
-"""From a bench file to what stands behind its addresses: the virtual instruments of its `simulation`, each behind the protocol that the
-bench's driver of the same role speaks.
+"""From a bench file to the simulated instruments at its addresses: the virtual instruments of its `simulation`, each with the protocol of
+the bench's driver of the same role.
 
 Drivers are only known by name, and their settings only as the keys of the bench file: no code is shared with them.
 """
@@ -29,14 +29,14 @@ from planrunner.simulators.sensor_units import SensorUnit
 
 @runtime_checkable
 class DeclaresAxes(Protocol):
-    """Keys of a driver of a table, as far as a simulation must know them."""
+    """Keys of a driver of a table that a simulation needs."""
 
     axes: Sequence[object]
 
 
 @runtime_checkable
 class DeclaresLine(Protocol):
-    """Keys of a driver of a sensor on a serial line, likewise."""
+    """Keys of a driver of a sensor on a serial line that a simulation needs."""
 
     sample_rate: Quantity
     baud: int
@@ -44,7 +44,7 @@ class DeclaresLine(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Spoken:
-    """A table or chamber: its controller, its manner, where."""
+    """A table or chamber: its controller, the form of its messages, its address."""
 
     name: str
     role: str
@@ -55,7 +55,7 @@ class Spoken:
 
 @dataclass(frozen=True, slots=True)
 class Streamed:
-    """A sensor: its unit, its feed of samples, where, and the line's bits a second."""
+    """A sensor: its unit, its feed of samples, its address, and the bit rate of the line."""
 
     name: str
     unit: SensorUnit
@@ -109,7 +109,7 @@ def simulated(bench: Bench, path: str, clock: Clock, seed: int | None = None) ->
 
 
 def _alive(truth: Bench, clock: Clock, seed: int) -> tuple[LiveWorld, dict[str, Instrument]]:
-    """The virtual instruments of a bench, in running time, by role."""
+    """The virtual instruments of a bench in running time, by role."""
     site = site_of(truth)
     world = World(clock, site, seed, real_time=True)
     live = LiveWorld(world, clock)

@@ -1,7 +1,7 @@
 """Motion of each joint of a simulated table: pieces of constant acceleration and sines, as commanded by a controller.
 
 The virtual table moves all its joints by one command; a table behind a controller is commanded axis by axis, and a command may come while
-the axis moves. A path keeps the pieces of the last seconds, so that a sensor that is asked a little later still feels what was before.
+the axis moves. A path keeps the pieces of the last seconds, so that a sensor that is read a little later still measures the earlier motion.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Swing:
         return TURN * self.frequency * (2 + 2 * max(self.before, self.amplitude))
 
     def faded(self) -> float:
-        """When its amplitude is the last."""
+        """Time from which the amplitude is final."""
         return self.begin + 1 / self.frequency
 
 
@@ -79,7 +79,7 @@ PathPiece = Glide | Swing
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """One joint's pieces by their beginnings; the last goes on for ever. arrival: s, when what was commanded is reached."""
+    """One joint's pieces by their beginnings; the last one does not end. arrival: s, time when the commanded state is reached."""
 
     pieces: tuple[PathPiece, ...]
     arrival: float = 0.0
@@ -89,7 +89,7 @@ class Path:
         return cls((Glide(0.0, angle),))
 
     def then(self, now: float, pieces: Sequence[PathPiece], arrival: float) -> Path:
-        """The same until `now`, then other pieces."""
+        """The path with new pieces from `now` on."""
         past = [piece for piece in self.pieces if piece.begin < now]
         ends = [*(piece.begin for piece in past[1:]), now]
         kept = [piece for piece, end in zip(past, ends, strict=False) if end > now - _KEPT]
@@ -106,7 +106,7 @@ class Path:
         return next((piece for piece in reversed(self.pieces) if piece.begin <= time), self.pieces[0])
 
     def follow(self, times: Array) -> tuple[Value, Value]:
-        """Angle and rate at `times`, floats where the joint stands all the while."""
+        """Angle and rate at `times`, floats if the joint is at rest throughout."""
         first, last = self.current(float(times[0])), self.current(float(times[-1]))
         if first is last:
             if isinstance(first, Glide) and first.rate == first.acceleration == 0.0:
@@ -132,7 +132,7 @@ class Path:
         return self.then(now, (ramp, Glide(there, ramp.at(there)[0], rate)), there)
 
     def go(self, now: float, target: float, rate: float, acceleration: float) -> Path:
-        """Come to rest, then move to an angle: speeding up, at `rate` at most, slowing down."""
+        """Come to rest, then move to an angle: acceleration, at most `rate`, deceleration."""
         _, first, _ = self.state(now)
         path = self.turn(now, 0.0, acceleration) if first != 0.0 else self
         start = max(now, path.arrival) if first != 0.0 else now
@@ -150,7 +150,7 @@ class Path:
         return path.then(start, (up, level, slow, rest), rest.begin)
 
     def swing(self, now: float, amplitude: float, frequency: float, phase: float, zero: float, about: float) -> Path:
-        """A sine about an angle; a change of its amplitude fades, anything else begins from rest."""
+        """A sine about an angle; a change of its amplitude fades, any other change begins from rest."""
         piece = self.current(now)
         same = isinstance(piece, Swing) and (piece.frequency, piece.phase, piece.zero) == (frequency, phase, zero)
         before = piece.amplitude if isinstance(piece, Swing) and same else 0.0

@@ -26,7 +26,7 @@ class Kvh1775:
         return _LENGTHS[self.format]
 
     def frames(self, columns: Mapping[str, Values], sequence: Values) -> Bytes:
-        """Frames (n, length). columns: `gyro_x` … as they go out (rad or deg, rate or angle), `acc_x` … in g, `temperature` in whole
+        """Frames (n, length). columns: `gyro_x` … as sent (rad or deg, rate or angle), `acc_x` … in g, `temperature` in whole
         degrees or hundredths, `status`, and for B `time_stamp`."""
         count = sequence.size
         parts = [constant(_HEADERS[self.format], count)]

@@ -26,7 +26,7 @@ from planrunner.plan.quantity import Quantity
 
 
 class RunningClock:
-    """Seconds since the simulated bench was switched on. speed: seconds of the bench in one of the wall."""
+    """Seconds since the simulated bench was switched on. speed: seconds of the bench per second of real time."""
 
     def __init__(self, speed: float = 1.0, monotonic: Callable[[], float] = time.monotonic):
         self.speed = speed
@@ -74,7 +74,7 @@ class LiveWorld:
         return self.clock.now()
 
     def before_change(self) -> float:
-        """Let everybody catch up; the time."""
+        """Bring all recorders up to date; returns the time."""
         now = self.now()
         for record in self.recorders:
             record(now)
@@ -87,7 +87,7 @@ _FREE_RUNNING = 2  # second part of the key of its noise: apart from those of se
 
 
 class SensorFeed:
-    """Samples of a live world's sensor. rate: Hz that it is set to; each sample is a mean over its interval."""
+    """Samples of a live world's sensor. rate: its sample rate, Hz; each sample is a mean over its interval."""
 
     def __init__(self, live: LiveWorld, sensor: RunsFreely, rate: float):
         self.live = live
@@ -99,7 +99,7 @@ class SensorFeed:
         live.recorders.append(self.catch_up)
 
     def start_over(self) -> None:
-        """Begin anew, as after switching on."""
+        """Restart, as after switching on."""
         hold = max(1, round(self.rate * _GRID))
         now = self.live.now()
         self.sampling = Sampling(now, self.rate, 0, hold, hold)
@@ -109,7 +109,7 @@ class SensorFeed:
         self.runs += 1
 
     def catch_up(self, now: float) -> None:
-        """Make all samples that are over."""
+        """Make all samples whose interval has ended."""
         hold = self.sampling.hold
         due = math.floor((now - self.sampling.start) * self.rate) // hold * hold
         while self.made < due:
@@ -124,7 +124,7 @@ class SensorFeed:
         return taken
 
     def set_mode(self, mode: str) -> None:
-        """Switch the sensor into one of its modes."""
+        """Switch the sensor to one of its modes."""
         if not isinstance(self.sensor, HasModes):
             raise InstrumentError(f"the virtual sensor '{type(self.sensor).__name__}' has no modes")
         self.live.before_change()

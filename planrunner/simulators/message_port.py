@@ -20,7 +20,7 @@ Writer = Callable[[bytes], None]
 @dataclass(frozen=True, slots=True)
 class Manner:
     """How messages and replies are separated. sent_ends: bytes, any of which ends a message; framing: `none`; `words` or `ascii`, the
-    two forms of error code and length before a reply; `prompt`: a `>` on a line of its own after it."""
+    two forms of error code and length before a reply; `prompt`: a separate line with `>` after it."""
 
     sent_ends: bytes = b"\n"
     reply_ends: bytes = b"\n"
@@ -36,7 +36,7 @@ class Manner:
 
 
 class MessagePort:
-    """One instrument's conversation with whoever connects. now: the bench's time."""
+    """The conversation of one instrument with its clients. now: the bench's time."""
 
     def __init__(self, name: str, controller: Controller, manner: Manner, board: FaultBoard, now: Callable[[], float]):
         self.name, self.controller, self.manner, self.board, self.now = name, controller, manner, board, now
@@ -44,7 +44,7 @@ class MessagePort:
         self.last_speaker: Writer | None = None
 
     def heard(self, held: bytearray, data: bytes, write: Writer, hang_up: Callable[[], None]) -> None:
-        """Take bytes; whole messages are answered in the order they came."""
+        """Take bytes; complete messages are answered in the order of their arrival."""
         held += data
         pieces = re.split(b"[" + re.escape(self.manner.sent_ends) + b"]", held)
         held[:] = pieces.pop()[-_LONGEST:]
@@ -53,7 +53,7 @@ class MessagePort:
                 self._answer(piece.decode("ascii", "replace"), write, hang_up)
 
     def say_later(self) -> None:
-        """Replies that have become due, to whoever spoke last."""
+        """Replies that have become due, to the client that sent the last message."""
         for reply in self.controller.later():
             if self.last_speaker is not None:
                 self.last_speaker(self.manner.framed(reply))
@@ -94,7 +94,7 @@ class MessagePort:
 
 
 class TcpMessages:
-    """A message port on loopback TCP; several may be connected."""
+    """A message port on loopback TCP; several clients may be connected."""
 
     def __init__(self, messages: MessagePort, host: str, port: int):
         self.messages, self.host, self.port = messages, host, port
@@ -111,7 +111,7 @@ class TcpMessages:
         self.port = self.server.sockets[0].getsockname()[1]
 
     def attend(self) -> None:
-        """Connections are attended to as they speak."""
+        """Handles connections when they send data."""
 
     def refuse(self) -> None:
         """Close the port, and every connection."""
@@ -164,6 +164,6 @@ class TerminalMessages:
             self.terminal.write(data)
 
     def _hang_up(self) -> None:
-        """A cable that is pulled and put back."""
+        """A cable that is unplugged and plugged in again."""
         self.terminal.unplug()
         self.terminal.plug()

@@ -1,4 +1,4 @@
-"""Xsens MTi and VectorNav VN-100 as units on a line: what they are set to send of the virtual sensor's outputs, and how they are set."""
+"""Xsens MTi and VectorNav VN-100 as units on a line: their configured outputs of the virtual sensor, and their configuration."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _vectors(outputs: Outputs, block: Block) -> tuple[Array, Array]:
 
 @dataclass(slots=True)
 class XsensUnit:
-    """rate: packets a second. silent: while it is being configured."""
+    """rate: packets per second. silent: True while it is being configured."""
 
     outputs: Outputs
     form: xsens.Xsens
@@ -97,7 +97,7 @@ def _turns(angles: Array) -> Array:
 
 @dataclass(slots=True)
 class VectorNavUnit:
-    """form: its binary messages; text: the line that it sends in their place, or nothing. Neither has a status."""
+    """form: its binary messages; text: the line that it sends instead of them, or nothing. Neither has a status."""
 
     outputs: Outputs
     form: vectornav.VectorNav
@@ -130,7 +130,8 @@ class VectorNavUnit:
         return np.frombuffer(b"".join(sent), dtype=np.uint8).reshape(len(sent), -1)
 
     def hear(self, data: bytes) -> bytes:
-        """Registers asked for: 1 the model, 3 the serial number, others are refused (error 8). A register that is written is repeated."""
+        """Registers that can be read: 1 the model, 3 the serial number, others are refused (error 8). A register that is written is
+        repeated."""
         self.heard += data
         replies = b""
         while b"\n" in self.heard:

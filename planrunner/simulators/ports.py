@@ -1,8 +1,8 @@
 """Connections of simulated instruments: addresses as in bench files, pseudo-terminals and sockets on loopback, and a serial line with rate
 and buffer.
 
-Addresses differ by what a simulator has to open for them; only this computer is served. A sensor's serial line carries so many bytes a
-second, has a buffer that holds a little, and drops frames when it is full.
+The kind of address decides what a simulator opens; only this computer is served. The serial line of a sensor has a limited bit rate and a
+small buffer, and drops frames when the buffer is full.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ _HELD = 65536  # bytes that a socket keeps for a slow reader
 
 
 class PortError(InstrumentError):
-    """An address cannot be served. The message says which and why."""
+    """An address cannot be served. The message names the address and the reason."""
 
 
 class Port(Protocol):
     def attend(self) -> None: ...
 
     def write(self, data: bytes) -> int:
-        """How many bytes were taken."""
+        """Sends data; returns the number of accepted bytes."""
 
     def unplug(self) -> None: ...
 
     def plug(self) -> None:
-        """Come back under the same name."""
+        """Reappear under the same name."""
 
     def close(self) -> None: ...
 
 
 class PseudoTerminal:
-    """A pseudo-terminal whose other end is found at `link`. heard: called by `attend` with what has come in.
+    """A pseudo-terminal whose other end is found at `link`. heard: called by `attend` with the received data.
 
     While the other end is not open, written data are lost, as on a line without a listener."""
 
@@ -115,7 +115,7 @@ class PseudoTerminal:
 
 
 class Socket:
-    """A port on loopback. All who connect get the same bytes."""
+    """A port on loopback. All clients get the same bytes."""
 
     def __init__(self, host: str, port: int, heard: Callable[[bytes], None]):
         self.host, self.port, self.heard = host, port, heard
@@ -131,7 +131,7 @@ class Socket:
         self.port = self.server.sockets[0].getsockname()[1]
 
     def attend(self) -> None:
-        """What comes in is taken as it comes."""
+        """Incoming data are processed as they arrive."""
 
     async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.writers.add(writer)
@@ -201,12 +201,12 @@ class Address:
         return cls(before, after, link=Path(name))
 
     def elsewhere(self, folder: Path, name: str) -> Address:
-        """A free port, or a link of an instrument's name in a folder, in its place."""
+        """The address with a free port, or with a link named after the instrument in a folder."""
         link = None if self.link is None else folder / f"{name}.port"
         return Address(self.before, self.after, self.host, 0, link)
 
     def written(self, port: int | None = None) -> str:
-        """As in a bench file; `port` where it was chosen by the system."""
+        """The address as in a bench file; `port` if the system chose it."""
         return f"{self.before}{self.link or port or self.port}{self.after}"
 
 
@@ -225,7 +225,8 @@ class LineCounts:
 
 
 class SerialLine:
-    """baud: bits a second of the simulated line; speed: seconds of the bench in one of the wall, by which its bytes hasten too."""
+    """baud: bits per second of the simulated line; speed: seconds of the bench per second of real time, which also accelerates its
+    bytes."""
 
     def __init__(self, port: Port, baud: float, speed: float, now: float):
         self.port = port
@@ -250,7 +251,7 @@ class SerialLine:
         self.waiting += data
 
     def pump(self, now: float) -> None:
-        """Send as much as the line could transmit by now. now: s of real time."""
+        """Send as many bytes as the line could have transmitted by now. now: s of real time."""
         self.credit = min(self.credit + (now - self.last) * self.bytes_a_second, float(self.capacity))
         self.last = now
         length = min(len(self.waiting), int(self.credit))

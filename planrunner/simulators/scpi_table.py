@@ -1,4 +1,4 @@
-"""A table that is spoken to in the manner of SCPI: the commands of the example in the bench reference, errors in a queue."""
+"""A table with SCPI-like commands: those of the example in the bench reference, with errors in a queue."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NOTHING = '0,"No error"'
 
 
 class ScpiTable:
-    """Axes numbered from 1, degrees. A command that it does not know or cannot follow goes into the queue of errors."""
+    """Axes numbered from 1, degrees. An unknown or impossible command adds an error to the queue."""
 
     def __init__(self, plant: TablePlant, identity: str = "Example,One-axis table,simulated,1.0"):
         self.plant = plant

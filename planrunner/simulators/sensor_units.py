@@ -1,6 +1,6 @@
 """Sensors as units on a line: the outputs of the virtual sensor in their frames, and their replies to commands.
 
-STIM300 and KVH stand here, Xsens and VectorNav in `navigation_units.py`, declared frames in `declared_frame.py`.
+STIM300 and KVH are here, Xsens and VectorNav in `navigation_units.py`, declared frames in `declared_frame.py`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _INTEGRITY, _OVERLOAD_X = 0x80, 0x11  # status of a STIM300's cluster
 
 
 class SensorUnit(Protocol):
-    """A sensor's electronics between its samples and its line. ails: faults in its status, `overload` and `self-test`, as far as its
+    """The electronics of a sensor between its samples and its line. ails: faults in its status, `overload` and `self-test`, as far as its
     frames can show them."""
 
     ails: frozenset[str]
@@ -40,12 +40,12 @@ class SensorUnit(Protocol):
 
 @dataclass(slots=True)
 class Outputs:
-    """A virtual sensor's outputs in the units of a frame. units: of its channels; axes that it has not stay zero."""
+    """A virtual sensor's outputs in the units of a frame. units: of its channels; missing axes stay zero."""
 
     units: Mapping[str, str]
 
     def triad(self, block: Block, name: str, in_unit: float) -> dict[str, Array]:
-        """`gyro` or `accel` by axis, divided by a unit of SI."""
+        """Outputs `gyro` or `accel` by axis, in units of the given SI value."""
         found = {}
         for axis in "xyz":
             channel = f"{name}_{axis}"
@@ -73,7 +73,7 @@ class SampleNumber:
 
 @dataclass(slots=True)
 class Stim300Unit:
-    """rate: datagrams a second, of which the counter's step follows."""
+    """rate: datagrams per second, which determines the step of the counter."""
 
     outputs: Outputs
     form: Stim300
@@ -104,7 +104,7 @@ class Stim300Unit:
         return sent[:0] if self.service else sent
 
     def hear(self, data: bytes) -> bytes:
-        """Commands end with CR: `R` resets, `SERVICEMODE` and `UTILITYMODE` end the datagrams, `$isn,` asks who it is."""
+        """Commands end with CR: `R` resets, `SERVICEMODE` and `UTILITYMODE` end the datagrams, `$isn,` asks for the identification."""
         self.heard += data
         replies = b""
         while b"\r" in self.heard:
@@ -166,7 +166,7 @@ class KvhUnit:
 
     def hear(self, data: bytes) -> bytes:
         """Lines end with CR or LF: `?bit` is answered by the built-in test, `=rotfmt,…` and the like take effect. The first frames after a
-        change say that they are invalid."""
+        change are marked as invalid."""
         self.heard += data.replace(b"\r", b"\n")
         replies = b""
         while b"\n" in self.heard:

@@ -27,7 +27,7 @@ TICK = 0.005  # s between two looks at everything
 
 
 class Serving:
-    """The process's work. addresses: as a bench file writes them, once `open` is over."""
+    """The work of the process. addresses: as in a bench file, known after `open`."""
 
     def __init__(self, simulated: Simulated, control: tuple[str, int], speed: float, folder: Path | None = None):
         self.simulated, self.live, self.speed, self.folder = simulated, simulated.live, speed, folder
@@ -42,7 +42,7 @@ class Serving:
     # -- from beginning to end -----------------------------------------------------------------------------------------
 
     async def open(self) -> None:
-        """Listen at every address. Raises `PortError` for one that is taken or cannot be."""
+        """Listen at every address. Raises `PortError` for an address that is in use or not possible."""
         for item in self.simulated.spoken:
             await self._listen(item)
         sensor = self.simulated.sensor
@@ -60,7 +60,7 @@ class Serving:
         await self.control.listen()
 
     async def run(self) -> None:
-        """Live until `ended` is set."""
+        """Run until `ended` is set."""
         while not self.ended.is_set():
             self.tick()
             with contextlib.suppress(TimeoutError):
@@ -91,7 +91,7 @@ class Serving:
     # -- operation --------------------------------------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Let everything come up to the present."""
+        """Bring everything up to the present time."""
         begun, over = self.board.changes(self.live.now())
         for fault in begun:
             self._strike(fault, True)
@@ -154,7 +154,7 @@ class Serving:
     # -- requests ------------------------------------------------------------------------------------------------------
 
     def declare(self, faults: Sequence[Fault]) -> list[int]:
-        """Their numbers."""
+        """Injects faults; returns their numbers."""
         return [self.board.declare(fault, self.live.now()) for fault in faults]
 
     def handle(self, request: Mapping[str, Json]) -> Mapping[str, Json]:
@@ -184,7 +184,7 @@ class Serving:
         raise ValueError("a request must be one of ask, inject, clear and stop")
 
     def state(self) -> Mapping[str, Json]:
-        """What is true now, for whoever judges a run: joint angles and rates [rad, rad/s], air, its target, set point [K], faults, the
+        """The present true state, for tests of a run: joint angles and rates [rad, rad/s], air, its target, set point [K], faults, the
         line's counts."""
         told: JsonObject = {"now": self.live.now(), "faults": self.board.told()}
         if self.live.table is not None:

@@ -1,6 +1,6 @@
 """The mechanics of a simulated table: axes that turn, move and swing within limits, an interlock, and faults that end a motion.
 
-This module does not depend on any protocol. Angles in rad, rates in rad/s, accelerations in rad/s^2.
+Independent of any protocol. Angles in rad, rates in rad/s, accelerations in rad/s^2.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class TablePlant:
     # -- measurements --------------------------------------------------------------------------------------------------
 
     def state(self, index: int) -> tuple[float, float, float]:
-        """Angle, rate and acceleration now. Keeps watch: an axis beyond its trip rate is switched off."""
+        """Angle, rate and acceleration now. Also checks the limits: an axis beyond its trip rate is switched off."""
         found = self.paths.paths[index].state(self.live.now())
         axis = self.axes[index]
         if abs(found[1]) > axis.trip * _GRANTED and not axis.faults:
@@ -65,7 +65,7 @@ class TablePlant:
     # -- commands ------------------------------------------------------------------------------------------------------
 
     def go(self, index: int, angle: float, rate: float, acceleration: float) -> None:
-        """Towards an angle; a continuous axis takes the shorter way."""
+        """Move to an angle; a continuous axis takes the shorter way."""
         axis, now = self.axes[index], self.live.before_change()
         if axis.model.continuous:
             here = self.paths.paths[index].state(now)[0]
@@ -89,7 +89,7 @@ class TablePlant:
     def swing(
         self, index: int, amplitude: float, frequency: float, phase: float, rate: float, acceleration: float
     ) -> None:
-        """A sine about where the axis was sent last. All that swing share one beginning."""
+        """A sine about the last commanded angle of the axis. All sines have the same beginning."""
         axis, now = self.axes[index], self.live.before_change()
         path = self.paths.paths[index]
         swinging = [p for p in (path.current(now) for path in self.paths.paths) if isinstance(p, Swing)]
@@ -101,7 +101,7 @@ class TablePlant:
         self.paths.paths[index] = path.swing(now, min(amplitude, most), frequency, phase, zero, axis.centre)
 
     def stop(self, index: int, acceleration: float | None = None) -> None:
-        """Come to rest, where that is."""
+        """Come to rest at the angle that results."""
         now = self.live.before_change()
         axis, path = self.axes[index], self.paths.paths[index]
         self.paths.paths[index] = path.turn(now, 0.0, acceleration or axis.model.max_acceleration)
@@ -110,7 +110,7 @@ class TablePlant:
     # -- faults --------------------------------------------------------------------------------------------------------
 
     def fail(self, index: int, fault: str) -> None:
-        """`over-rate`, `tracking error` or `axis fault`: the axis brakes and takes no demand until it is reset."""
+        """`over-rate`, `tracking error` or `axis fault`: the axis brakes and accepts no demand until it is reset."""
         axis = self.axes[index]
         axis.faults = (*axis.faults, fault)
         self.stop(index)
@@ -127,7 +127,7 @@ class TablePlant:
                 axis.powered = False
 
     def reset(self) -> None:
-        """Forget faults; an interlock that is open still is at once a fault again."""
+        """Clear faults; an interlock that is still open becomes a fault again at once."""
         self.interlock_fault = self.interlock_open
         for axis in self.axes:
             axis.faults = ()

@@ -49,7 +49,7 @@ class VectorNav:
 
 
 def line(body: str) -> bytes:
-    """An ASCII line such as `VNRRG,8`, as it goes out: `$VNRRG,8*4B` CR LF."""
+    """An ASCII line such as `VNRRG,8`, as sent: `$VNRRG,8*4B` CR LF."""
     check = exclusive_or(np.frombuffer(body.encode("ascii"), dtype=np.uint8)[None, :])[0]
     return f"${body}*{check:02X}\r\n".encode("ascii")
 

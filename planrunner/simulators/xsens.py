@@ -1,4 +1,4 @@
-"""The messages of an Xsens MTi on the Xbus: MTData2 packets, state changes and errors, each with the sum that makes it zero."""
+"""The messages of an Xsens MTi on the Xbus: MTData2 packets, state changes and errors, each with the byte that makes its sum zero."""
 
 from __future__ import annotations
 

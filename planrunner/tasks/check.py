@@ -279,7 +279,7 @@ def _check_estimate(
 
 
 def _alike(judged: Sequence[Identifiability]) -> list[list[Identifiability]]:
-    """Outputs of which the same is to be said, each group in order."""
+    """Groups of outputs with the same finding, each group in order."""
     groups: dict[tuple[object, ...], list[Identifiability]] = {}
     for one in judged:
         what = (one.rank, one.columns, f"{one.condition:.3g}", one.unidentifiable, one.explanation)
@@ -288,7 +288,7 @@ def _alike(judged: Sequence[Identifiability]) -> list[list[Identifiability]]:
 
 
 def _report(name: str, alike: Sequence[Identifiability], mark: Mark, log: Findings) -> None:
-    """One finding for outputs that are alike, where they call for one."""
+    """One finding for a group of outputs with the same judgement, if one is necessary."""
     judged, names = alike[0], [one.output for one in alike]
     outputs = f"output {names[0]}" if len(names) == 1 else f"outputs {', '.join(names[:-1])} and {names[-1]}"
     if not judged.sound:

@@ -1,4 +1,4 @@
-"""Designing a plan on its bench: better positions, rates or a better rotation cycle, whichever the plan is about.
+"""Designing a plan on its bench: better positions, better rates or a better rotation cycle, depending on the plan.
 
 study = design(Path("plans/x.yaml"), Asked())
 study.tables, study.data       what was found
@@ -22,7 +22,7 @@ from planrunner.tasks.design_rates import design_rates, has_rates_alone
 def design(
     plan: Path | Document, asked: Asked, bench: str | None = None, progress: SearchProgress | None = None
 ) -> Study:
-    """The study that plan and options ask for: of positions wherever an estimate takes segments at rest. Raises `InputError` with the
+    """The study for the plan and the options: a study of positions if an estimate uses segments at rest. Raises `InputError` with the
     plan's findings, and `EstimationError` if there is nothing to design."""
     checked = check_plan(plan, bench=bench)
     if asked.segment is None and (asked.rates or has_rates_alone(checked, asked.estimate)):
@@ -39,8 +39,8 @@ def _subject(checked: Checked) -> Subject:
 
 
 def write_plan(text: str, original: str, path: Path, bench: str | None = None) -> Checked:
-    """Writes a designed plan once it passes its checks. original: file of the plan that it was designed for. Raises `InputError` with what
-    is wrong, and `EstimationError` if it would overwrite the original."""
+    """Writes a designed plan after it passed its checks. original: file of the plan for which it was designed. Raises `InputError` with the
+    faults, and `EstimationError` if it would overwrite the original."""
     if path.exists() and path.samefile(original):
         raise EstimationError(f"{path} is the plan itself: write to another file")
     data = text.encode()

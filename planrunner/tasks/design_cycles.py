@@ -1,7 +1,7 @@
 """Designing the rotation cycle of a segment: the residual of a constant horizontal error for the planned cycle, and cycles with zero
 residual.
 
-Angles and turns of a study have the sense of the plan, clockwise if it says so.
+Angles and turns of a study have the sense of the plan, clockwise if the plan states it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ORDERS = {"same": "same order", "free": "free order"}
 
 
 def has_cycle_alone(checked: Checked) -> bool:
-    """Whether a plan has a cycle and no estimate whose positions could be designed."""
+    """Whether a plan has a cycle, but no estimate whose positions could be designed."""
     cycles = checked.schedule is not None and any(isinstance(item.motion, Cycle) for item in checked.schedule.segments)
     return cycles and not any(design.blocks for design in checked.designs.values())
 
@@ -86,12 +86,12 @@ def _find(segments: Sequence[Segment], label: str | None) -> Segment:
 
 
 def _turned(cycle: RotationCycle, sign: float) -> RotationCycle:
-    """The cycle with every turn the other way round where `sign` is −1."""
+    """The cycle, with all turns reversed if `sign` is −1."""
     return replace(cycle, turns=tuple(sign * turn for turn in cycle.turns))
 
 
 def _cable(axes: Sequence[TableAxis], segment: Segment, azimuth: float, sign: float) -> Cable:
-    """What the axis can reach from where the cycle begins."""
+    """Reachable angles of the axis relative to the start of the cycle."""
     start = 0.0
     if segment.attitude is not None:
         try:
@@ -102,7 +102,7 @@ def _cable(axes: Sequence[TableAxis], segment: Segment, azimuth: float, sign: fl
 
 
 def _sense(plan: model.Plan, label: str) -> float:
-    """−1 where the plan counts angles clockwise."""
+    """−1 if the plan counts angles clockwise."""
     return -1.0 if _motion(plan, label).sense == "clockwise" else 1.0
 
 
@@ -114,7 +114,7 @@ def _motion(plan: model.Plan, label: str) -> model.MotionSpec:
 
 
 def _moves(cycle: RotationCycle, motion: Cycle, sign: float) -> tuple[str, ...]:
-    """The moves of a cycle in the plan's sense, as the plan writes them, with its names."""
+    """The moves of a cycle in the plan's sense, in the notation of the plan, with its names."""
     first = motion.positions[motion.moves[0].start]
 
     def named(angle: float) -> str:

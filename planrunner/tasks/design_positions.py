@@ -140,7 +140,7 @@ class _Designer:
         )
 
     def _require_rank(self) -> None:
-        """Raises `EstimationError` where no orientation within the table's reach separates the terms."""
+        """Raises `EstimationError` if no set of orientations within the table's reach separates the terms."""
         seen = rank.look(np.concatenate([self.region_rows, self.sight.fixed]))
         if seen.rank < self.terms:
             blind = ", ".join(rank.unidentifiable(seen.null, self.sight.terms))
@@ -175,8 +175,8 @@ class _Designer:
 
     @property
     def _decimals(self) -> int:
-        """Of degrees, in orientations that are written: two where any attitude is reached; where axes are missing or limited, a rounded
-        one might not be, so more."""
+        """Decimals of the angles [deg] in written orientations: two if the table reaches any attitude; more if axes are missing or limited,
+        because a rounded orientation might be out of reach."""
         anywhere = len(self.axes) == 3 and all(axis.continuous for axis in self.axes)
         return DECIMALS if anywhere else 7
 
@@ -193,7 +193,7 @@ class _Designer:
         return np.array([joint_angles(self.axes, one, np.zeros(len(self.axes)), self.azimuth) for one in attitudes])
 
     def _weighting(self, criterion: str) -> Array | None:
-        """Of the linear criterion that is searched for; sets for G are improved from those for D."""
+        """The linear criterion for the search; sets for G are improved from those for D."""
         if criterion in "DG":
             return None
         return np.eye(self.terms) if criterion == "A" else region_moment(self.region_rows)
@@ -209,7 +209,7 @@ class _Designer:
         return exchange.choose(rows, self.count, weighting, seed=self.asked.seed, fixed=self.fixed, progress=tell)
 
     def _flattened(self, rows: Array, indices: exchange.Indices) -> exchange.Indices:
-        """For G, the choice with the worst variance lowered by exchanges; else the choice itself."""
+        """For G, the choice after exchanges that lower the worst variance; otherwise the choice itself."""
         if self.asked.criterion != "G":
             return indices
         return worst_variance.exchange(
@@ -304,7 +304,7 @@ class _Designer:
         )  # fmt: skip
 
     def _dwells(self, chosen: PositionSet) -> tuple[tuple[float, ...], float]:
-        """Dwells within the time budget, by place, and the D-efficiency of equal dwells against them."""
+        """Dwells within the time budget, by place, and the D-efficiency of equal dwells relative to them."""
         if self.asked.time is None:
             return (), 1.0
         used = [chosen.schedule.segments[segment.index] for place in self.places for segment in place.segments]
@@ -326,8 +326,8 @@ class _Designer:
 
 
 def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> tuple[Schedule, dict[str, Design]]:
-    """The plan with other orientations, attitudes (3, 3) by where they are stated: its schedule with real transition times, and what its
-    estimates could learn. Raises `EstimationError` where the bench cannot do it."""
+    """The plan with other orientations, given as attitudes (3, 3) by their place in the plan: its schedule with real transition times, and
+    the information for its estimates. Raises `EstimationError` if the bench cannot execute it."""
     assert checked.plan is not None and checked.models is not None and checked.models.sensor is not None
     new = {
         place: Orientation(in_words(attitude), tuple(map(tuple, attitude.tolist())))
@@ -354,7 +354,7 @@ def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> 
 
 
 def _with_positions(checked: Checked, orientations: Mapping[_Mark, str], dwells: Mapping[_Mark, float]) -> str:
-    """The plan's text with other orientations and, where they are given, dwells [s]. Raises `EstimationError`."""
+    """The plan's text with other orientations and, if given, dwells [s]. Raises `EstimationError`."""
     text = source.decode(checked.plan_bytes, checked.file)
     try:
         if dwells:
@@ -365,7 +365,7 @@ def _with_positions(checked: Checked, orientations: Mapping[_Mark, str], dwells:
 
 
 def _best(merits: Sequence[Merit]) -> Merit:
-    """The best value of every criterion, whichever set has it."""
+    """The best value of every criterion over all sets."""
     one = merits[0]
     return Merit(
         one.observations, one.terms, one.terms, max(m.determinant for m in merits), min(m.trace for m in merits),

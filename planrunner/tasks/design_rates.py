@@ -37,8 +37,8 @@ _COPY = "designed rate "
 
 
 def has_rates_alone(checked: Checked, estimate: str | None = None) -> bool:
-    """Whether rates are what to design of a plan: its first estimate of several rates is a straight line through them,
-    be they one sweep, which can be designed, or several, which `design_rates` refuses with what to write."""
+    """Whether the rates of a plan are to be designed: its first estimate over several rates fits a straight line. The rates may form one
+    sweep, which can be designed, or several, which `design_rates` refuses with a hint."""
     if checked.schedule is None or checked.plan is None:
         return False
     for name in [estimate] if estimate is not None else checked.plan.estimates:
@@ -51,7 +51,7 @@ def has_rates_alone(checked: Checked, estimate: str | None = None) -> bool:
 
 
 def _used(checked: Checked, name: str) -> tuple[Segment, ...]:
-    """The segments that an estimate takes."""
+    """The segments that an estimate uses."""
     assert checked.plan is not None and checked.schedule is not None
     chosen = checked.plan.estimates[name].segments
     patterns = chosen.within if isinstance(chosen, Detection) else chosen
@@ -60,7 +60,7 @@ def _used(checked: Checked, name: str) -> tuple[Segment, ...]:
 
 
 def design_rates(checked: Checked, asked: Asked, bench: str | None = None) -> FoundRates:
-    """Raises `InputError` with the plan's findings, and `EstimationError` where there are no rates to design. bench: as for
+    """Raises `InputError` with the plan's findings, and `EstimationError` if there are no rates to design. bench: as for
     `check_plan`."""
     if checked.findings.errors or checked.schedule is None:
         raise InputError(checked.findings)
@@ -71,7 +71,7 @@ def design_rates(checked: Checked, asked: Asked, bench: str | None = None) -> Fo
 
 @dataclass(frozen=True, slots=True)
 class _Sweep:
-    """One sweep over rates: the segments that it made, and all that the estimate takes. mark: (line, column) of the rates."""
+    """One sweep over rates: its segments, and all segments that the estimate uses. mark: (line, column) of the rates."""
 
     name: str
     mark: tuple[int, int]
@@ -166,7 +166,7 @@ class _RateDesigner:
     # -- information from a rate ---------------------------------------------------------------------------------------
 
     def _block(self, segments: Sequence[Segment]) -> DesignBlock:
-        """That of the studied output."""
+        """The block of the studied output."""
         return next(one for one in self._blocks(segments) if one.output == self.output)
 
     def _blocks(self, segments: Sequence[Segment]) -> Sequence[DesignBlock]:
@@ -187,7 +187,7 @@ class _RateDesigner:
         return design.blocks
 
     def _information(self, block: DesignBlock, kept: Sequence[bool], rate: float) -> Array:
-        """Of the block's kept rows with their own noise, in units of one observation at the largest rate; (p, p)."""
+        """Information (p, p) from the kept rows of the block with their own noise, in units of one observation at the largest rate."""
         mask = np.array(kept, dtype=bool)
         rows = np.asarray(block.matrix)[mask] / self.scale
         if len(self.terms) > rows.shape[1]:
@@ -197,7 +197,7 @@ class _RateDesigner:
         return np.asarray(weighted.T @ weighted)
 
     def _bundles(self, rates: Sequence[float], dwells: Sequence[float] | None = None) -> Array:
-        """What all repeats of the pair at each rate add, (n, p, p): copies of the planned largest pair, put at these rates."""
+        """Information (n, p, p) from all repeats of the pair at each rate: copies of the planned largest pair, moved to these rates."""
         copies = []
         for number, rate in enumerate(rates):
             seconds = self._dwell(rate) if dwells is None else dwells[number]
@@ -215,7 +215,7 @@ class _RateDesigner:
         )
 
     def _dwell(self, rate: float) -> float:
-        """As the plan says it for its largest rate, at another one."""
+        """The value that the plan states for its largest rate, at a different rate."""
         stated = self.stated[self.pattern[0].label].dwell
         if isinstance(stated, Turns):
             period = 2 * math.pi / rate
@@ -226,7 +226,7 @@ class _RateDesigner:
         return self.pattern[0].dwell
 
     def _overhead(self, rate: float) -> float:
-        """Seconds that one segment at a rate takes beside its dwell."""
+        """Seconds that one segment at a rate takes in addition to its dwell."""
         return 2 * spin_up_time(self.axis, rate) + self.pattern[0].settle
 
     # -- the study -----------------------------------------------------------------------------------------------------
@@ -294,7 +294,7 @@ class _RateDesigner:
         return math.exp((reference - loss) / len(self.terms)) if self.asked.criterion == "D" else reference / loss
 
     def _allotted(self, rates: Sequence[float]) -> tuple[float, ...] | None:
-        """Whole turns a rate within the time budget, largest rate first; None without one."""
+        """Whole turns per rate within the time budget, largest rate first; None without a budget."""
         if self.asked.time is None:
             return None
         assert self.checked.schedule is not None

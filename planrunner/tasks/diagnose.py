@@ -1,4 +1,4 @@
-"""Diagnosing a recording from start to finish: check → read a run folder or a file → look it over → diagnose.
+"""Diagnosing a recording from start to finish: check → read a run folder or a file → check the recording → diagnose.
 
 The layers are independent of one another; they are combined here, for the command line and for programs.
 
@@ -64,7 +64,7 @@ class Diagnosed:
     following: Next | None = None
 
     def to_json(self) -> JsonObject:
-        """As `schemas/diagnosis.schema.json` has it."""
+        """The diagnosis according to `schemas/diagnosis.schema.json`."""
         found = {"planrunner_diagnosis": DIAGNOSIS_FORMAT, **self.diagnosis.to_json()}
         return found | {"next": None if self.following is None else self.following.to_json()}
 
@@ -93,8 +93,8 @@ def _diagnosed(recorded: Recorded, options: DiagnosisOptions | None) -> Diagnose
 
 
 def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | None:
-    """What to measure next, for recordings whose orientations were planned. Where no plan can be proposed, the log reports it and the
-    diagnosis stands."""
+    """What to measure next, for recordings whose orientations were planned. If no plan can be proposed, the log reports it and the
+    diagnosis stays valid."""
     from planrunner.tasks.propose import DEFAULT_SOAK, Frame, propose_next
 
     segments = tuple(map(_lasting, _chosen(recorded)))
@@ -119,7 +119,7 @@ def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | No
 
 
 def _lasting(item: RecordedSegment) -> RecordedSegment:
-    """A segment that dwells as long as it was recorded, where the plan does not say how long."""
+    """The segment with its recorded length as the dwell, if the plan does not state the dwell."""
     if item.segment.dwell is not None:
         return item
     return replace(item, segment=replace(item.segment, dwell=item.statistics.duration))
@@ -163,7 +163,7 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
 
 
 def _outputs(plan: Plan) -> tuple[str, ...]:
-    """The outputs that are looked at; empty for all. Raises `InputError` for one that the plan's sensor does not have."""
+    """The outputs to analyse; empty for all. Raises `InputError` for an output that the plan's sensor does not have."""
     spec, known = plan.diagnosis, plan.sensor.outputs
     if spec is None or not spec.outputs:
         return known
@@ -239,8 +239,8 @@ def recorded_run(run: Path) -> Recorded:
 
 
 def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path | None = None) -> Recorded:
-    """A recording in a file. bench: maps its columns; the plan's own without it. segments: table of labels with beginnings and ends; the
-    bench's, beside the recording, without it. Raises `InputError`."""
+    """A recording in a file. bench: maps its columns; by default the bench of the plan. segments: table of labels with beginnings and ends;
+    by default the table in the bench file, next to the recording. Raises `InputError`."""
     sound = check_plan(plan, bench=bench, today=date.today()).sound()
     parameters = _parameters(sound.bench, sound.file)
     columns = parameters.segments
@@ -269,7 +269,7 @@ def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path
 
 
 def _bench_for_others(bench: str, plan: Path | None) -> str:
-    """A bench as a plan in another folder has to name it. plan: the file that names it; the command line without it."""
+    """The name of a bench for use in a plan in another folder. plan: the file that names it; by default the command line."""
     path = Path(bench) if plan is None else plan.parent / bench
     return bench if bench in shipped_benches() else str(path.resolve())
 
@@ -287,7 +287,7 @@ def _parameters(bench: Bench, plan: str) -> RecordingParameters:
 
 
 def _with_axis(outputs: Sequence[str]) -> tuple[str, ...] | None:
-    """The outputs that the plan uses whose names give an axis; None where there are none."""
+    """The outputs that the plan uses whose names give an axis; None if there are none."""
     from planrunner.error_model.observed import axis_of
 
     return tuple(name for name in outputs if axis_of(name) is not None) or None
@@ -323,7 +323,7 @@ def joined(first: Recorded, runs: Sequence[Path]) -> Recorded:
 
 
 def _moved(item: RecordedSegment, seconds: float, before: str) -> RecordedSegment:
-    """A segment as much later, under a label that no other run has."""
+    """A segment delayed by the given time, under a label that no other run has."""
     segment = replace(item.segment, label=before + item.label, start=item.segment.start + seconds)
     known = item.statistics
     statistics = replace(known, start=known.start + seconds, end=known.end + seconds)

@@ -16,7 +16,7 @@ from planrunner.bench.opening import real_clock
 from planrunner.instruments.interfaces import Alive, Instrument, InstrumentError, Readable, Surroundings, Watched
 
 TIMES = 3
-"""Exchanges whose median is the round trip."""
+"""Number of exchanges, whose median is the round-trip time."""
 
 
 @dataclass(frozen=True, slots=True)

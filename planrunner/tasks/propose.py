@@ -73,7 +73,7 @@ class Next:
 
 
 def words(found: SegmentProposal, planned: bool) -> str:
-    """What the proposal comes to, in sentences."""
+    """The result of the proposal, in sentences."""
     names = [name for name, _ in found.rivals]
     rivals = f"{', '.join(names[:-1])} and {names[-1]}"
     if planned:
@@ -121,7 +121,7 @@ def propose_next(
 
 
 def plan_text(frame: Frame, entries: Sequence[MenuEntry], description: str) -> str:
-    """A plan with one segment a line."""
+    """A plan with one segment per line."""
     lines = [
         "planrunner: 1",
         f"title: {_quoted(('What to measure next: ' + frame.title)[:_LONGEST_TITLE])}",
@@ -139,7 +139,7 @@ def plan_text(frame: Frame, entries: Sequence[MenuEntry], description: str) -> s
 
 
 class _Options:
-    """What the bench can do, as segments of a schedule beside the lines of a plan that ask for them."""
+    """The options of the bench, as segments of a schedule together with the corresponding lines of a plan."""
 
     def __init__(self, recording: Sequence[RecordedSegment], models: BenchModels, frame: Frame):
         self.models = models
@@ -157,7 +157,7 @@ class _Options:
         return self._of[segment.label][1]
 
     def seconds(self, before: Segment | None, segment: Segment) -> float:
-        """Test time of a segment after another, or first."""
+        """Test time of a segment after another one, or as the first."""
         key = ("" if before is None else before.label, segment.label)
         if key not in self._known:
             self._known[key] = self._following(before, segment)
@@ -174,7 +174,7 @@ class _Options:
         return last.transition + last.soak + last.settle + (last.dwell or 0.0)
 
     def ordered(self, segments: Sequence[Segment]) -> list[Segment]:
-        """Those that the bench can do one after the other."""
+        """The options that the bench can execute one after the other."""
         stated = [replace(self._of[item.label][0], label=f"{i}") for i, item in enumerate(segments)]
         kept = build_schedule(stated, self.models, Findings()).segments
         return [segments[int(item.label)] for item in kept]
@@ -187,7 +187,7 @@ class _Options:
 
 
 def _stated(text: str) -> list[StatedSegment]:
-    """The segments of a plan's text. Raises `InputError` where they cannot be read back."""
+    """The segments of a plan's text. Raises `InputError` if they cannot be read back."""
     plan, log = parse_plan(text, "<proposal>")
     stated = [] if plan is None or log.errors else expand(plan, log)
     if log.errors:
@@ -202,7 +202,7 @@ def _end(segment: Segment) -> float | None:
 
 
 def _pauses(recording: Sequence[RecordedSegment]) -> tuple[float, float]:
-    """Seconds between recorded segments: at one temperature, and what a change of temperature takes beyond that."""
+    """Seconds between recorded segments at one temperature, and additional seconds for a change of temperature."""
     moves, changes = list[float](), list[float]()
     for before, after in pairwise(recording):
         pause = after.statistics.start - (before.statistics.start + before.statistics.duration)

@@ -58,7 +58,7 @@ def report_context(
 
 
 def _bench(sound: Sound) -> dict[str, str]:
-    """The bench as its file describes it, with the room where it says something of it."""
+    """The bench as its file describes it, with the room if it is described."""
     bench, room = sound.bench, sound.bench.ambient
     stated = (
         {} if room is None else {"temperature": room.temperature, "pressure": room.pressure, "humidity": room.humidity}
@@ -68,18 +68,18 @@ def _bench(sound: Sound) -> dict[str, str]:
 
 
 def _identity(sound: Sound, name: str, said: Mapping[str, str]) -> dict[str, str]:
-    """What an instrument says of itself, with the number that the bench file gives it."""
+    """The identification of an instrument, with its number from the bench file."""
     entry = sound.bench.instruments.get(name)
     return {**said, "asset": entry.asset} if entry is not None and entry.asset else dict(said)
 
 
 def _seeded(sound: Sound) -> bool:
-    """Whether the run's seed decided anything: of what this program itself simulated."""
+    """Whether the seed of the run had any influence, that is, whether this program simulated an instrument."""
     return sound.models.origin == "simulated" and sound.bench.simulation is None
 
 
 def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str) -> Iterator[tuple[str, str]]:
-    """Item, operator, date, duration from the first sample to the last, and the analysis among those that stood when it was made."""
+    """Item, operator, date, duration from the first sample to the last, and the number of the analysis among those existing at its time."""
     info = {name: _text(value) for name, value in reader.run["info"].items()}
     for name in ("device_serial", "item_identification"):
         if info.get(name):
@@ -96,7 +96,7 @@ def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str
 
 
 def _minute(moment: str, before: str = "") -> str:
-    """`2026-03-01 08:11` of an ISO time; without the date where it is that of `before`."""
+    """`2026-03-01 08:11` of an ISO time; without the date if it is that of `before`."""
     text = moment[:16].replace("T", " ")
     return text[11:] if before[:10] == moment[:10] else text
 
@@ -123,7 +123,7 @@ def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool 
 
 
 def _of_the_run(reader: RunReader, planned: int) -> list[str]:
-    """What a reader must know of how the run went."""
+    """Unusual events of the run that a reader must know."""
     warnings = [f"Fault during the run: {text}" for text in reader.state.failures]
     held = len(reader.acknowledged())
     if held < planned:

@@ -96,7 +96,7 @@ def start(
     """Execute a sound plan in a new run folder in `runs`; returns the folder and the outcome.
 
     Disk space is checked and every instrument connected before the folder is made and anything moves. operator: answers the plan's prompts;
-    None for an unattended run. Raises `InputError` and `InstrumentError` for what prevents the start.
+    None for an unattended run. Raises `InputError` and `InstrumentError` for obstacles to the start.
     """
     operator = _attended(sound, operator)
     seed = sound.bench.seed if seed is None else seed
@@ -141,7 +141,7 @@ def resume(
 
 
 def _lock(run: GuardedFolder) -> FolderLock:
-    """Raises `InputError` for a folder that another process writes, or that cannot be written."""
+    """Raises `InputError` if another process writes to the folder, or if it cannot be written."""
     try:
         return FolderLock(run)
     except OSError as error:
@@ -162,7 +162,7 @@ def _resume(
     *,
     trust_bench: bool,
 ) -> Outcome:
-    """file: the bench that is used instead of the folder's."""
+    """file: the bench to use instead of that in the folder."""
     if reader.sealed and retake is None:
         raise InputError.at(
             Mark(str(reader.path)), "run-finished", "this run is finished and sealed", "use `planrunner estimate`"
@@ -190,7 +190,7 @@ def _resume(
 
 
 def _stand_in(reader: RunReader, bench: str) -> Document:
-    """A bench to be used instead of the run's. Raises `InputError` for one on which the run would be another one."""
+    """A bench to be used instead of the run's. Raises `InputError` if the run would not be the same on it."""
     path, shown = locate(bench, Path())
     data = source.read_bytes(path, shown)
     other = other_than_reached(reader.bench_bytes, data, (str(reader.path / "bench.yaml"), shown))
@@ -206,7 +206,7 @@ def _stand_in(reader: RunReader, bench: str) -> Document:
 
 
 def _require_made_here(reader: RunReader, sound: Sound) -> None:
-    """Raises `InputError` for a folder of unknown origin: its bench file says what would be connected to and commanded."""
+    """Raises `InputError` for a folder of unknown origin: its bench file decides which devices are connected and commanded."""
     why = "you did not make this run folder on this computer"
     try:
         if made_here(reader.folder, reader.first):
@@ -228,7 +228,8 @@ def _carry_out(
     progress: ProgressCallback | None,
     operator: Operator | None,
 ) -> tuple[Path, Outcome]:
-    """Connect the bench, open the run folder and execute what is not yet recorded; how it ended outlives a bench that is not safe."""
+    """Connect the bench, open the run folder and execute what is not yet recorded; the outcome is recorded even if the bench cannot be made
+    safe."""
     ended: tuple[Path, Outcome] | None = None
     try:
         with _ready(sound, data_root, seed) as bench, open_writer() as writer:
@@ -253,7 +254,7 @@ def _carry_out(
 
 
 def _attended(sound: Sound, operator: Operator | None) -> Operator | None:
-    """Who is asked: nobody on a simulated bench. Raises `InputError` when somebody is needed and nobody there."""
+    """The operator for prompts; None on a simulated bench. Raises `InputError` if an operator is needed but not present."""
     if runs_on_virtual_clock(sound.bench):
         return None
     if operator is None:
@@ -265,7 +266,7 @@ def _attended(sound: Sound, operator: Operator | None) -> Operator | None:
 
 
 def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
-    """The segments that count and have these labels."""
+    """The valid segments with these labels."""
     known = {item.label: item.index for item in reader.acknowledged()}
     for label in labels:
         if label not in known:
@@ -276,7 +277,7 @@ def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
 
 @contextmanager
 def _ready(sound: Sound, data_root: Path | None, seed: int | None) -> Iterator[OpenBench]:
-    """The bench, connected and able to serve the schedule. A recording that is not is wrong input: nothing can have moved."""
+    """The bench, connected and able to serve the schedule. An unsuitable recording is an `InputError`, because nothing can have moved."""
     bench, file = sound.bench, sound.bench.origin.mark.file
     with ExitStack() as stack:
         try:
@@ -298,9 +299,9 @@ def _unfit(sound: Sound, error: InstrumentError) -> Exception:
 
 
 def sound_run(reader: RunReader, today: date | None = None, bench: Document | None = None) -> Sound:
-    """The plan and bench of a run folder, checked as before it ran. Raises `InputError` when they no longer pass.
+    """The plan and bench of a run folder, checked as before it ran. Raises `InputError` if they no longer pass.
 
-    today: the day that calibrations must hold on; the one on which the run was made without it. bench: used instead of the folder's.
+    today: the day on which calibrations must be valid; by default the day of the run. bench: used instead of the folder's.
     """
     made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
     plan = Document(reader.plan_bytes, str(reader.path / "plan.yaml"))
@@ -341,7 +342,7 @@ def analyse_run(run: Path, issue: Issue | None = None, checked: Sound | None = N
 
 
 def stored_results(analysis: StoredAnalysis) -> Results:
-    """The results that an analysis kept. Raises `IntegrityError` where they are not as they were written."""
+    """The results stored in an analysis. Raises `IntegrityError` if they were changed."""
     try:
         return Results.from_json(_read_results(analysis), str(analysis.path / RESULTS))
     except (InputError, AttributeError, OverflowError) as error:  # as no version wrote it
@@ -349,7 +350,7 @@ def stored_results(analysis: StoredAnalysis) -> Results:
 
 
 def _read_results(analysis: StoredAnalysis) -> Json:
-    """As JSON data: an older version's results lack keys that today's schema asks for. Raises `IntegrityError`."""
+    """As JSON data: results of older versions lack keys that the present schema requires. Raises `IntegrityError`."""
     try:
         return from_bytes(analysis.read(RESULTS))
     except ValueError as error:
@@ -357,7 +358,7 @@ def _read_results(analysis: StoredAnalysis) -> Json:
 
 
 def report_through(run: Path, template: Path, issue: Issue | None = None) -> str:
-    """The results of a run laid out with a user's template; nothing is written into the run folder."""
+    """The results of a run, rendered with a user's template; nothing is written to the run folder."""
     made = _analyse(run, issue or Issue())
     return render_report(made.context, template.name.removesuffix(".j2"), template.parent)
 
@@ -372,7 +373,7 @@ class _Made:
 
 
 def _analyse(run: Path, issue: Issue, checked: Sound | None = None, *, kept: bool = False) -> _Made:
-    """kept: whether it becomes the run's next analysis, whose number its reports then show."""
+    """kept: whether it becomes the next analysis of the run; its reports then show this number."""
     reader = RunReader.open(run)
     same = checked is not None and (checked.plan_bytes, checked.bench_bytes) == (reader.plan_bytes, reader.bench_bytes)
     sound = checked if checked is not None and same else sound_run(reader)

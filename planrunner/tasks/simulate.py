@@ -102,7 +102,7 @@ def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]],
 
 
 def parsed(text: str) -> tuple[str, dict[str, str]]:
-    """`EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` as name and values; a value without a name stands under ''."""
+    """`EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` as name and values; a value without a name has the key ''."""
     name, equals, rest = (part.strip() for part in text.partition("="))
     values: dict[str, str] = {}
     for piece in rest.split(",") if equals else ():
@@ -128,7 +128,7 @@ def _flow(value: object) -> str:
 
 
 def _with_instrument(text: str, name: str, entry: str) -> str:
-    """The text with an instrument added behind the others, in the form in which they stand."""
+    """The text with an instrument added after the others, in the same notation."""
     root = yaml.compose(text)
     assert isinstance(root, yaml.MappingNode)  # a bench file that was read
     nodes = {key.value: value for key, value in root.value}

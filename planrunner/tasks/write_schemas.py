@@ -67,7 +67,7 @@ def _shared() -> dict[str, Schema]:
 
 
 def _with_references(schema: Json, names: dict[str, str], used: set[str]) -> Json:
-    """`schema` with every part that `names` knows replaced by a reference; descriptions and examples stay beside it."""
+    """`schema` with every part that `names` knows replaced by a reference; descriptions and examples stay next to it."""
     if isinstance(schema, list):
         return [_with_references(item, names, used) for item in schema]
     if not isinstance(schema, dict):

@@ -190,4 +190,4 @@ def test_without_a_state_folder_runs_are_made_and_resume_says_why_it_asks(
     made = new_run(tmp_path / "runs")
     assert not (made.path / ".origin").exists()
     code, said = outcome(["resume", "--quiet"], cut(run), capsys)
-    assert (code, "it cannot be determined" in said, "--trust-bench" in said) == (2, True, True), said
+    assert (code, "planrunner cannot determine whether" in said, "--trust-bench" in said) == (2, True, True), said

@@ -50,7 +50,7 @@ def test_nothing_passes_the_best_shares() -> None:
 
 def test_too_little_is_refused() -> None:
     candidates = pairs(np.array([0.5, 1.0]), 4)
-    with pytest.raises(ValueError, match="cannot be chosen"):
+    with pytest.raises(ValueError, match="choices are not possible"):
         bundles.choose(candidates, np.zeros((4, 4)), 3)
     with pytest.raises(ValueError, match="separate all terms"):
         bundles.shares(candidates[:1], np.zeros((4, 4)))

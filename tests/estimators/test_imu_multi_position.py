@@ -234,8 +234,8 @@ def test_a_rate_about_one_axis_only_is_ill_conditioned() -> None:
         ({"gyros": ("gx", "gx", "gy")}, "three channels"),
         ({"gyros": ("gx", "gy", "gq")}, "has no channel 'gq'"),
         ({"gyros": imu.GYROS, "gyro_terms": ("bias", "accel_x")}, "at least one of the terms rate_x"),
-        ({"gyros": imu.ACCELS}, "not what a gyro gives"),
-        ({"accelerometers": imu.GYROS}, "not what an accelerometer gives"),
+        ({"gyros": imu.ACCELS}, "not a possible unit of a gyro"),
+        ({"accelerometers": imu.GYROS}, "not a possible unit of an accelerometer"),
         (
             {"gyros": imu.GYROS, "gyro_terms": ("rate_x", "rate_y"), "misalignment": "lower_triangular"},
             "all three axes",
@@ -259,7 +259,7 @@ def test_bad_plans(keys: dict[str, Any], words: str) -> None:
 
 def test_bad_recordings() -> None:
     truth = imu.drawn_truth(np.random.default_rng(2))
-    with pytest.raises(EstimationError, match="cannot give 7 coefficients"):
+    with pytest.raises(EstimationError, match="cannot determine 7 coefficients"):
         calibrate(imu.recorded(imu.plan()[:5], truth), gyros=imu.GYROS)
     with pytest.raises(EstimationError, match="every chosen segment moves"):
         calibrate(imu.recorded([imu.spin("x", 50.0)], truth), accelerometers=imu.ACCELS)

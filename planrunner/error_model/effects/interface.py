@@ -37,8 +37,8 @@ class Column:
     """One amplitude of an effect. magnitude: its prior scale in SI, relative to the effect's other columns. unit, factor: unit for
     display and its SI value. parts: channel index → signature (N,), SI output for an amplitude of 1 in SI. segments: (S,), where it
     acts; None for everywhere. whole: the effect is either present or absent, so its amplitude is not a parameter. gain: it is the input of
-    the channel itself, so that its amplitude is the error of the scale factor. plain: its unit as that of a quantity, where `unit` also
-    names what has none, such as the strength of a field."""
+    the channel itself, so that its amplitude is the error of the scale factor. plain: its unit as that of a quantity, if `unit` also
+    contains a factor without a unit, such as the strength of a field."""
 
     name: str
     unit: str
@@ -80,8 +80,8 @@ class Explained(Effect, Protocol):
 
 @runtime_checkable
 class ExplainsTurning(Effect, Protocol):
-    """An effect that says what accelerometers off the axis of rotation feel while the table turns; without it, an estimate takes them at
-    rest only."""
+    """An effect that describes the input of accelerometers away from the axis of rotation while the table turns; without it, an estimate
+    uses accelerometers only at rest."""
 
     explains_turning: Literal[True]
 
@@ -112,7 +112,7 @@ class PerOrientation(Effect, Protocol):
 
 @runtime_checkable
 class HasShape(Effect, Protocol):
-    """An effect with several variants: its shape, a time constant or a number per turn, is a parameter beside the amplitudes."""
+    """An effect with several variants: its shape, a time constant or a number per turn, is a parameter in addition to the amplitudes."""
 
     shape_name: str
 

@@ -45,7 +45,7 @@ class AccelMagneticSensitivity:
 
 
 def _response_to_field(observed: Observed, kind: str, unit: str, factor: float) -> list[Column]:
-    """A 3×3 matrix, per strength of the field; nothing where the field is not declared."""
+    """A 3×3 matrix, per strength of the field; nothing if the field is not declared."""
     if observed.magnetic is None:
         return []
     field = observed.in_sensor_axes(observed.magnetic / np.linalg.norm(observed.magnetic))

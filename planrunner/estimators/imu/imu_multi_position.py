@@ -276,7 +276,7 @@ def _response(one: Triad) -> Response:
     for name, own in zip(one.observations.channels, units, strict=True):
         if own.dimension == wrong:
             raise EstimationError(
-                f"channel '{name}' is recorded in {own.text}, which is not a unit of {A_SENSOR[one.kind]}"
+                f"channel '{name}' is recorded in {own.text}, which is not a possible unit of {A_SENSOR[one.kind]}"
             )
     return Response(one.kind, units, one.design.model, one.fit.coefficients)
 

@@ -229,7 +229,7 @@ def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Seq
     declared = [output for output in outputs if Aspect.BIAS_INSTABILITY.of(output) in names_of_acting]
     names = ", ".join(declared)
     if basis == "residual":
-        text = "Uncertainties are based on the residuals of the rates about the line, of the means over the repeats"
+        text = "Uncertainties are based on the residuals of the rates (means over the repeats) about the line"
         if declared:
             text += (
                 f". For {names} the residuals scale noise and declared flicker together. The budget therefore lists flicker "
