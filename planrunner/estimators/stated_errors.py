@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from planrunner.error_model.terms import LinearModel
 from planrunner.estimators.interface import Setup
-from planrunner.estimators.turned_segments import DIRECTIONS, UP
 from planrunner.instruments.models import TableModel
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.physics.earth import Site
@@ -30,6 +29,9 @@ from planrunner.uncertainty.conditions import StatedCondition
 from planrunner.uncertainty.influences import InputQuantity, Inputs
 
 Array = NDArray[np.float64]
+
+DIRECTIONS = ("east", "north", "up")
+UP = (0.0, 0.0, 1.0)
 
 _STEP = 1e-4  # of an input; central differences of terms up to the second degree are exact for any step
 

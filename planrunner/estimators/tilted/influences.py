@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.estimators.stated_errors import rate_part
+from planrunner.estimators.stated_errors import UP, rate_part
 from planrunner.estimators.tilted.evaluation import (
     QUANTITIES,
     Group,
@@ -27,10 +27,10 @@ from planrunner.estimators.tilted.evaluation import (
     evaluate,
 )
 from planrunner.estimators.tilted.fixture_gains import tilt_part
-from planrunner.estimators.tilted.turning_rates import mean_rates
-from planrunner.estimators.turned_segments import UP, turned
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.physics.earth import Site
+from planrunner.physics.kinematics import rotation_about
+from planrunner.physics.stimulus import Poses
 from planrunner.plan.schedule import Segment
 from planrunner.uncertainty.conditions import StatedCondition, influences_on, slopes
 from planrunner.uncertainty.influences import Aspect, Influence, InputQuantity, Inputs
@@ -124,14 +124,17 @@ def _conditions(
     if conditions.felt is None:
         return
 
-    def felt(site: Site, turn: float = 0.0) -> TiltedConditions:
-        segments = turned(situation.segments, UP, -turn) if turn else situation.segments
-        return replace(conditions, felt=mean_rates(segments, site, situation.seconds))
+    poses = Poses.of(situation.segments, situation.seconds)
+
+    def felt(earth: Array) -> TiltedConditions:
+        return replace(conditions, felt=poses.mean @ earth + poses.spin)
 
     if latitude := inputs.get("latitude"):
-        yield StatedCondition.single(latitude, lambda by: felt(replace(site, latitude=site.latitude + by)))
-    if azimuth := inputs.get("azimuth"):
-        yield StatedCondition.single(azimuth, lambda by: felt(site, by))
+        yield StatedCondition.single(
+            latitude, lambda by: felt(replace(site, latitude=site.latitude + by).earth_rate_enu)
+        )
+    if azimuth := inputs.get("azimuth"):  # a table that is turned further east sees the Earth's rate further west
+        yield StatedCondition.single(azimuth, lambda by: felt(rotation_about(UP, by) @ site.earth_rate_enu))
 
 
 def _calibrated_fixture(situation: Situation) -> Iterator[Influence]:

@@ -18,6 +18,7 @@ from planrunner.estimators.tilted.parameters import ScaleFactorTiltedParameters
 from planrunner.estimators.tilted.rate_lines import lowest_pair
 from planrunner.estimators.tilted.scatter import NoiseOfMeans, Scatter
 from planrunner.estimators.tilted.turning_rates import part_turns
+from planrunner.plan.schedule import Spin
 from planrunner.plan.units import ZERO_CELSIUS, Unit, unit
 from planrunner.uncertainty.decision import coverage_factor
 from planrunner.uncertainty.influences import Aspect, Influence
@@ -262,7 +263,9 @@ def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Seq
 def _earth_words(situation: Situation, how: str) -> str:
     site, axes = situation.site, situation.conditions.axes
     hour = unit("deg/h").factor
-    about = next(np.asarray(segment.motion.about) for segment in situation.segments if segment.rate)  # type: ignore[union-attr]
+    about = next(
+        np.asarray(one.motion.about) for one in situation.segments if isinstance(one.motion, Spin) and one.rate
+    )
     earth = site.earth_rate_enu
     across = float(np.linalg.norm(earth - about * (earth @ about) / (about @ about)))
     most = across * float(np.abs(np.sin(axes.angles)).max()) / hour
