@@ -8,7 +8,7 @@ from planrunner.plan.schedule import Schedule
 
 
 def check_unattended(bench: Bench, schedule: Schedule, log: Findings) -> None:
-    """Adds an error at every prompt that nobody could answer. A simulated bench asks nobody."""
+    """Adds an error at every prompt if no operator is present. A simulated bench has no prompts."""
     if runs_on_virtual_clock(bench):
         return
     seen = set()

@@ -1,4 +1,4 @@
-"""Calibrations of what a bench carries: the record, whether its dates make sense, and whether it holds on the day of a run; and the
+"""Calibrations of the parts of a bench: the record, checks of its dates, and its validity on the day of a run; and the
 laboratory that the bench belongs to, as a calibration certificate names it (ISO/IEC 17025:2017, 7.8).
 """
 
@@ -89,7 +89,7 @@ def _day(text: str | None) -> date | None:
 
 
 class Laboratory(Record):
-    """Who answers for what is measured on this bench; needed for certificates."""
+    """The laboratory that is responsible for measurements on this bench; needed for certificates."""
 
     name: str = key(Text(LINE, "a name"), "Name of the laboratory.", "Inertial calibration laboratory")
     address: str = key(Text(LINE, "an address"), "Its address.", "1 Example Street, 00000 Example Town")

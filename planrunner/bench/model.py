@@ -40,7 +40,7 @@ class MagneticFieldSpec(Record):
 
 
 class DeviationOfVertical(Record):
-    """How far the plumb line stands off the normal of the ellipsoid at the site."""
+    """Deviation of the plumb line from the normal of the ellipsoid at the site."""
 
     north: Quantity = key(
         QuantityOf("angle", uncertain=True), "ξ, astronomic less geodetic latitude, north positive.", "3.2 arcsec"
@@ -149,7 +149,7 @@ class InstrumentEntry(Record):
 
 
 class FixtureSpec(Record):
-    """The fixture that the sensor is mounted in; its angles stand in a plan's `mounting`."""
+    """The fixture that the sensor is mounted in; its angles are in a plan's `mounting`."""
 
     asset: str | None = key(Text(LINE, "an asset number"), "Your own number for the fixture.", "FX-0007", default=None)
     calibration: Calibration | None = key(

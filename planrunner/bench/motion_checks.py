@@ -92,7 +92,7 @@ def no_table(what: str, mark: Mark, log: Findings) -> None:
 
 
 def _complain(excess: Sequence[Excess], mark: Mark, log: Findings) -> None:
-    """Adds what the axes cannot do, as errors at the mark."""
+    """Adds an error at the mark for each motion that the axes cannot execute."""
     for one in excess:
         if one.kind == "rings":
             log.error("physics-axes", mark, one.message, "give at most one phase for each ring")

@@ -50,7 +50,7 @@ class SafetyFailure:
 
 
 class OpenBench:
-    """A bench whose instruments are connected. A context manager: leaving it makes safe what was taken control of, then closes everything.
+    """A bench whose instruments are connected. A context manager: on exit, the controlled instruments are made safe, then all are closed.
 
     table, chamber, sensor: the instrument of that role, or None. instruments: all of them by name. limits: limits that the instruments
     enforce themselves. watchdog: of a guarded bench. safe: whether the last attempt brought all controlled instruments to their safe state.

@@ -1,6 +1,6 @@
 """Choosing among bundles: candidates that add several observations at once, such as a pair of equal and opposite rates.
 
-A bundle adds the information matrix B_i (p, p); what is not chosen, such as rest segments, adds F. D asks for the largest |F + Σ B_i|, A
+A bundle adds the information matrix B_i (p, p); fixed parts, such as rest segments, add F. D asks for the largest |F + Σ B_i|, A
 for the smallest trace of its inverse. Bundles are few and p is small, so that exchange recomputes whole matrices.
 """
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def loss(matrix: Array, criterion: str) -> float:
-    """−ln|M| (D) or tr M⁻¹ (A) of an information matrix (p, p); infinite where it is singular."""
+    """−ln|M| (D) or tr M⁻¹ (A) of an information matrix (p, p); infinite if it is singular."""
     sign, logarithm = np.linalg.slogdet(matrix)
     size = float(np.trace(matrix)) / len(matrix)
     if sign <= 0 or size <= 0 or logarithm - len(matrix) * math.log(size) < 2 * math.log(1e-9):
@@ -35,7 +35,7 @@ def choose(
 ) -> tuple[int, ...]:
     """Indices (count,), ascending, of different bundles (N, p, p): exchange from seeded starts, those in `kept` always among them.
 
-    Raises ValueError where there are fewer bundles than wanted, or none of the choices gives all terms.
+    Raises ValueError if there are fewer bundles than requested, or if no choice determines all terms.
     """
     if count > len(bundles) or len(kept) > count:
         raise ValueError(f"{count} different choices are not possible from {len(bundles)}")

@@ -24,8 +24,8 @@ NEGLIGIBLE = 1e-8  # shares below this are dropped from a solution
 
 @dataclass(frozen=True, slots=True)
 class Continuous:
-    """shares: (N,), adding up to 1. matrix: (p, p), M per observation. excess: the largest value of the derivative over its mean, less
-    one: 1e-6 says that nothing is better by more than one part in a million. value: |M| (D) or tr(W·M⁻¹). mean: of the derivative; p (D)
+    """shares: (N,), adding up to 1. matrix: (p, p), M per observation. excess: the largest value of the derivative over its mean, minus
+    one; 1e-6 means that no design is better by more than one part in a million. value: |M| (D) or tr(W·M⁻¹). mean: of the derivative; p (D)
     or the value itself, less where information is there whatever the shares are."""
 
     shares: Array
@@ -37,16 +37,16 @@ class Continuous:
 
     @property
     def largest_variance(self) -> float:
-        """The certificate of a D-optimal design: max d(x) over the candidates, at the optimum p (`mean` beside fixed information)."""
+        """The certificate of a D-optimal design: max d(x) over the candidates, at the optimum p (`mean` with fixed information)."""
         return self.mean * (1.0 + self.excess)
 
     def determinant_bound(self, observations: int) -> float:
-        """No set of so many observations has a larger determinant (D designs)."""
+        """No set with this number of observations has a larger determinant (D designs)."""
         # ln|M| is concave: no other design's is larger by more than what the largest derivative exceeds the mean.
         return float(observations ** len(self.matrix) * self.value * np.exp(self.mean * self.excess))
 
     def trace_bound(self, observations: int) -> float:
-        """No set of so many observations has a smaller tr(W·M⁻¹) (linear criteria)."""
+        """No set with this number of observations has a smaller tr(W·M⁻¹) (linear criteria)."""
         # tr(W·M⁻¹) is convex, likewise.
         return (self.value - self.mean * self.excess) / observations
 
@@ -159,7 +159,7 @@ def solve_with_climbing(
     most_rounds: int = 6,
     fixed: Array | None = None,
 ) -> Continuous:
-    """The best shares over a continuous region: candidates, then whatever better points are found by climbing, until none is.
+    """The best shares over a continuous region: candidates, then better points found by climbing, until there are none.
 
     climb(M, W) → (points' rows, their derivatives) at local maxima of the derivative over the region. The excess of what is returned
     is that over the region, as far as climbing sees it.

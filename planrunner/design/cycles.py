@@ -1,6 +1,6 @@
 """Searches for rotation cycles whose stops and turns each have zero residual for a constant horizontal error.
 
-`same_order` keeps the planned order of the stops and chooses which way round every turn goes, repeating the cycle with other choices where
+`same_order` keeps the planned order of the stops and chooses the sense of every turn, repeating the cycle with other choices where
 one round does not suffice. `free_order` chooses the order as well, with every position held as often as every other. Both return to
 where they began, with cables unwound, and prefer a mean angle of zero, then the smallest range of cable, then the shortest cycle.
 """
@@ -74,7 +74,7 @@ class StudiedCycle:
 
 
 def same_order(planned: RotationCycle, cable: Cable = Cable()) -> FoundCycle:
-    """The planned stops with turns that go the one way round or the other, of at most half a turn or the longest that is planned.
+    """The planned stops with turns in either sense, of at most half a turn or the longest planned turn.
 
     Raises `CycleError` where the stops themselves do not balance, which no turn can mend, and where there are too many choices.
     """
@@ -252,7 +252,7 @@ def _turn(turn: float, planned: RotationCycle) -> tuple[complex, float]:
 
 
 def _better(first: RotationCycle | None, second: RotationCycle | None) -> RotationCycle | None:
-    """The better of two cycles that leave nothing; the first where they are equally good."""
+    """The better of two cycles without residual; the first if they are equally good."""
     if first is None or second is None:
         return first or second
     return second if _merit(second) < _merit(first) else first

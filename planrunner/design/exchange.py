@@ -1,4 +1,4 @@
-"""The best n of a list of candidates: all choices where they can be counted, exchange from many starts where not.
+"""The best n of a list of candidates: all choices if they are few enough, otherwise exchange from many starts.
 
 Exchange (Fedorov 1972; in the form of Cook & Nachtsheim, Technometrics 22, 1980): each point in turn gives way to the candidate that is
 best beside the others, until none does. With S the inverse information of the others and d = xᵀSx, adding x multiplies the determinant by
@@ -27,7 +27,7 @@ _RIDGE = 1e-10  # keeps the others' information matrix invertible while a set is
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """indices: (n,), of the candidates, ascending; loss: −ln|M| (D) or tr(W·M⁻¹), infinite where no choice gives all terms.
+    """indices: (n,), of the candidates, ascending; loss: −ln|M| (D) or tr(W·M⁻¹), infinite if no choice determines all terms.
     tried: choices or restarts; exhaustive: whether all choices were tried."""
 
     indices: Indices

@@ -27,7 +27,7 @@ CLIMBERS = 24  # places from which the variance is climbed
 @dataclass(frozen=True, slots=True)
 class Region:
     """settings: (N, k), candidates spread over the region; rows: (N, p) of them; bounds: (lowest, highest) of each of the k numbers,
-    infinite where there is none."""
+    infinite if there is none."""
 
     rows_of: RowsOf
     settings: Array
@@ -149,7 +149,7 @@ def bound(
     tolerance: float = 1e-5,
     fixed: Array | None = None,
 ) -> Continuous:
-    """The continuous optimum over the region, with its certificate as far as climbing from the candidates can see.
+    """The continuous optimum over the region, with its certificate, as far as climbing from the candidates finds the maxima.
 
     begin: (m, k), settings to begin with, such as the best sets found; the nearer they are to the optimum, the sooner it is certified.
     """

@@ -44,7 +44,7 @@ class Place:
 class Sight:
     """Response of one output of an estimate: its terms, and the estimator's rows at any attitude.
 
-    magnitudes: (p,), by which columns are divided. fixed: rows (k, p) of what stays as it is, such as spins, in units of a position's
+    magnitudes: (p,), by which columns are divided. fixed: rows (k, p) of the unchanged segments, such as spins, in units of a position's
     noise.
     """
 
@@ -211,7 +211,7 @@ def reachable(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float
 
 
 def quick_order(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float) -> list[int]:
-    """An order in which the table gets round the attitudes soon: the nearest next, then exchanges of two while they help."""
+    """A short order of the attitudes for the table: always the nearest next, then exchanges of two while this shortens the way."""
 
     def travel(order: Sequence[int]) -> float:
         joints, total = np.zeros(len(axes)), 0.0

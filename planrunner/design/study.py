@@ -1,6 +1,6 @@
 """A design study: its options, the result of its search, and its output.
 
-Positions, rates and cycles are three sorts of study. Each has a search (`planrunner.tasks.design_positions` and so on), which gives a
+Positions, rates and cycles are three sorts of study. Each kind has a search (`planrunner.tasks.design_positions` and so on), which gives a
 `Found…`, and its facts, tables and pictures (`planrunner.reporting.positions_study` and so on), which make it a `Study`. From there on
 all are alike: one task, one command, one page.
 """
@@ -89,8 +89,8 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True)
 class FoundPositions:
-    """sets: `planned`, `cardinal`, `free` as far as there are any; best, bounds: by domain (free, cardinal). dwells: s, of the chosen set,
-    empty if they were not optimised; dwell_gain: efficiency of equal dwells against them. text: the plan with the chosen set."""
+    """sets: those of `planned`, `cardinal` and `free` that exist; best, bounds: by domain (free, cardinal). dwells: s, of the chosen set,
+    empty if they were not optimised; dwell_gain: efficiency of equal dwells relative to them. text: the plan with the chosen set."""
 
     sight: Sight
     places: tuple[Place, ...]
@@ -112,9 +112,9 @@ class FoundPositions:
 class RateSet:
     """rates: (n,), rad/s, magnitudes, largest first; dwells: (n,), s. loss: −ln|M| or tr M⁻¹ of the scaled terms.
 
-    efficiency: against the best rates found, for as many observations; per_hour: against the best use of the same time. variance: of a
-    predicted output over the study's `course`, in units of one observation's at the largest rate. predicted, total: what the plan with
-    these rates promises, and how long it takes [s].
+    efficiency: relative to the best rates found, for the same number of observations; per_hour: relative to the best use of the same time.
+    variance: of a predicted output over the study's `course`, in units of one observation's at the largest rate. predicted, total: what the
+    plan with these rates promises, and how long it takes [s].
     """
 
     rates: tuple[float, ...]
@@ -145,8 +145,8 @@ class FoundRates:
 
 @dataclass(frozen=True, slots=True)
 class FoundCycles:
-    """cycles: `planned` and, where they were found, `same order` and `free order`. searches, reasons: what was searched, or why not, by
-    the same names. text: the plan with the chosen cycle, empty where it was not found."""
+    """cycles: `planned` and, if found, `same order` and `free order`. searches, reasons: the searches, or the reasons against them, by the
+    same names. text: the plan with the chosen cycle, empty if it was not found."""
 
     segment: Segment
     axis: TableAxis
@@ -178,8 +178,8 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """Output of a study. varied: what it designs, such as `positions`; heading: one line; poses: rows of orientations by title; footer:
-    how the figures are meant; data: all of it as plain data. text: the plan with the chosen design; empty where there is none, and
+    """Output of a study. varied: the designed quantity, such as `positions`; heading: one line; poses: rows of orientations by title;
+    footer: explanation of the figures; data: all of it as plain data. text: the plan with the chosen design; empty where there is none, and
     `missing` says why."""
 
     subject: Subject

@@ -23,7 +23,7 @@ NORMS = (4.0, 16.0, 64.0, 256.0)
 def worst(rows: Array, region: Array, fixed: Array | None = None) -> float:
     """The largest xᵀM⁻¹x over the rows of `region` (N, p) for a set `rows` (n, p); infinite where M is singular.
 
-    fixed: (p, p), information that is there in any case.
+    fixed: (p, p), information that does not depend on the choice.
     """
     matrix = rows.T @ rows + (0.0 if fixed is None else fixed)
     if np.linalg.matrix_rank(matrix) < len(matrix) or np.linalg.cond(matrix) > 1e14:
@@ -32,7 +32,7 @@ def worst(rows: Array, region: Array, fixed: Array | None = None) -> float:
 
 
 def refine(over: Region, start: Array, region: Array, fixed: Array | None = None) -> Array:
-    """Settings (n, k) near `start` with a smaller worst variance over the rows of `region`; `start` itself where there are none."""
+    """Settings (n, k) near `start` with a smaller worst variance over the rows of `region`; `start` itself if there are none."""
     from scipy.optimize import minimize
 
     shape, best, least = start.shape, start, worst(over.rows_of(start), region, fixed)

@@ -56,7 +56,7 @@ def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[f
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """How n segments stand and turn. They give the mean stimulus at any site.
+    """Attitudes and rotations of n segments, which give the mean stimulus at any site.
 
     attitude: (n, 3, 3), at the beginning. mean: (n, 3, 3), takes a vector that is fixed at the site to its mean over the segment in the
     sensor's axes. spin: (n, 3), rad/s, mean rate of the table in the sensor's axes. table_rate, table_angle, temperature, time: as in

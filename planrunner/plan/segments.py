@@ -65,7 +65,7 @@ class State(Record):
     )
     rate: Quantity | None = key(
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY),
-        "Constant rate about up; short for motion: {rate: …}.",
+        "Constant rate about the up direction; short for motion: {rate: …}.",
         "10 deg/s",
         default=None,
         traits=StateTraits(

@@ -93,7 +93,7 @@ def _check_stability(stability: StabilitySpec, log: Findings) -> None:
     _check_difference(stability, log)
     if not stability.stated():
         hint = "add for example `temperature_drift: 0.1 K/min`, or write a time alone"
-        log.error("meaning-stability", stability.origin.mark, "the reading that must settle is missing", hint)
+        log.error("meaning-stability", stability.origin.mark, "this key names no reading that must settle", hint)
     if stability.within.value < stability.for_.value:
         message = f"{stability.within} is shorter than the {stability.for_} for which the readings must stay within their limits"
         log.error("meaning-stability", stability.at("within"), message, "make `within` longer")

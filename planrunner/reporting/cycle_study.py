@@ -1,4 +1,4 @@
-"""What a design study of a rotation cycle shows: what the cycles leave, their moves, what was searched, and their courses."""
+"""Output of a design study of a rotation cycle: residuals of the cycles, their moves, the searches, and their courses."""
 
 from __future__ import annotations
 

@@ -23,13 +23,13 @@ C = TypeVar("C")
 D = TypeVar("D")
 
 Moved = Callable[[float], C]
-"""Conditions with an input larger by so much, in the input's unit."""
+"""Conditions with an input that is larger by the given amount, in the input's unit."""
 
 
 @dataclass(frozen=True, slots=True)
 class StatedCondition(Generic[C]):
-    """An input that is stated with an uncertainty above zero. parts: how each of its independent parts moves the conditions, by name; the
-    name is empty where there is one part only. in_scatter: the scatter of the data contains it."""
+    """An input that is stated with an uncertainty above zero. parts: change of the conditions by each of its independent parts, by name;
+    the name is empty if there is only one part. in_scatter: the scatter of the data contains it."""
 
     quantity: InputQuantity
     parts: Mapping[str, Moved[C]]

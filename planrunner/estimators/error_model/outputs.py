@@ -183,12 +183,12 @@ def _kind(name: str, text: str, sensor: SensorModel) -> str:
 
 
 def _usable(one: OutputErrors, segments: Sequence[Segment]) -> tuple[int, ...]:
-    """Gyros use all segments; accelerometers those at rest, and turns where an effect explains what they feel there."""
+    """Gyros use all segments; accelerometers use segments at rest, and turns if an effect describes their input there."""
     turns = one.kind == "gyro" or any(isinstance(item.effect, ExplainsTurning) for item in one.chosen)
     rows = tuple(row for row, segment in enumerate(segments) if turns or isinstance(segment.motion, Rest))
     if not rows:
         hint = "add segments at rest, or `lever_arm` to the effects of the output"
-        message = f"'{one.output}' needs segments at rest: off the axis of rotation it feels the turn, and every chosen segment turns"
+        message = f"'{one.output}' needs segments at rest: away from the axis of rotation it also senses the turn, and every chosen segment turns"
         raise EstimationError(message, hint, f"outputs.{one.output}")
     return rows
 
