@@ -188,7 +188,7 @@ def _usable(one: OutputErrors, segments: Sequence[Segment]) -> tuple[int, ...]:
     rows = tuple(row for row, segment in enumerate(segments) if turns or isinstance(segment.motion, Rest))
     if not rows:
         hint = "add segments at rest, or `lever_arm` to the effects of the output"
-        message = f"'{one.output}' needs segments at rest: away from the axis of rotation it also senses the turn, and every chosen segment turns"
+        message = f"'{one.output}' needs segments at rest: away from the axis of rotation it also senses turns, and all segments turn"
         raise EstimationError(message, hint, f"outputs.{one.output}")
     return rows
 
