@@ -102,8 +102,9 @@ class OutputErrors:
 @dataclass(frozen=True, slots=True)
 class Amplitude:
     """One coefficient of an output. name: of the column without the output's axis; several: whether the effect has others for this output;
-    alone: whether the column acts on this output only. unit, factor: for display, and its SI value. gain: it is the error of the scale
-    factor. size: the largest value of such columns of the effect at any moment, for any axis; 0 where nothing excites it."""
+    alone: whether the column acts on this output only. unit, factor: for display, and its SI value. along: as in
+    `Column`, the axis whose input it is. size: the largest value of such columns of the effect at any moment, for any axis; 0 where nothing
+    excites it."""
 
     effect: Effect
     name: str
@@ -111,7 +112,7 @@ class Amplitude:
     alone: bool
     unit: str
     factor: float
-    gain: bool
+    along: int | None
     size: float
 
 
@@ -183,7 +184,7 @@ class ErrorsAtSegments:
                 size = max(float(np.abs(part).max()) for part in alike)
                 text = column.plain or column.unit
                 amplitudes.append(
-                    Amplitude(one.effect, name, len(here) > 1, alone, text, column.factor, column.gain, size)
+                    Amplitude(one.effect, name, len(here) > 1, alone, text, column.factor, column.along, size)
                 )
                 part = column.parts[output.channel]
                 columns.append(part if column.segments is None else part * column.segments[observed.owner])

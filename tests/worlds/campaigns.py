@@ -277,6 +277,54 @@ instruments:
 )
 
 
+# The same with effects beyond matrices and biases ---------------------------------------------------------------------
+
+
+class RichUnit:
+    """A unit whose gyros, deg/h, also answer by a·|ω|, and whose accelerometers, m/s², by k·f²."""
+
+    def __init__(self, draw: np.random.Generator) -> None:
+        self.plain = Unit(draw)
+        self.asymmetry = 1e-4 * draw.standard_normal(3)
+        self.square = 5e-4 / STANDARD_GRAVITY * draw.standard_normal(3)  # per m/s²
+        known, self.truth = self.plain.truth, dict[str, float]()
+        for i, axis in enumerate("xyz"):
+            self.truth[f"gyro_bias_{axis}"] = known[f"gyro_bias_{axis}"] / 3600  # deg/s
+            self.truth[f"accel_bias_{axis}"] = known[f"accel_bias_{axis}"]
+            self.truth[f"gyro_scale_asymmetry_{axis}"] = 1e6 * self.asymmetry[i]
+            self.truth[f"accel_second_order_{axis}"] = 1e6 * self.square[i] * STANDARD_GRAVITY
+            for kind, matrix in (("gyro", self.plain.gyro), ("accel", self.plain.accel)):
+                self.truth[f"{kind}_scale_factor_{axis}"] = 1e6 * (matrix[i, i] - 1)
+                for j, other in enumerate("xyz"):
+                    if i != j:
+                        self.truth[f"{kind}_misalignment_towards_{other}_{axis}"] = np.degrees(matrix[i, j]) * 3600
+            for j, other in enumerate("xyz"):
+                self.truth[f"gyro_g_sensitivity_K_{other}_{axis}"] = self.plain.sensitivity[i, j] / 3600
+
+    def outputs(self, felt: Felt) -> Array:
+        made = self.plain.outputs(felt)
+        return made + np.hstack([self.asymmetry * np.abs(felt.rate) / 3600, self.square * felt.force**2])
+
+
+_GYRO_EFFECTS = "[gyro_bias, gyro_scale_factor, gyro_misalignment, gyro_g_sensitivity, gyro_scale_asymmetry]"
+_ACCEL_EFFECTS = "[accel_bias, accel_scale_factor, accel_misalignment, accel_second_order]"
+RICH_UNIT = Campaign(
+    _plan(
+        (*_TWELVE_STEPS, *_TURN_STEPS),
+        "title: unit\nsensor: {kind: imu, outputs: [gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]}\ndefaults: {settle: 5 s}",
+        "  model:\n    estimator: error_model\n    outputs:\n"
+        + "".join(f"      gyro_{axis}: {_GYRO_EFFECTS}\n      accel_{axis}: {_ACCEL_EFFECTS}\n" for axis in "xyz"),
+    ),
+    UNIT.bench,
+    UNIT.steps,
+    UNIT.sampling,
+    UNIT.channels,
+    UNIT.white,
+    "model",
+    RichUnit,
+)
+
+
 # Accelerometers alone -------------------------------------------------------------------------------------------------
 
 
@@ -444,6 +492,7 @@ CAMPAIGNS: Mapping[str, Campaign] = {
     "flexure_gyro_static": EIGHT_POSITIONS,
     "scale_factor": RATES,
     "imu_multi_position": UNIT,
+    "error_model": RICH_UNIT,
     "accelerometer_multi_position": TRIAD,
     "scale_factor_tilted": TILTED,
     "allan_deviation": RESTING,

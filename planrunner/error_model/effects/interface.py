@@ -36,9 +36,9 @@ Array = NDArray[np.float64]
 class Column:
     """One amplitude of an effect. magnitude: its prior scale in SI, relative to the effect's other columns. unit, factor: unit for
     display and its SI value. parts: channel index → signature (N,), SI output for an amplitude of 1 in SI. segments: (S,), where it
-    acts; None for everywhere. whole: the effect is either present or absent, so its amplitude is not a parameter. gain: it is the input of
-    the channel itself, so that its amplitude is the error of the scale factor. plain: its unit as that of a quantity, if `unit` also
-    contains a factor without a unit, such as the strength of a field."""
+    acts; None for everywhere. whole: the effect is either present or absent, so its amplitude is not a parameter. along: the axis of
+    the sensor (0, 1, 2) whose input it is: on that of the channel, the amplitude is the error of the scale factor. plain: its unit as that
+    of a quantity, if `unit` also contains a factor without a unit, such as the strength of a field."""
 
     name: str
     unit: str
@@ -47,7 +47,7 @@ class Column:
     parts: Mapping[int, Array] = field(repr=False)
     segments: NDArray[np.bool_] | None = field(default=None, repr=False)
     whole: bool = False
-    gain: bool = False
+    along: int | None = None
     plain: str = ""
 
 

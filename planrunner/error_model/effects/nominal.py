@@ -26,12 +26,15 @@ def bias(observed: Observed, kind: str) -> list[Column]:
 def scale_factor(observed: Observed, kind: str) -> list[Column]:
     """Output + k·(input of the axis) per axis."""
     columns = per_axis(observed, kind, "k", "ppm", 1e-6, 1e-3, felt(observed, kind))
-    return [replace(column, gain=True) for column in columns]
+    return [replace(column, along="xyz".index(column.name[-1])) for column in columns]
 
 
 def misalignment(observed: Observed, kind: str) -> list[Column]:
     """Output + m·(input of another axis of the sensor), six per triad; in unknown orientations only three, the sums of opposite ones."""
-    return towards_others(observed, kind, "arcsec", 1e-3)
+    columns = towards_others(observed, kind, "arcsec", 1e-3)
+    if observed.along is not None:
+        return columns
+    return [replace(column, along="xyz".index(column.name.split("_")[1])) for column in columns]
 
 
 def towards_others(

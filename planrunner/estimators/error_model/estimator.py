@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
-from planrunner.error_model.segment_columns import SegmentStates, states_of
+from planrunner.error_model.segment_columns import KINDS, SegmentStates, states_of
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
+from planrunner.estimators.declared_axes import AxisResponse, against_nominal, contradictions
 from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.error_model.outputs import ModelledOutput, Together, models, shown_by
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
@@ -136,6 +137,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
             for text in said:
                 notes.setdefault(text, []).append(one.model.name)
             warnings += doubted
+        warnings += _contradictions(request, made.outputs)
         every = len(made.outputs)
         shared = [
             text if len(names) == every or text.startswith(names[0]) else f"{', '.join(names)}: {text}"
@@ -264,6 +266,27 @@ def _of_channel(together: Observations, k: int) -> Observations:
     )
 
 
+def _contradictions(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[FittedOutput]) -> list[str]:
+    """Warnings about outputs that do not respond as they are declared."""
+    found = []
+    for kind in KINDS:
+        rows = [
+            AxisResponse(
+                one.model.name, one.model.errors.axis, one.model.unit, one.model.ratios(one.fit.coefficients[0])
+            )
+            for one in outputs
+            if one.model.errors.kind == kind and one.model.direct and one.model.gain is not None
+        ]
+        found += contradictions(rows)
+    counted = []
+    for one in outputs:
+        nominal = request.sensor.nominal.get(f"K_{one.model.name}", 0.0) / one.model.unit.factor
+        if nominal and not one.model.direct and one.model.gain is not None:
+            name = one.model.names[one.model.gain]
+            counted.append((name, float(one.fit.coefficients[0, one.model.gain]), nominal))
+    return found + against_nominal(counted)
+
+
 def _stacked(rows: Sequence[Array]) -> Array:
     """One output's coefficients a row, (m, P): those of the others are zero."""
     ends = np.cumsum([len(row) for row in rows])
@@ -306,7 +329,7 @@ def _as_added(outputs: Sequence[FittedOutput], found: Derived) -> dict[str, dict
         letter = "xyz"[one.model.errors.axis]
         for amplitude, coefficient in zip(one.model.columns.amplitudes, one.model.coefficients, strict=True):
             value = next(values)
-            if one.model.direct or not amplitude.gain:
+            if one.model.direct or amplitude.along != one.model.errors.axis:
                 name = f"{amplitude.name}_{letter}" if amplitude.alone else amplitude.name
                 made.setdefault(amplitude.effect.id, {})[name] = f"{value:.9g} {coefficient.unit}"
     return made

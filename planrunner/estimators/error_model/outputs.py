@@ -93,6 +93,15 @@ class ModelledOutput:
             values = np.stack([one if place == self.gain else one / scale for place, one in enumerate(fitted)])
         return np.asarray(values / np.array([one.si for one in self.coefficients])[:, None])
 
+    def ratios(self, fitted: Array) -> dict[int, float]:
+        """Axis → response to the output's own quantity along it, in SI, from fitted amplitudes (p,); 1 along its own axis where no scale
+        factor is fitted."""
+        own = {} if self.gain is not None else {self.errors.axis: 1.0}
+        along = [one.along for one in self.columns.amplitudes]
+        return own | {
+            axis: float(value) * self.unit.factor for axis, value in zip(along, fitted, strict=True) if axis is not None
+        }
+
     def response(self, fitted: Array) -> Array:
         """Coefficients (1 + p,) of own input and columns, from fitted ones (p,)."""
         return np.concatenate([[0.0 if self.gain is not None else 1 / self.unit.factor], fitted])
@@ -214,7 +223,7 @@ def _together(
 
 def _modelled(errors: OutputErrors, own: Unit, columns: OutputColumns, rows: tuple[int, ...]) -> ModelledOutput:
     _must_act(errors, columns)
-    gains = [place for place, one in enumerate(columns.amplitudes) if one.gain]
+    gains = [place for place, one in enumerate(columns.amplitudes) if one.along == errors.axis]
     coefficients = tuple(_coefficient(errors, own, one) for one in columns.amplitudes)
     made = ModelledOutput(errors, own, columns, rows, coefficients, gains[0] if gains else None)
     if not made.direct and made.gain is None:
@@ -245,7 +254,7 @@ def _coefficient(errors: OutputErrors, own: Unit, one: Amplitude) -> ReportedAmp
     effect, direct = one.effect.id, own.dimension == unit(KINDS[errors.kind]).dimension
     stem = f"{effect}_{one.name}" if one.several else effect
     name = f"{stem}_{letter}" if one.alone else f"{effect}_{one.name}_{errors.output}"
-    if one.gain and not direct:
+    if one.along == errors.axis and not direct:
         per = _PER[errors.kind]
         text, si = f"({own.text})/({per})", 1 / unit(per).factor
         return ReportedAmplitude(name, text, si, f"Scale factor of {errors.output} along its own axis")
