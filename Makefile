@@ -12,7 +12,7 @@ BUILD ?= build
 DIST ?= dist
 CAMPAIGN ?= build/blind-$(SEED)-$(CASES)
 
-.PHONY: all demo test test-slow lint schemas catalogues wheel lock sbom benchmark campaign faults fuzz clean
+.PHONY: all demo test test-slow lint schemas catalogues wheel lock sbom benchmark campaign worlds faults fuzz clean
 
 all: $(READY)
 
@@ -52,6 +52,11 @@ catalogues: $(READY)
 benchmark: $(READY)
 	$(INSTALL) --require-hashes --requirement constraints-benchmarks.txt
 	$(BIN)/python -m benchmarks
+
+# Coverage of the intervals and warnings in independent worlds; an hour or more with RUNS=1000.
+worlds: RUNS ?= 200
+worlds: $(READY)
+	$(BIN)/python -m tests.worlds --runs $(RUNS)
 
 # Recordings with sealed effects, answered by the diagnosis, an oracle and baselines; goes on where it stopped. See docs/blind-campaign.md.
 campaign: export OMP_NUM_THREADS := 1

@@ -1,0 +1,27 @@
+"""A rate with the wrong label among many is named by `scale_factor`."""
+
+from __future__ import annotations
+
+import numpy as np
+from recorded import from_means, segment, sensor
+
+from planrunner.estimators.interface import EstimateRequest
+from planrunner.estimators.scale_factor import ScaleFactor, ScaleFactorParameters
+from planrunner.physics.earth import Site
+from planrunner.plan.schedule import Spin
+
+
+def test_one_of_48_rates_with_a_wrong_label_is_named() -> None:
+    rates = np.linspace(-200, 200, 48)
+    read = 1.01 * rates + np.random.default_rng(1).normal(0, 0.01, 48)
+    planned = rates.copy()
+    planned[30] += 9.0  # deg/s
+    recorded = tuple(
+        from_means(segment(f"R{k}", np.eye(3), Spin(float(np.radians(rate)))), {"gyro_z": float(value)}, "deg/s", 0.01)
+        for k, (rate, value) in enumerate(zip(planned, read, strict=True))
+    )
+    site = Site(latitude=0.7, gravity=9.80665)
+    request = EstimateRequest("line", recorded, ScaleFactorParameters(), site, sensor("gyro_z", unit="deg/s"))
+    warnings = ScaleFactor().estimate(request).warnings
+    assert [text for text in warnings if "'R30' does not fit the others" in text]
+    assert not [text for text in warnings if "does not fit the others" in text and "'R30'" not in text]
