@@ -40,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
         args.file.write_text(json.dumps(found, indent=1, sort_keys=True), encoding="utf-8", newline="\n")
         return 0
     kept = json.loads(args.file.read_text(encoding="utf-8"))
-    kept = {name: kept[name] for name in found}
+    kept = {name: own for name, own in kept.items() if name in found}
     changes = list(differences(kept, found))
     figures = sum(1 for _ in numbers(kept))
     for change in changes:
