@@ -7,12 +7,13 @@ each. The nominal stimulus at every sample follows from attitude, table angle an
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.dataclass import dataclass
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Motion, Rock, Spin
 from planrunner.plan.units import unit

@@ -20,12 +20,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import Find, FindKind, RecordedSegment, WatcherOf
+from planrunner.base.dataclass import dataclass
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import SensorModel
 from planrunner.plan.schedule import Rest, Segment, Spin
@@ -265,7 +266,9 @@ class Screening:
         """The next so many rows of the buffer count, without those that have a missing number."""
         place = slice(self.filled, self.filled + step)
         values = self.values[:, place]
-        if not all(abs(float(np.add.reduce(row))) < _LARGEST for row in values):  # true for NaN and infinity as well
+        with np.errstate(over="ignore", invalid="ignore"):
+            sums = np.add.reduce(values, axis=1)
+        if not np.all(np.abs(sums) < _LARGEST):  # true for NaN and infinity as well
             good = np.all(np.abs(values) < _LARGEST, axis=0)
             step = int(np.count_nonzero(good))
             for array in (self.values, self.time, self.rows):

@@ -6,6 +6,7 @@ steps, with times checked.designs        the expected results of each estimate, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from datetime import date
@@ -357,11 +358,12 @@ def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
         low, high = bounds(limit, coefficient)
     except EstimationError:
         return  # other checks of the plan report the fault
-    from statistics import NormalDist
-
     # Infinitely many degrees of freedom; fewer only make intervals wider.
-    least = NormalDist().inv_cdf(0.5 + limit.coverage / 2) * coefficient.standard_uncertainty
-    if 2 * limit.guard_band * least >= high - low:
+    band = 2 * limit.guard_band * coefficient.standard_uncertainty
+    if band and math.erf((high - low) / band / math.sqrt(2)) <= limit.coverage:
+        from statistics import NormalDist
+
+        least = NormalDist().inv_cdf(0.5 + limit.coverage / 2) * coefficient.standard_uncertainty
         shown = f"±{least:.2g} {shown_unit(coefficient.unit)}".rstrip() + f" ({100 * limit.coverage:g} %)"
         message = (
             f"the expected uncertainty of {limit.quantity} is at least {shown}, so no item can pass this guarded limit"
