@@ -238,12 +238,17 @@ def inline(example: Any) -> str:
 def _origin(node: source.Mapping, broken: frozenset[str], meant: Mapping[str, tuple[Mark, ...]]) -> Origin:
     marks: dict[str, Mark] = {}
     for name, item in node.entries:
-        marks[name.text] = item.mark
+        marks[name.text] = _used(name, item)
         if isinstance(item, source.Sequence):
             marks.update({f"{name.text}[{index}]": entry.mark for index, entry in enumerate(item.items)})
         elif isinstance(item, source.Mapping):
-            marks.update({f"{name.text}.{entry.text}": value.mark for entry, value in item.entries})
+            marks.update({f"{name.text}.{entry.text}": _used(entry, value) for entry, value in item.entries})
     return Origin(node.mark, marks, broken, meant)
+
+
+def _used(key: source.Scalar, value: source.Node) -> Mark:
+    """Where a value stands. That of an alias stands before its key, where the anchor is: here the key's place."""
+    return key.mark if value.mark.line < key.mark.line else value.mark
 
 
 @dataclass(frozen=True, slots=True)
