@@ -357,9 +357,9 @@ def test_prompts_work_in_a_terminal(tmp_path: Path) -> None:
     )
     os.close(theirs)
     shown = b""
-    while b"Press Enter" not in shown:
+    while b"Mount the fixture on face B" not in shown:
         shown += os.read(ours, 4096)
-    assert b"Mount the fixture on face B" in shown and safe(tmp_path) and acknowledged(tmp_path) == 1
+    assert safe(tmp_path) and acknowledged(tmp_path) == 1
     os.write(ours, b"\n")
     while run.poll() is None:
         try:
