@@ -261,7 +261,9 @@ def test_a_run_that_fails_before_it_moves_anything_makes_safe_what_it_commanded(
     run = planrunner("run", "plan.yaml", "--quiet", "--flushed")
     _, err = run.communicate(timeout=PATIENCE)
     assert run.returncode == 3 and "it keeps another limit" in err
-    assert "left as found: chamber, sensor." in err and "Every other instrument is in its safe state" in err
+    assert (
+        "no command was sent to them: chamber, sensor." in err and "Every other instrument is in its safe state" in err
+    )
     assert state(tmp_path, "table")["safe"] and "safe" not in state(tmp_path, "chamber")
     assert events(tmp_path, "safe")[0]["untouched"] == ["chamber", "sensor"]
 
