@@ -90,17 +90,16 @@ def _screened(item: RecordedSegment, watch: WatcherOf) -> RecordedSegment:
     return replace(item, finds=watcher.finds())
 
 
+_STANDING = (DIMENSIONS["temperature"], DIMENSIONS["angle"])
+
+
 def watch_of(sensor: SensorModel) -> WatcherOf:
-    """Screens the sensor's outputs. Thermometers and encoders that are constant at rest are left alone."""
+    """Screens the sensor's outputs. Thermometers and encoders are left alone: they may stand still for a long time."""
 
     def watch(segment: Segment, units: Mapping[str, str], rows: int) -> Screening:
         counts, scales = {}, {}
         for output in sensor.outputs:
-            if (
-                output.name in units
-                and not output.constant
-                and unit(output.unit).dimension != DIMENSIONS["temperature"]
-            ):
+            if output.name in units and not output.constant and unit(output.unit).dimension not in _STANDING:
                 counts[output.name], scales[output.name] = output.noise.resolution, output.full_scale
         steady = isinstance(segment.motion, Rest | Spin) and segment.attitude is not None
         return Screening(counts, scales, rows, steady=steady)

@@ -107,7 +107,7 @@ def test_product_terms_get_positions_that_see_them(plan_file: Callable[..., Path
     assert "cardinal" not in found.sets
     assert found.sets["free"].merit.rank == 8
     assert write_plan(found.text, str(FLAGSHIP), tmp_path / "seen.yaml").ok
-    with pytest.raises(EstimationError, match="no 8 cardinal orientations"):
+    with pytest.raises(EstimationError, match="no set of 8 cardinal orientations"):
         design_positions(check_plan(plan), Asked(restarts=1, orientations="cardinal"))
 
 

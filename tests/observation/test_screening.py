@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import Find, FindKind
 from planrunner.instruments.interfaces import Block
-from planrunner.observation.screening import Screening, threshold
+from planrunner.instruments.models import OutputModel, SensorModel
+from planrunner.observation.screening import Screening, threshold, watch_of
+from planrunner.plan.schedule import Rest, Segment
 
 Array = NDArray[np.float64]
 ROWS, STEP = 6000, 0.02
@@ -39,6 +41,14 @@ def test_the_threshold_is_that_of_the_normal_distribution_for_many_samples_and_l
     """2·(1 − Φ(7.13)) = 10⁻¹²."""
     assert threshold(10**6) == pytest.approx(7.13, abs=0.01)
     assert threshold(20) > 100
+
+
+def test_encoders_and_thermometers_are_left_alone() -> None:
+    """A platform's ring stands between two rockings for many seconds, and its encoder at one count."""
+    units = {"gyro_x": "deg/s", "gimbal_inner": "deg", "temperature": "degC"}
+    sensor = SensorModel("under-test", tuple(OutputModel(*pair) for pair in units.items()), 10.0)
+    screening = watch_of(sensor)(Segment(0, "S", np.eye(3), "", Rest(), 10.0), units, 100)
+    assert isinstance(screening, Screening) and screening.channels == ("gyro_x",)
 
 
 @pytest.mark.parametrize("size", [10.0, -1000.0])
