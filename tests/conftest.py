@@ -7,6 +7,7 @@ import gc
 import os
 import pickle
 import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -23,6 +24,10 @@ from hypothesis import HealthCheck, settings
 # jsonschema would compile 39 grammars, 3 s in each process, for formats that no schema of ours uses: where the package that has them is
 # installed (the tool behind `make sbom` needs it), jsonschema goes without it, as where it is absent.
 sys.modules["rfc3987_syntax"] = None  # type: ignore[assignment]
+
+# A shell starts background jobs with interruption ignored, and every process here would inherit that: tests interrupt.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The key by which a run folder is known again is the tests' own, in the processes that they start too.
 os.environ["PLANRUNNER_STATE"] = tempfile.mkdtemp(prefix="planrunner-state-")
