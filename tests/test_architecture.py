@@ -353,7 +353,7 @@ ANYTHING = {
         "writes the methods of classes of any kind, as the decorator of the standard library does",
     ),
     "base/documents.py": (1, "`Json`: a value of a document, which a schema and the code that reads it check"),
-    "base/plugins.py": (1, "what an entry point holds: whoever loads it states the type that its group promises"),
+    "base/plugins.py": (1, "what an entry point holds: the caller states the type that its group promises"),
     "error_model/added.py": (1, "the same arrays of a record, put in by name"),
     "estimators/rocking/parameters.py": (2, "a declared key: the annotation of its field is its type"),
     "gap/answer/foreseen.py": (1, "the same arrays of a record, put in by name"),

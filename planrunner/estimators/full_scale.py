@@ -112,8 +112,12 @@ def _axis(motion: Motion) -> tuple[float, float, float] | None:
 def shares_by_name(segments: Sequence[Segment], mounting: Mapping[str, MountedAxis], outputs: Sequence[str]) -> Array:
     """The fraction of the rate along each output's axis, (n, m): the axis is the sensor axis in the output's name (gyro_x: x), or the axis
     in the plan's `mounting`. The fraction is one if the name gives no axis, and zero if the orientation is unknown."""
-    shares = np.zeros((len(segments), len(outputs)))
-    directions = [input_direction(mounting, name) for name in outputs]
+    return shares_along(segments, [input_direction(mounting, name) for name in outputs])
+
+
+def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]) -> Array:
+    """The same for input axes in the sensor's frame, (3,) each; the full rate for None."""
+    shares = np.zeros((len(segments), len(directions)))
     for row, segment in enumerate(segments):
         about = _axis(segment.motion)
         if about is None or segment.attitude is None:

@@ -39,14 +39,13 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.root_of_square import root_of
+from planrunner.observation.observations import SIGNIFICANCE
 from planrunner.plan.kinds import CHANNEL, ListOf, MapOf, Record, Text, key
 from planrunner.plan.selection import matches
 
 Array = NDArray[np.float64]
 
 PROBABILITY = 0.95
-SIGNIFICANCE = 0.01
-"""Probability by chance below which the repeats' scatter is doubted."""
 _ORDERED = 8  # repeats from which their order can say anything
 
 

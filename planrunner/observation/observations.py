@@ -17,7 +17,9 @@ from planrunner.observation.refusals import EstimationError, UnfitDataError
 Array = NDArray[np.float64]
 
 _LEAST = 0.01  # of the scatter within a segment that is taken for white whatever is declared
-SIGNIFICANCE = 0.01  # of the tests that choose weights and that compare the two bases of uncertainty
+SIGNIFICANCE = (
+    0.01  # of the tests that choose weights, compare the two bases of uncertainty, and judge scatter and outliers
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ segments:
 
 
 def lab(folder: Path) -> str:
-    """The shipped bench with patience for a busy computer, as a file of its own."""
+    """A copy of the shipped bench with long time-outs, for a busy computer."""
     shipped = ROOT / "plans" / "benches" / "lab_simulated.yaml"
     (folder / "lab.yaml").write_text(patient(shipped.read_text(encoding="utf-8")), encoding="utf-8")
     return str(folder / "lab.yaml")

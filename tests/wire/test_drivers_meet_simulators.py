@@ -85,7 +85,7 @@ instruments:
 
 @contextmanager
 def meeting(folder: Path, pair: str) -> Iterator[tuple[OpenBench, str]]:
-    """A bench whose drivers are connected to simulated instruments, `SPEED` times as fast as the wall, and where these are told things."""
+    """A bench whose drivers are connected to simulated instruments at `SPEED` times real time, and the place of their control port."""
     ready, copy = folder / "ready.json", folder / "copy.yaml"
     command = [
         sys.executable,

@@ -22,7 +22,9 @@ from planrunner.estimators.allan.steady_drift import SteadyDrift, steady_drift
 from planrunner.estimators.allan.table import Deviation
 
 _DOUBT = 0.01  # probability of a χ² at least this large, below which the model is refused
-_BELIEF = 0.2  # the same of a range that was searched for: the first that is just not refused would still be distorted
+_BELIEF = 0.2
+"""The same of a range that was searched for: the first that is just not refused would still be distorted. Not derived: chosen by two
+simulated records of rounding that is carried over, in which N was off by 1 to 2 standard uncertainties at 0.01."""
 _NEGATIVE = 4.0  # standard uncertainties by which a square may be negative by chance
 _SPARE = 2  # averaging times more than terms that a range needs
 _WHITE, _WALK = TERMS.index("N"), TERMS.index("K")

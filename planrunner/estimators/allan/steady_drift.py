@@ -22,7 +22,8 @@ _CHANCE = 1e-3  # probability of differences at least this large by noise alone
 
 @dataclass(frozen=True, slots=True)
 class SteadyDrift:
-    """slope with its standard uncertainty, in the output's unit per second, a weighted mean over the runs; probability: of so large
+    """slope with its standard uncertainty, in the output's unit per second, a weighted mean over the runs; for the uncertainty the noise is
+    taken one standard uncertainty above what was found; probability: of so large
     differences between the halves of runs by noise alone."""
 
     slope: float

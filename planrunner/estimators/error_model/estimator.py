@@ -26,7 +26,7 @@ from planrunner.estimators.error_model.outputs import ModelledOutput, Together, 
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
 from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_tables import bases_table, residual_table
-from planrunner.estimators.full_scale import beyond_full_scale
+from planrunner.estimators.full_scale import beyond_full_scale, shares_along
 from planrunner.estimators.interface import (
     Design,
     DesignBlock,
@@ -44,7 +44,7 @@ from planrunner.estimators.stated_errors import site_errors, table_errors
 from planrunner.observation.correlated_errors import CorrelatedError, functionals_of
 from planrunner.observation.flicker import flicker_errors
 from planrunner.observation.observations import Observations, observe, recorded_times
-from planrunner.plan.schedule import Segment, Spin
+from planrunner.plan.schedule import Segment
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, unit
 from planrunner.uncertainty.influences import Influence
 
@@ -88,7 +88,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
                 blocks = planned_blocks(its_own, [one.name], one.names, one.columns.matrix, one.columns.magnitudes)
                 by_name[one.name] = blocks[0]
                 remarks += [*_inseparable(one, group.segments), *planned_basis(its_own, blocks, parameters.uncertainty)]
-                remarks += beyond_full_scale(its_own, [one.name], _shares(one, group.segments)[:, None])
+                remarks += beyond_full_scale(its_own, [one.name], _shares(one, group.segments))
         if any(remark.code == "physics-rank" for remark in remarks):
             return Design((), remarks=tuple(remarks))
         return Design(tuple(by_name[name] for name in parameters.outputs), remarks=tuple(dict.fromkeys(remarks)))
@@ -217,13 +217,9 @@ def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remar
 
 
 def _shares(one: ModelledOutput, segments: Sequence[Segment]) -> Array:
-    """The part of each segment's rate that an output feels, (n,)."""
-    shares = np.zeros(len(segments))
-    if one.errors.kind == "gyro":
-        for row, segment in enumerate(segments):
-            if isinstance(segment.motion, Spin) and segment.attitude is not None:
-                shares[row] = float(segment.attitude[one.errors.axis] @ np.array(segment.motion.about))
-    return shares
+    """The part of each segment's rate that an output feels, (n, 1)."""
+    axis = np.eye(3)[one.errors.axis]
+    return shares_along(segments, [axis if one.errors.kind == "gyro" else 0 * axis])
 
 
 def _fitted(request: EstimateRequest[ErrorModelParameters], group: Together) -> list[FittedOutput]:

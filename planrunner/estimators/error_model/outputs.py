@@ -138,7 +138,7 @@ def models(
 
 
 def shown_by(effect: Effect) -> str:
-    """Which segments determine an effect, in words; empty where it does not say so."""
+    """Which segments determine an effect, in words; empty if the effect does not state them."""
     return effect.shown_by if isinstance(effect, Explained) else ""
 
 
