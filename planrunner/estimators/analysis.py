@@ -10,22 +10,17 @@ from dataclasses import replace
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.findings import InputError
-from planrunner.estimators.basis_judgement import few_samples
+from planrunner.estimators.foresight import detection_of, patterns_of
 from planrunner.estimators.interface import (
-    Design,
-    DesignRequest,
     Estimate,
     EstimateRequest,
     EstimationError,
-    Estimator,
-    FindsSpans,
     Setup,
     UnfitDataError,
     estimator_of,
 )
 from planrunner.estimators.limits import LimitVerdict, hold
 from planrunner.estimators.lost_samples import lost_samples
-from planrunner.estimators.method import designed
 from planrunner.estimators.monte_carlo_validation import Chains, linear_chain, validated
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.estimators.screened_estimate import estimated
@@ -34,11 +29,10 @@ from planrunner.observation.screening import screened
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
 from planrunner.plan.model import USUAL, EstimateSpec, Limit, MonteCarloSpec
-from planrunner.plan.schedule import Segment
-from planrunner.plan.selection import Detection, select
+from planrunner.plan.selection import select
 from planrunner.uncertainty.budget import Measured, combine
 
-__all__ = ["LimitVerdict", "Results", "analyse", "design_of"]
+__all__ = ["LimitVerdict", "Results", "analyse"]
 
 
 def analyse(
@@ -87,35 +81,6 @@ def analyse(
     return Results(written, tuple(verdicts), failures, statistics, unfit=tuple(unfit))
 
 
-def design_of(
-    name: str,
-    spec: EstimateSpec,
-    segments: Sequence[Segment],
-    site: Site,
-    sensor: SensorModel,
-    designs: Mapping[str, Design],
-    setup: Setup | None = None,
-) -> Design:
-    """Information of the planned segments for one estimate, and the coefficients that a run will give.
-
-    designs: those of the preceding estimates. Raises `EstimationError` if the segments are not suitable for the estimator.
-    """
-    missing = [used for used in spec.uses if used not in designs]
-    if missing:
-        raise EstimationError(f"it uses '{missing[0]}', which has no design")
-    chosen = [segments[index] for index in select([segment.label for segment in segments], _patterns(spec))]
-    if not chosen:
-        raise EstimationError(f"no segment has a label that matches {', '.join(_patterns(spec))}")
-    estimator = estimator_of(spec)
-    uses = {used: designs[used] for used in spec.uses}
-    detection = _detection(spec, estimator)
-    request = DesignRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, setup or Setup(), detection)
-    design = designed(estimator, request)
-    if not design.blocks or isinstance(spec.segments, Detection):
-        return design
-    return replace(design, remarks=(*design.remarks, *few_samples(request)))
-
-
 def _in_order(estimates: Mapping[str, EstimateSpec]) -> list[str]:
     """Names in an order in which used estimates come first; estimates in a circle come last and fail because of their missing input."""
     order: list[str] = []
@@ -129,21 +94,6 @@ def _in_order(estimates: Mapping[str, EstimateSpec]) -> list[str]:
         order += ready
         waiting = [name for name in waiting if name not in ready]
     return order
-
-
-def _detection(spec: EstimateSpec, estimator: Estimator[Record]) -> Detection | None:
-    """The spans to detect in the data. Raises `EstimationError` if the estimator uses whole segments."""
-    if not isinstance(spec.segments, Detection):
-        return None
-    if not (isinstance(estimator, FindsSpans) and estimator.finds_spans):
-        raise EstimationError(
-            f"{spec.estimator} uses whole segments and does not search for spans in the data: name segments in `segments`"
-        )
-    return spec.segments
-
-
-def _patterns(spec: EstimateSpec) -> tuple[str, ...]:
-    return spec.segments.within if isinstance(spec.segments, Detection) else tuple(spec.segments)
 
 
 def _estimate(
@@ -160,11 +110,11 @@ def _estimate(
         if used not in made:
             why = "could not be made" if used in estimates else "is not in the plan"
             raise EstimationError(f"it uses '{used}', which {why}")
-    chosen = [recording[index] for index in select([recorded.label for recorded in recording], _patterns(spec))]
+    chosen = [recording[index] for index in select([recorded.label for recorded in recording], patterns_of(spec))]
     if not chosen:
-        raise EstimationError(f"no recorded segment has a label that matches {', '.join(_patterns(spec))}")
+        raise EstimationError(f"no recorded segment has a label that matches {', '.join(patterns_of(spec))}")
     estimator = estimator_of(spec)
-    detection = _detection(spec, estimator)
+    detection = detection_of(spec, estimator)
     uses = {used: made[used] for used in spec.uses}
 
     def requested(segments: tuple[RecordedSegment, ...]) -> EstimateRequest[Record]:

@@ -19,7 +19,7 @@ from planrunner.bench.calibration import check_validity
 from planrunner.bench.model import Bench, BenchModels, bench_of, benches_for, models, read_bench
 from planrunner.bench.scheduling import build_schedule
 from planrunner.design.identifiability import Identifiability, identify
-from planrunner.estimators.analysis import design_of
+from planrunner.estimators.foresight import design_of
 from planrunner.estimators.interface import Coefficient, Design, EstimationError, Setup
 from planrunner.estimators.limits import bounds
 from planrunner.instruments.models import SensorModel

@@ -18,7 +18,7 @@ from planrunner.design.efficiency import Merit, efficiency, merit, region_moment
 from planrunner.design.places import Place, Sight
 from planrunner.design.study import Asked, Bounds, FoundPositions, PositionSet, SearchProgress
 from planrunner.estimators import rank
-from planrunner.estimators.analysis import design_of
+from planrunner.estimators.foresight import design_of
 from planrunner.estimators.interface import Design, EstimationError
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles
 from planrunner.plan import source

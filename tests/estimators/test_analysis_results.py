@@ -15,9 +15,10 @@ from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude, pulses
 
 from planrunner.base.findings import InputError
 from planrunner.cli.outcome import code_of
-from planrunner.estimators.analysis import Results, analyse, combined, design_of
+from planrunner.estimators.analysis import Results, analyse, combined
 from planrunner.estimators.flexure_gyro.compensation_residual import CompensationResidualParameters
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
+from planrunner.estimators.foresight import design_of
 from planrunner.estimators.interface import (
     Coefficient,
     Design,

@@ -1,0 +1,69 @@
+"""What the estimates of a plan will give, from its schedule alone: nothing here reads samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from planrunner.estimators.basis_judgement import few_samples
+from planrunner.estimators.interface import (
+    Design,
+    DesignRequest,
+    EstimationError,
+    Estimator,
+    FindsSpans,
+    Setup,
+    estimator_of,
+)
+from planrunner.estimators.method import designed
+from planrunner.instruments.models import SensorModel
+from planrunner.physics.earth import Site
+from planrunner.plan.kinds import Record
+from planrunner.plan.model import EstimateSpec
+from planrunner.plan.schedule import Segment
+from planrunner.plan.selection import Detection, select
+
+
+def design_of(
+    name: str,
+    spec: EstimateSpec,
+    segments: Sequence[Segment],
+    site: Site,
+    sensor: SensorModel,
+    designs: Mapping[str, Design],
+    setup: Setup | None = None,
+) -> Design:
+    """Information of the planned segments for one estimate, and the coefficients that a run will give.
+
+    designs: those of the preceding estimates. Raises `EstimationError` if the segments are not suitable for the estimator.
+    """
+    missing = [used for used in spec.uses if used not in designs]
+    if missing:
+        raise EstimationError(f"it uses '{missing[0]}', which has no design")
+    chosen = [segments[index] for index in select([segment.label for segment in segments], patterns_of(spec))]
+    if not chosen:
+        raise EstimationError(f"no segment has a label that matches {', '.join(patterns_of(spec))}")
+    estimator = estimator_of(spec)
+    uses = {used: designs[used] for used in spec.uses}
+    detection = detection_of(spec, estimator)
+    request = DesignRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, setup or Setup(), detection)
+    design = designed(estimator, request)
+    if not design.blocks or isinstance(spec.segments, Detection):
+        return design
+    return replace(design, remarks=(*design.remarks, *few_samples(request)))
+
+
+def detection_of(spec: EstimateSpec, estimator: Estimator[Record]) -> Detection | None:
+    """The spans to detect in the data. Raises `EstimationError` if the estimator uses whole segments."""
+    if not isinstance(spec.segments, Detection):
+        return None
+    if not (isinstance(estimator, FindsSpans) and estimator.finds_spans):
+        raise EstimationError(
+            f"{spec.estimator} uses whole segments and does not search for spans in the data: name segments in `segments`"
+        )
+    return spec.segments
+
+
+def patterns_of(spec: EstimateSpec) -> tuple[str, ...]:
+    """Patterns of the labels of the segments that an estimate uses, or in which it detects spans."""
+    return spec.segments.within if isinstance(spec.segments, Detection) else tuple(spec.segments)
