@@ -11,8 +11,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from planrunner.execution.connected_bench import ConnectedBench
 from planrunner.execution.lookout import EVERY, Lookout
 from planrunner.execution.readings import outside, readings_of, unread
@@ -50,6 +48,8 @@ class Reaching:
         self._chamber = bench.chamber
         self._table = bench.table
         self._sensor = bench.sensor
+        # Asked once: what a class can do does not change, and asking takes longer than a short step.
+        self._orients = bench.table if isinstance(bench.table, HoldsOrientation) else None
         self.temperature: float | None = None
         self.attitude: Array | None = None
         self.mode: str | None = None
@@ -153,10 +153,10 @@ class Reaching:
         attitude = segment.attitude
         if attitude is None or self._table is None or attitude is self.attitude:
             return
-        if self.attitude is not None and np.array_equal(attitude, self.attitude):
+        if self.attitude is not None and (attitude == self.attitude).all():
             return
-        table = self._table
-        if not isinstance(table, HoldsOrientation):
+        table = self._orients
+        if table is None:
             raise InstrumentError("the table's driver cannot take an orientation: use another driver")
         self._stand_still()
         self._say("moving the table")
@@ -183,7 +183,7 @@ class Reaching:
         self.moving_perhaps = False
 
     def _holds_orientation(self) -> bool:
-        return bool(self._table.holding()) if isinstance(self._table, HoldsOrientation) else True
+        return self._orients is None or bool(self._orients.holding())
 
     def _wait(self, expected: float, holding: Callable[[], bool], what: str, patience: float) -> None:
         if not 0 <= expected < math.inf:
