@@ -73,8 +73,7 @@ class PositionSet:
         return {
             f"{estimate}.{key}": float(value)
             for estimate, design in self.designs.items()
-            for key, value in design.extra.items()
-            if key.startswith("ratio_")
+            for key, value in design.extra.get("ratios", {}).items()
         }
 
 

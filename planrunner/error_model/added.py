@@ -176,11 +176,10 @@ def _each_orientation(item: Addition, observed: Observed, seed: int) -> list[tup
     (variant,) = item.effect.variants(_among_others(observed))
     found = []
     for column in variant.columns:
-        number = int(column.name.split("_")[1]) - 1
-        if number == 0:  # the others only accompany the first
-            axis = "xyz".index(column.name[-1])
+        # The other orientations only accompany the first.
+        if column.axis is not None and column.segments is not None and column.segments[0]:
             place = np.rint(observed.attitude[0].ravel() * 1e6).astype(np.int64).view(np.uint32).tolist()
-            drawn = float(np.random.default_rng([seed, axis, *place]).standard_normal())
+            drawn = float(np.random.default_rng([seed, column.axis, *place]).standard_normal())
             parts = {channel: part[: len(observed.time)] for channel, part in column.parts.items()}
             found.append((replace(column, parts=parts, segments=None), item.values["size"] * column.factor * drawn))
     return found

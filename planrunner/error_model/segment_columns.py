@@ -175,9 +175,9 @@ class ErrorsAtSegments:
         for one in output.chosen:
             all_ = made[id(one.effect)]
             here = [column for column in all_ if output.channel in column.parts]
-            available[one.effect.id] = tuple(_without_axis(column, "xyz"[output.axis])[0] for column in here)
+            available[one.effect.id] = tuple(_without_axis(column)[0] for column in here)
             for column in here:
-                name, alone = _without_axis(column, "xyz"[output.axis])
+                name, alone = _without_axis(column)
                 if one.only and name not in one.only:
                     continue
                 alike = [part for other in all_ if other.unit == column.unit for part in other.parts.values()]
@@ -250,8 +250,8 @@ def _columns(effect: Effect, observed: Observed) -> tuple[Column, ...]:
     return variants[0].columns if variants else ()
 
 
-def _without_axis(column: Column, letter: str) -> tuple[str, bool]:
+def _without_axis(column: Column) -> tuple[str, bool]:
     """The name of a column without the axis of its channel, and whether the column acts on one channel alone."""
-    if len(column.parts) == 1 and column.name.endswith(f"_{letter}"):
-        return column.name.removesuffix(f"_{letter}"), True
-    return column.name, False
+    if column.axis is None or len(column.parts) != 1:
+        return column.name, False
+    return column.name.removesuffix(f"_{'xyz'[column.axis]}"), True

@@ -114,24 +114,42 @@ def unlike_outputs(fit: OutputsFit) -> str:
     )
 
 
-def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> tuple[list[str], list[str]]:
+@dataclass(frozen=True, slots=True)
+class FitNote:
+    """A note on a fit. output: the output that it names; empty if it is about all outputs of the fit."""
+
+    text: str
+    output: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What a report says about the chosen basis."""
+
+    notes: tuple[FitNote, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """The notes without their outputs."""
+        return tuple(note.text for note in self.notes)
+
+
+def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgement:
     """Notes and warnings about the chosen basis, for the report. channels: channels whose flicker affects the outputs; by default the
     outputs."""
-    notes, warnings = [], []
+    notes: list[FitNote] = []
+    warnings: list[str] = []
     if basis == "residual":
         together = ", pooled over the outputs" if fit.pooled else ""
-        notes.append(
-            f"Uncertainties are based on the residuals: {fit.freedom} degrees of freedom for each output{together}, "
-            "so the coverage factors are large."
-        )
+        text = f"Uncertainties are based on the residuals: {fit.freedom} degrees of freedom for each output{together}, "
+        notes.append(FitNote(f"{text}so the coverage factors are large."))
         if fit.pooled and (different := unlike_outputs(fit)):
             warnings.append(different)
     else:
-        notes.append(
-            "Uncertainties are based on the noise within the segments and on the stated inputs; other changes "
-            "from segment to segment are not included."
-        )
-    notes += _weights(fit, channels or fit.outputs)
+        text = "Uncertainties are based on the noise within the segments and on the stated inputs; other changes "
+        notes.append(FitNote(f"{text}from segment to segment are not included."))
+    notes += map(FitNote, _weights(fit, channels or fit.outputs))
     for found in compare(fit):
         text = (
             f"{found.output}: residual variance is {found.ratio:.3g} times that expected from the noise within the "
@@ -148,24 +166,26 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> tuple[li
                 f"(positions or a slow drift), or the model is incomplete: {consequence}."
             )
         else:
-            notes.append(f"{text}, which may be due to chance (probability {found.probability:.2g}).")
+            notes.append(
+                FitNote(f"{text}, which may be due to chance (probability {found.probability:.2g}).", found.output)
+            )
     for output, noise, width, own in zip(fit.outputs, fit.noises, fit.between, fit.spreads, strict=True):
         if width:
-            notes.append(
-                f"{output}: {width:.3g} (standard deviation, in the output's unit) is added as scatter "
-                "between segments in the weights, because the noise within the segments does not explain the residuals."
-            )
+            text = f"{output}: {width:.3g} (standard deviation, in the output's unit) is added as scatter between segments "
+            text += "in the weights, because the noise within the segments does not explain the residuals."
+            notes.append(FitNote(text, output))
         elif noise.weighting == "individual" and not np.ptp(own):
-            notes.append(f"{output}: the noise differs between segments, but the plan gives all the same weight.")
+            text = f"{output}: the noise differs between segments, but the plan gives all the same weight."
+            notes.append(FitNote(text, output))
         elif noise.weighting == "individual":
-            notes.append(f"{output}: the noise differs between segments, so each segment is weighted by its own noise.")
+            text = f"{output}: the noise differs between segments, so each segment is weighted by its own noise."
+            notes.append(FitNote(text, output))
     warnings += [_outlying(fit, one, basis) for one in outliers(fit, basis)]
     if alone := unchecked(fit, basis):
-        notes.append(
-            f"The other segments hardly check the segments {', '.join(alone)} (less than {100 * LEAST_REDUNDANCY:.0f} % of an error "
-            "in one of them appears in the residuals): repeat these segments to confirm them."
-        )
-    return notes, warnings
+        text = f"The other segments hardly check the segments {', '.join(alone)} (less than {100 * LEAST_REDUNDANCY:.0f} % "
+        text += "of an error in one of them appears in the residuals): repeat these segments to confirm them."
+        notes.append(FitNote(text))
+    return Judgement(tuple(notes), tuple(warnings))
 
 
 def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> str:

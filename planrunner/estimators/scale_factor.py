@@ -149,7 +149,8 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
         observations, rates, fit = found.observations, found.rates, found.fit
         rate = rate_and_output(parameters.rate_unit, observations.units[0])[0]
         shown = tuple(float(value / rate.factor) for value in rates)
-        notes, warnings = judge(fit, parameters.uncertainty)
+        judged = judge(fit, parameters.uncertainty)
+        notes, warnings = list(judged.texts), list(judged.warnings)
         warnings += contradictions(_rows(request, found))
         if len(rates) and not (np.any(rates > 0) and np.any(rates < 0)):
             notes.append(

@@ -102,7 +102,13 @@ class Lack:
 
 def is_certificate(report: str) -> bool:
     """Whether a report is a certificate in any language."""
-    return report.startswith("certificate.")
+    return report.partition(".")[0] == "certificate"
+
+
+def room_condition(information: str) -> str | None:
+    """The condition of the room that an item of run information states, such as `pressure` for `ambient_pressure`; None for others."""
+    head, _, condition = information.partition("_")
+    return condition if head == "ambient" and condition else None
 
 
 def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool) -> list[Lack]:
@@ -112,7 +118,7 @@ def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool
     if bench.laboratory is None:
         remedy = "add laboratory: {name: …, address: …} to the bench file"
         found.append(Lack("7.8.2.1 b", "name and address of the laboratory", remedy))
-    if bench.ambient is None and not holds_temperature and not any(name.startswith("ambient") for name in known):
+    if bench.ambient is None and not holds_temperature and not any(map(room_condition, known)):
         remedy = "add ambient: {temperature: …} to the bench file, or record ambient_temperature"
         found.append(Lack("7.8.4.1 b", "the conditions of the calibration", remedy))
     untraced = [item.name for item in references(bench) if item.calibration is None]

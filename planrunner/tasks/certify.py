@@ -11,6 +11,7 @@ from planrunner.archive.recording import RecordedSegment, duration_of
 from planrunner.archive.run_reader import RunReader
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, Findings, Mark, closest
+from planrunner.bench.model import AmbientSpec
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.results import Results
 from planrunner.plan.units import ZERO_CELSIUS
@@ -23,12 +24,12 @@ from planrunner.reporting.certificate_requirements import (
     lacks_of_bench,
     lacks_of_information,
     references,
+    room_condition,
 )
 from planrunner.reporting.context import CertificateFacts, Traced
 from planrunner.tasks.check import Sound
 
 ISSUED = "issued.json"  # stored with a certificate: its number, and the certificate that it amends
-ROOM = ("temperature", "pressure", "humidity")
 
 
 def facts(
@@ -88,14 +89,12 @@ def _traced(item: Reference, said: Mapping[str, str]) -> Traced:
 def _conditions(
     sound: Sound, recording: tuple[RecordedSegment, ...], told: Mapping[str, str]
 ) -> Iterable[tuple[str, str]]:
-    room = sound.bench.ambient
-    for name in ROOM:
-        value = told.get(f"ambient_{name}") or (room and getattr(room, name))
-        if value:
-            yield f"Ambient {name}", str(value)
-    for name, text in told.items():
-        if name.startswith("ambient_") and name.removeprefix("ambient_") not in ROOM:
-            yield name.replace("_", " ").capitalize(), text
+    room = sound.bench.ambient or AmbientSpec()
+    declared = {"temperature": room.temperature, "pressure": room.pressure, "humidity": room.humidity}
+    stated = {condition: text for name, text in told.items() if (condition := room_condition(name))}
+    for condition in dict.fromkeys((*declared, *stated)):
+        if value := stated.get(condition) or declared.get(condition):
+            yield f"Ambient {condition.replace('_', ' ')}", str(value)
     held = [item.segment.temperature for item in recording if item.segment.temperature is not None]
     if held:
         yield "Chamber temperature", _range([kelvin - ZERO_CELSIUS for kelvin in held], " °C")

@@ -164,7 +164,7 @@ def check_plan(
 @cache
 def report_names() -> tuple[str, ...]:
     """The reports that can be written for a run: the shipped templates except those of `show`, `design` and `diagnose`."""
-    return tuple(name for name in available() if not name.startswith(("show.", "design.", "design-", "diagnosis.")))
+    return tuple(name for name in available() if name.partition(".")[0] not in ("show", "design", "diagnosis"))
 
 
 def _find_bench(checked: Checked, plan: Plan, bench: str | Path | Document | None) -> bool:

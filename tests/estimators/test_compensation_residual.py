@@ -122,7 +122,7 @@ def test_design_predicts_the_same_ratio() -> None:
     for positions in (OPTIMAL, TRADITIONAL):
         matrix = np.array([_row(attitude(words)) for words in positions.values()])
         expected.append(3 + np.trace(check @ np.linalg.inv(matrix.T @ matrix) @ check.T))
-    assert design.extra["ratio_traditional_to_drift"] == pytest.approx(expected[1] / expected[0], rel=1e-9)
+    assert design.extra["ratios"]["ratio_traditional_to_drift"] == pytest.approx(expected[1] / expected[0], rel=1e-9)
 
 
 def test_refusals() -> None:

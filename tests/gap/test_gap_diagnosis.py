@@ -97,7 +97,7 @@ def test_two_effects_are_named_together() -> None:
 def test_what_is_not_in_the_catalogue_is_said_to_be(fault: Fault, kind: str) -> None:
     found = diagnose(record(seed=14, fault=fault))
     assert found.verdict.kind == "unknown"
-    assert max(found.posterior.kinds, key=lambda name: found.posterior.kinds[name]) == kind
+    assert max(found.posterior.kinds, key=lambda pattern: found.posterior.kinds[pattern]).name == kind
 
 
 @pytest.mark.slow

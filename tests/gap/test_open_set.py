@@ -11,8 +11,8 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.hypotheses.bursts import BURSTS
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import Kinds, competitors
-from planrunner.gap.hypotheses.patterns import CHANGING
+from planrunner.gap.hypotheses.open_set import BAND_NOISE, Kinds, competitors
+from planrunner.gap.hypotheses.patterns import CHANGING, WHOLE, Sort
 from planrunner.gap.hypotheses.repeating import PERIODIC
 from tests.gap.turntable import DEG, GYRO_WHITE, RATE, record
 
@@ -42,7 +42,7 @@ def test_no_evidence_is_more_than_half_the_energy(rocked: tuple[Weighing, Kinds]
 
 def test_the_strongest_sort_is_counted_whole(rocked: tuple[Weighing, Kinds]) -> None:
     _, kinds = rocked
-    assert kinds.several[0] > kinds.log_bayes["rocking waveform"][0] - 10
+    assert kinds.several[0] > kinds.log_bayes[WHOLE[Sort.ROCKING]][0] - 10
 
 
 def test_a_bias_that_swings_within_the_segments_is_not_counted_twice() -> None:
@@ -54,7 +54,7 @@ def test_a_bias_that_swings_within_the_segments_is_not_counted_twice() -> None:
     weighing = Weighing(record(seed=42, fault=fault))
     kinds = competitors(weighing)
     most = sum(float(each[0].residual @ each[0].residual) for each in weighing.weights) / 2
-    assert kinds.log_bayes[PERIODIC][0] + kinds.log_bayes["transient per segment"][0] > most
+    assert kinds.log_bayes[PERIODIC][0] + kinds.log_bayes[WHOLE[Sort.TRANSIENT]][0] > most
     assert kinds.several[0] < most
 
 
@@ -97,7 +97,7 @@ def test_bursts_are_found(carrier: float) -> None:
 
     found = competitors(Weighing(record(seed=44, fault=fault))).log_bayes
     assert found[BURSTS][0] > 30
-    assert found[BURSTS][0] > found["noise of one band"][0]
+    assert found[BURSTS][0] > found[BAND_NOISE][0]
 
 
 def test_a_saw_tooth_is_no_walk() -> None:
@@ -112,4 +112,4 @@ def test_a_saw_tooth_is_no_walk() -> None:
     assert found.posterior.kinds[PERIODIC] > found.posterior.log_evidence["gyro_bias_random_walk"] + 10
 
 
-SORTS = ("rocking waveform", "offset per segment", "transient per segment")
+SORTS = [WHOLE[sort] for sort in (Sort.ROCKING, Sort.MEANS, Sort.TRANSIENT)]

@@ -37,7 +37,8 @@ class Column:
     """One amplitude of an effect. magnitude: its prior scale in SI, relative to the effect's other columns. unit, factor: unit for
     display and its SI value. parts: channel index → signature (N,), SI output for an amplitude of 1 in SI. segments: (S,), where it
     acts; None for everywhere. whole: the effect is either present or absent, so its amplitude is not a parameter. along: the axis of
-    the sensor (0, 1, 2) whose input it is: on that of the channel, the amplitude is the error of the scale factor. plain: its unit as that
+    the sensor (0, 1, 2) whose input it is: on that of the channel, the amplitude is the error of the scale factor. axis: the axis
+    (0, 1, 2) to which it belongs alone, whose letter ends its name after "_". plain: its unit as that
     of a quantity, if `unit` also contains a factor without a unit, such as the strength of a field."""
 
     name: str
@@ -48,6 +49,7 @@ class Column:
     segments: NDArray[np.bool_] | None = field(default=None, repr=False)
     whole: bool = False
     along: int | None = None
+    axis: int | None = None
     plain: str = ""
 
 
@@ -154,7 +156,7 @@ def per_axis(
     for axis, index, share in observed.inputs(kind):
         own = signature if signature.ndim == 1 else signature[:, axis]
         part = own if isinstance(share, float) else share * own
-        columns.append(Column(f"{name}_{'xyz'[axis]}", unit, factor, magnitude, {index: part}))
+        columns.append(Column(f"{name}_{'xyz'[axis]}", unit, factor, magnitude, {index: part}, axis=axis))
     return columns
 
 

@@ -26,30 +26,30 @@ def bias(observed: Observed, kind: str) -> list[Column]:
 def scale_factor(observed: Observed, kind: str) -> list[Column]:
     """Output + k·(input of the axis) per axis."""
     columns = per_axis(observed, kind, "k", "ppm", 1e-6, 1e-3, felt(observed, kind))
-    return [replace(column, along="xyz".index(column.name[-1])) for column in columns]
+    return [replace(column, along=column.axis) for column in columns]
 
 
 def misalignment(observed: Observed, kind: str) -> list[Column]:
     """Output + m·(input of another axis of the sensor), six per triad; in unknown orientations only three, the sums of opposite ones."""
-    columns = towards_others(observed, kind, "arcsec", 1e-3)
-    if observed.along is not None:
-        return columns
-    return [replace(column, along="xyz".index(column.name.split("_")[1])) for column in columns]
+    return towards_others(observed, kind, "arcsec", 1e-3, inputs=True)
 
 
 def towards_others(
-    observed: Observed, kind: str, unit: str, magnitude: float, factor: Array | float = 1.0
+    observed: Observed, kind: str, unit: str, magnitude: float, factor: Array | float = 1.0, inputs: bool = False
 ) -> list[Column]:
-    """The response of each axis to the inputs of the others, times `factor`. unit: arcsec, or arcsec per SI unit of the factor."""
+    """The response of each axis to the inputs of the others, times `factor`. unit: arcsec, or arcsec per SI unit of the factor. inputs:
+    whether the columns are the inputs themselves (`Column.along`)."""
     columns = []
     for other in range(3):
         signature = felt(observed, kind)[:, other] * factor
         for column in per_axis(observed, kind, f"towards_{'xyz'[other]}", unit, DEG / 3600, magnitude, signature):
-            own = "xyz".index(column.name[-1])
-            if observed.along is None and own != other:
-                columns.append(column)
-            elif observed.along is not None and own < other:
-                columns.append(replace(column, name=f"gamma_{'xyz'[own]}{'xyz'[other]}"))
+            own = column.axis
+            if own is None or own == other:
+                continue
+            if observed.along is None:
+                columns.append(replace(column, along=other if inputs else None))
+            elif own < other:
+                columns.append(replace(column, name=f"gamma_{'xyz'[own]}{'xyz'[other]}", axis=None))
     return columns
 
 

@@ -75,7 +75,7 @@ class TablePositionError:
             parts = on_stimulus(observed, -np.cross(axis, observed.omega), -np.cross(axis, observed.force))
             for number in range(len(distinct)):
                 name = f"orientation_{number + 1}_{'xyz'[i]}"
-                columns.append(Column(name, "arcsec", ARCSEC, 20 * ARCSEC, parts, which == number))
+                columns.append(Column(name, "arcsec", ARCSEC, 20 * ARCSEC, parts, which == number, axis=i))
         return single(columns)
 
 

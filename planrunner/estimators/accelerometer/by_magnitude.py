@@ -137,7 +137,8 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
 def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found: MagnitudeQuantities) -> Words:
     """Poses and residuals."""
     basis, poses, fit, residuals = request.parameters.uncertainty, found.poses, found.fit, found.residuals
-    notes, warnings = judge(fit, basis, poses.channels)
+    judged = judge(fit, basis, poses.channels)
+    notes, warnings = list(judged.texts), list(judged.warnings)
     notes = [
         f"{len(poses.labels)} poses; residuals of |f| {_size(fit, residuals) * 1e3:.3g} mm/s² rms, corrected for {fit.freedom} degrees "
         f"of freedom; condition {found.sphere.condition:.3g}.",

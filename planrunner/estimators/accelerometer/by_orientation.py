@@ -100,7 +100,8 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
 def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found: AxesQuantities) -> Words:
     """Residuals by position."""
     fit, observations, basis = found.fit, found.observations, request.parameters.uncertainty
-    notes, warnings = judge(fit, basis)
+    judged = judge(fit, basis)
+    notes, warnings = list(judged.texts), list(judged.warnings)
     warnings += contradictions([_row(axis, found) for axis in range(3)])
     left_out = [name for name in TERMS if name not in found.model.names]
     if left_out:

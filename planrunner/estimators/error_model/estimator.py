@@ -19,7 +19,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.segment_columns import KINDS, SegmentStates, states_of
 from planrunner.estimators import rank
-from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
+from planrunner.estimators.basis_judgement import FitNote, judge, planned_basis, require_basis
 from planrunner.estimators.declared_axes import AxisResponse, against_nominal, contradictions
 from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.error_model.outputs import ModelledOutput, Together, models, shown_by
@@ -130,18 +130,18 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
     def words(self, request: EstimateRequest[ErrorModelParameters], made: ModelQuantities) -> Words:
         """Residuals by output, and both bases of uncertainty."""
         basis = request.parameters.uncertainty
-        notes: dict[str, list[str]] = {}
+        notes: dict[FitNote, list[str]] = {}
         warnings: list[str] = []
         for one in made.outputs:
-            said, doubted = judge(one.fit, basis)
-            for text in said:
-                notes.setdefault(text, []).append(one.model.name)
-            warnings += doubted
+            judged = judge(one.fit, basis)
+            for note in judged.notes:
+                notes.setdefault(note, []).append(one.model.name)
+            warnings += judged.warnings
         warnings += _contradictions(request, made.outputs)
         every = len(made.outputs)
         shared = [
-            text if len(names) == every or text.startswith(names[0]) else f"{', '.join(names)}: {text}"
-            for text, names in notes.items()
+            note.text if len(names) == every or note.output else f"{', '.join(names)}: {note.text}"
+            for note, names in notes.items()
         ]
         at_rest = [one.model.name for one in made.outputs if len(one.model.rows) < len(request.segments)]
         if at_rest:

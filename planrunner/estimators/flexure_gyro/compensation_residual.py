@@ -107,7 +107,7 @@ class CompensationResidual:
             f"{expected[name] / expected[first]:.3g}, with equal noise."
             for name in others
         ]
-        return Design((), (), (*notes, _CLAIM), ratios)
+        return Design((), (), (*notes, _CLAIM), {"ratios": ratios})
 
     def foresee(self, request: DesignRequest[CompensationResidualParameters]) -> Foresight:
         """Only the names of the coefficients: sums of a few squared residuals scatter by as much as their size. The notes give their

@@ -147,7 +147,8 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
     def words(self, request: EstimateRequest[FlexureGyroStaticParameters], found: StaticQuantities) -> Words:
         """Residuals, both bases of uncertainty, and the determinant of the positions."""
         fit, basis = found.fit, request.parameters.uncertainty
-        notes, warnings = judge(fit, basis)
+        judged = judge(fit, basis)
+        notes, warnings = list(judged.texts), list(judged.warnings)
         warnings += against_nominal(
             (one.name, one.value * unit(one.unit).factor, nominal)
             for one in found.coefficients

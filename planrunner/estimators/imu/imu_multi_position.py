@@ -167,12 +167,11 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         notes: list[str] = [tables.formula(frame)]
         warnings: list[str] = []
         for one in triads:
-            said, doubted = judge(one.fit, basis)
-            channels = tuple(f"{name}:" for name in one.observations.channels)
+            judged = judge(one.fit, basis)
             notes += [
-                text if text.startswith(channels) else f"{PLURAL[one.kind].capitalize()}: {text}" for text in said
+                note.text if note.output else f"{PLURAL[one.kind].capitalize()}: {note.text}" for note in judged.notes
             ]
-            warnings += doubted
+            warnings += judged.warnings
             warnings += contradictions(_response(one).rows(one.observations.channels))
         if len(triads) == 2 and len(triads[0].design.segments) > len(triads[1].design.segments):
             notes.append("Only the segments at rest are used for the accelerometers.")

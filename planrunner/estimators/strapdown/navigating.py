@@ -5,7 +5,7 @@ mechanisation.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -45,10 +45,20 @@ _GYRO = math.radians(0.1) / 3600  # rad/s
 _ACCELEROMETER = 9.80665e-3  # m/s^2, 1 mg
 
 
-_FARTHEST = {"initial_latitude": math.pi / 2, "initial_longitude": 2 * math.pi, "initial_height": 1e5}
+@dataclass(frozen=True, slots=True)
+class _Coordinate:
+    """A coordinate of the start position. information, channel: the run information and the reference channel that may give it; farthest:
+    its largest value on Earth, rad or m."""
+
+    information: str
+    channel: str
+    dimension: str
+    farthest: float
 
 
-_POSITION = {"initial_latitude": "angle", "initial_longitude": "angle", "initial_height": "length"}
+_LATITUDE = _Coordinate("initial_latitude", "reference_latitude", "angle", math.pi / 2)
+_LONGITUDE = _Coordinate("initial_longitude", "reference_longitude", "angle", 2 * math.pi)
+_HEIGHT = _Coordinate("initial_height", "reference_height", "length", 1e5)
 
 
 class StrapdownNavigationParameters(Record):
@@ -147,37 +157,41 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
 def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: RecordedSegment, factor: float) -> Site:
     """The position of alignment: from run information, otherwise from the reference channels, otherwise the bench's site. factor: of normal
     gravity. Raises `EstimationError`."""
-    places: dict[str, float] = {}
-    for name, dimension in _POSITION.items():
-        text = request.setup.information.get(name, "").strip()
-        channel = name.replace("initial", "reference")
-        if text:
-            places[name.removeprefix("initial_")] = _told(name, text, dimension)
-        elif channel in stop.statistics.channels:
-            places[name.removeprefix("initial_")] = reference_mean(stop, channel)
-    site = _at(request.site.on_ellipsoid, places)
+
+    def place(coordinate: _Coordinate) -> float | None:
+        if text := request.setup.information.get(coordinate.information, "").strip():
+            return _told(coordinate, text)
+        return reference_mean(stop, coordinate.channel) if coordinate.channel in stop.statistics.channels else None
+
+    site = _at(request.site.on_ellipsoid, place)
     return replace(site, gravity=factor * float(normal_gravity(site.latitude, site.height)))
 
 
-def _at(site: Site, places: Mapping[str, float]) -> Site:
-    """With the latitude, longitude [rad] and height [m] that are named."""
-    latitude, longitude = places.get("latitude", site.latitude), places.get("longitude", site.longitude)
-    return replace(site, latitude=latitude, longitude=longitude, height=places.get("height", site.height))
+def _at(site: Site, place: Callable[[_Coordinate], float | None]) -> Site:
+    """With the coordinates that `place` knows."""
+    latitude, longitude, height = (place(one) for one in (_LATITUDE, _LONGITUDE, _HEIGHT))
+    return replace(
+        site,
+        latitude=site.latitude if latitude is None else latitude,
+        longitude=site.longitude if longitude is None else longitude,
+        height=site.height if height is None else height,
+    )
 
 
-def _told(name: str, text: str, dimension: str) -> float:
+def _told(coordinate: _Coordinate, text: str) -> float:
     """A plain number is in degrees or metres, as in displays of receivers. Raises `EstimationError` for text that is not a position."""
     try:
-        value = math.radians(float(text)) if dimension == "angle" else float(text)
+        value = math.radians(float(text)) if coordinate.dimension == "angle" else float(text)
     except ValueError:
         try:
-            value = without_uncertainty(text, dimension).value
+            value = without_uncertainty(text, coordinate.dimension).value
         except QuantityError as error:
             raise EstimationError(
-                f"the run information {name} is '{text[:40]}': {error}; write for example 39.98 deg"
+                f"the run information {coordinate.information} is '{text[:40]}': {error}; write for example 39.98 deg"
             ) from None
-    if not abs(value) <= _FARTHEST[name]:
-        raise EstimationError(f"the run information {name} is '{text[:40]}', which is not a place on Earth")
+    if not abs(value) <= coordinate.farthest:
+        message = f"the run information {coordinate.information} is '{text[:40]}', which is not a place on Earth"
+        raise EstimationError(message)
     return value
 
 
@@ -274,12 +288,11 @@ def _begin(
     """The navigator at the beginning of the first interval, and its place."""
     parameters = request.parameters
     first = {name: _before(values) for name, values in piece.reference.items()}
-    told = request.setup.information
-    moved = {
-        name: first[f"reference_{name}"]
-        for name in ("latitude", "longitude", "height")
-        if f"reference_{name}" in first and not told.get(f"initial_{name}", "").strip()
-    }
+    stated = request.setup.information
+
+    def moved(coordinate: _Coordinate) -> float | None:
+        return None if stated.get(coordinate.information, "").strip() else first.get(coordinate.channel)
+
     site = _at(site, moved)
     velocity = np.array([first.get(f"reference_velocity_{name}", 0.0) for name in ("east", "north", "up")])
     if parameters.vertical == "held":

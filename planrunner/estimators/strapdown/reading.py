@@ -160,8 +160,8 @@ def reference_mean(recorded: RecordedSegment, name: str) -> float:
 def reference_speed(recorded: RecordedSegment) -> float:
     """Largest speed along one direction that the reference channels show [m/s]; 0 without them. Raises `EstimationError`."""
     statistics, largest = recorded.statistics, 0.0
-    for name in REFERENCES:
-        if name.startswith("reference_velocity") and name in recorded.units:
+    for name, dimension in REFERENCES.items():
+        if dimension == "speed" and name in recorded.units:
             k = statistics.of(name)
             extreme = max(abs(statistics.minimum[k]), abs(statistics.maximum[k]))
             largest = max(largest, float(extreme) * _reference_unit(recorded, name))

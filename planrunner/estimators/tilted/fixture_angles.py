@@ -155,9 +155,9 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
         notes: list[str] = []
         warnings: list[str] = []
         for _, fit in found.fits:
-            own_notes, own_warnings = judge(fit, parameters.uncertainty)
-            notes += [text for text in own_notes if text not in notes]
-            warnings += own_warnings
+            judged = judge(fit, parameters.uncertainty)
+            notes += [text for text in judged.texts if text not in notes]
+            warnings += judged.warnings
         return Words(
             headline=tuple(item.name for item in found.coefficients),
             settings={"uncertainty": parameters.uncertainty, "azimuth": parameters.azimuth},

@@ -77,7 +77,14 @@ class Diagnosis:
         plain = {
             "gap": {name: dict(entry) for name, entry in self.gap.items()},
             "where": [
-                {"channel": p.channel, "factor": p.factor, "level": p.level, "share": p.share, "of": p.of, "p": p.p}
+                {
+                    "channel": p.channel,
+                    "factor": p.factor.value,
+                    "level": p.level,
+                    "share": p.share,
+                    "of": p.of,
+                    "p": p.p,
+                }
                 for p in self.where
             ],
             "posterior": dict(self.posterior.probability),

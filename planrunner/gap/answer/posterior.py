@@ -14,6 +14,7 @@ from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, pair_log
 from planrunner.gap.evidence.noise_levels import log_densities
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.hypotheses.open_set import competitors, unknown
+from planrunner.gap.hypotheses.patterns import Pattern
 
 Array = NDArray[np.float64]
 PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.15, "unknown": 0.15}
@@ -31,8 +32,8 @@ class Posterior:
     probability: dict[str, float]
     log_evidence: dict[str, float]
     pairs: dict[str, Weighed] = field(repr=False)
-    kinds: dict[str, float]
-    by_channel: dict[str, Array] = field(repr=False)
+    kinds: dict[Pattern, float]
+    by_channel: dict[Pattern, Array] = field(repr=False)
     levels: frozenset[str] = frozenset()
 
 
@@ -61,7 +62,7 @@ def posterior(weighing: Weighing, effects: Sequence[Effect], candidates: Sequenc
     found |= {key: value + levels["declared"] - start for key, value in together.items()}
     kinds = competitors(weighing)
     found["unknown"] = weighing.evidence(unknown(kinds)) + levels["declared"] - start
-    plainly = {name: weighing.evidence(value) + levels["declared"] - start for name, value in kinds.log_bayes.items()}
+    plainly = {what: weighing.evidence(value) + levels["declared"] - start for what, value in kinds.log_bayes.items()}
     return Posterior(_normalised(found), found, weighed, plainly, kinds.by_channel, frozenset(acting.values()))
 
 

@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from planrunner.gap.evidence.bayes_factors import log_mean_exp
 from planrunner.gap.evidence.noise_levels import excess_by_channel
 from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.open_set import BAND_NOISE, TONE
+from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort
 from planrunner.plan.directions import word_of
 
 Array = NDArray[np.float64]
@@ -28,21 +30,6 @@ SEED = 20
 _LEVELS = 4  # bins of temperature and time
 _NEAR = math.sqrt(2 - 2 * 0.999)
 """Smallest cosine between an axis and a direction for which the direction's word is used."""
-_LIVES = {
-    "temperature": "temperature",
-    "time": "time",
-    "turn": "table angle",
-    "rocking": "table angle",
-    "gravity": "orientation",
-    "orientation": "orientation",
-    "rate": "rate",
-    "motion": "rate",
-    "scale": "rate",
-    "transient": "band",
-    "noise": "band",
-    "tone": "band",
-}
-"""Word in a pattern's name → factor; the first match counts. Differences from segment to segment count as time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +39,14 @@ class MisfitPlace:
     channel, as for energy outside the basis. p: adjusted for the number of places."""
 
     channel: str
-    factor: str
+    factor: Factor
     level: str
     share: float
     p: float
     of: Literal["gap", "noise"] = "gap"
 
 
-def places(weighing: Weighing, kinds: Mapping[str, Array]) -> list[MisfitPlace]:
+def places(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> list[MisfitPlace]:
     """All places, the most conspicuous first. kinds: log BF (K,), in one channel alone, of patterns outside the catalogue.
 
     A channel and a factor are ranked by the evidence that the channel's residual follows the factor: the mean over the patterns of the
@@ -73,7 +60,7 @@ def places(weighing: Weighing, kinds: Mapping[str, Array]) -> list[MisfitPlace]:
         for factor, values in evidence.items():
             own = [(score, place) for place, score in listed if (place.channel, place.factor) == (channel.name, factor)]
             own.sort(key=lambda item: -item[0])
-            if factor == "band" and np.argmax(outside[:, c]) > 0:
+            if factor is Factor.BAND and np.argmax(outside[:, c]) > 0:
                 own.insert(0, (0.0, _of_noise(weighing, c, float(values[c]), len(listed))))
             found += [
                 (float(values[c]) if rank == 0 else -np.inf, score, place) for rank, (score, place) in enumerate(own)
@@ -81,28 +68,20 @@ def places(weighing: Weighing, kinds: Mapping[str, Array]) -> list[MisfitPlace]:
     return [place for *_, place in sorted(found, key=lambda item: (-item[0], -item[1]))]
 
 
-def _by_factor(noisier: Array, kinds: Mapping[str, Array]) -> dict[str, Array]:
+def _by_factor(noisier: Array, kinds: Mapping[Pattern, Array]) -> dict[Factor, Array]:
     """log BF (K,) of each factor. noisier: log BF (K,) of more white noise than declared."""
-    sorted_: dict[str, list[Array]] = {"band": [noisier]}
-    for name, values in kinds.items():
-        sorted_.setdefault(factor_of(name), []).append(values)
+    sorted_: dict[Factor, list[Array]] = {Factor.BAND: [noisier]}
+    for pattern, values in kinds.items():
+        sorted_.setdefault(pattern.factor, []).append(values)
     return {factor: log_mean_exp(np.array(values), 0) for factor, values in sorted_.items()}
 
 
-def factor_of(kind: str) -> str:
-    """The factor of a pattern outside the catalogue."""
-    for word, factor in _LIVES.items():
-        if word in kind:
-            return factor
-    return "time"
-
-
-def _outside(weighing: Weighing, kinds: Mapping[str, Array]) -> Array:
+def _outside(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> Array:
     """log BF (3, K) of slow changes within segments, of more white noise than declared, and of noise or a tone outside the basis."""
     none = np.full(len(weighing.observed.channels), -np.inf)
     more = excess_by_channel(weighing.declared, weighing.white, weighing.white_degrees)
-    other = np.maximum(kinds.get("noise of one band", none), kinds.get("a tone", none))
-    return np.array([kinds.get("transient per segment", none), more, other])
+    other = np.maximum(kinds.get(BAND_NOISE, none), kinds.get(TONE, none))
+    return np.array([kinds.get(WHOLE[Sort.TRANSIENT], none), more, other])
 
 
 def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> MisfitPlace:
@@ -113,7 +92,7 @@ def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -
         channel
     ] ** 2
     p = min(1.0, places_ * float(np.exp(-evidence)))
-    return MisfitPlace(declared.name, "band", "noise or a tone", float(np.clip(1 - level, 0.0, 1.0)), p, "noise")
+    return MisfitPlace(declared.name, Factor.BAND, "noise or a tone", float(np.clip(1 - level, 0.0, 1.0)), p, "noise")
 
 
 def levels(weighing: Weighing) -> Iterator[tuple[MisfitPlace, float]]:
@@ -147,19 +126,19 @@ def _replicates(weighing: Weighing) -> Iterator[Array]:
         yield np.square(noise, out=noise)
 
 
-def _masks(weighing: Weighing) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
+def _masks(weighing: Weighing) -> Iterator[tuple[Factor, str, NDArray[np.bool_]]]:
     """Factor, level and the coefficients (M,) that belong to it. The first is everything."""
     observed, spectrum = weighing.observed, weighing.spectrum
     segment = spectrum.segment
-    yield "channel", "all", np.ones(len(segment), dtype=bool)
+    yield Factor.CHANNEL, "all", np.ones(len(segment), dtype=bool)
     middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
     orientations = [_words(attitude) if observed.along is None else _up(attitude) for attitude in observed.attitude]
     rates = np.degrees(observed.rate[middles])
     motion = ["rocking" if m else f"{r:.6g} deg/s" for m, r in zip(observed.unsteady, rates, strict=True)]
-    factors = {"orientation": orientations, "rate": motion}
+    factors = {Factor.ORIENTATION: orientations, Factor.RATE: motion}
     for name, values, unit in (
-        ("temperature", observed.temperature[middles], "degC"),
-        ("time", observed.time[middles], "s"),
+        (Factor.TEMPERATURE, observed.temperature[middles], "degC"),
+        (Factor.TIME, observed.time[middles], "s"),
     ):
         factors[name] = _binned(values, unit)
     for factor, levels in factors.items():
@@ -167,9 +146,9 @@ def _masks(weighing: Weighing) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
             mask = np.array([item == level for item in levels])
             if 0 < mask.sum() < len(mask):
                 yield factor, level, mask[segment]
-    yield "band", "slow change within segments", (spectrum.frequency > 0) & (spectrum.harmonic == 0)
+    yield Factor.BAND, "slow change within segments", (spectrum.frequency > 0) & (spectrum.harmonic == 0)
     for h in sorted(set(spectrum.harmonic[spectrum.harmonic > 0])):
-        yield "table angle", f"{h} per turn or period", spectrum.harmonic == h
+        yield Factor.TABLE_ANGLE, f"{h} per turn or period", spectrum.harmonic == h
 
 
 def _binned(values: Array, unit: str) -> list[str]:

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from planrunner.gap.evidence.bayes_factors import log_mean_exp
 from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.patterns import Factor, Pattern, Sort
 from planrunner.plan.schedule import Rest, Spin
 
 Array = NDArray[np.float64]
-BURSTS = "bursts"
+BURSTS = Pattern("bursts", Sort.BURSTS, Factor.TIME)
 LENGTHS = (1.0, 2.0, 4.0)  # s
 CHANCES = (0.005, 0.02, 0.08)  # probability of a burst in a window
 ENERGIES = np.geomspace(4.0, 4000.0, 12)  # of a burst in one channel, in units of the noise

@@ -19,25 +19,27 @@ from planrunner.gap.evidence.spectrum import BANDS
 from planrunner.gap.evidence.weighing import ChannelWeights, Eigen, Left, eigen
 from planrunner.gap.hypotheses.bursts import BURSTS, bursts
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.patterns import CHANGING, WHOLE, Rows, designs, factors, sorts
+from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Rows, Sort, designs, factors, sorts
 from planrunner.gap.hypotheses.repeating import PERIODIC, Repeating
 from planrunner.plan.schedule import Rest, Spin
 
 Array = NDArray[np.float64]
 PLAIN = 8.0  # nats of one sort at and above which the others are evaluated on the remainder
-SPANNING = (PERIODIC, CHANGING)
+ODD_SEGMENT = Pattern("one odd segment", Sort.MEANS, Factor.TIME)
+BAND_NOISE = Pattern("noise of one band", Sort.NOISE, Factor.BAND)
+TONE = Pattern("a tone", Sort.TONE, Factor.BAND)
 LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
 
 
 @dataclass(frozen=True)
 class Kinds:
-    """Competitors, under names such as 'offset smooth in time'. log_bayes: (G,) of each against none over the settings of the noise, −∞ for
+    """Competitors. log_bayes: (G,) of each against none over the settings of the noise, −∞ for
     settings with a random walk of the gyros' bias; several: (G,), of several sorts at once. by_channel: (K,), of each in one channel alone,
     at the first setting."""
 
-    log_bayes: dict[str, Array]
+    log_bayes: dict[Pattern, Array]
     several: Array
-    by_channel: dict[str, Array]
+    by_channel: dict[Pattern, Array]
 
 
 def competitors(weighing: Weighing) -> Kinds:
@@ -51,16 +53,16 @@ def competitors(weighing: Weighing) -> Kinds:
         channels = [whole[id(weight)] for weight in _weights(weighing, int(g))]
         each[g] = patterns.weighed(channels) | outside
         several[g] = _several(patterns, channels, each[g])
-    found = {name: np.full(len(weighing.base), -np.inf) for name in each[settings[0]]}
+    found = {pattern: np.full(len(weighing.base), -np.inf) for pattern in each[settings[0]]}
     for g, values in each.items():
-        for name, value in values.items():
-            found[name][g] = float(log_mean_exp(value, 0))
+        for pattern, value in values.items():
+            found[pattern][g] = float(log_mean_exp(value, 0))
     count = len(weighing.observed.channels)
-    alone = {name: value[:count] for name, value in each[settings[0]].items() if len(value) >= count}
+    alone = {pattern: value[:count] for pattern, value in each[settings[0]].items() if len(value) >= count}
     first = [whole[id(weight)] for weight in _weights(weighing, 0)]
-    for name, per_channel in factors(weighing):
+    for pattern, per_channel in factors(weighing):
         spectra = [eigen(left, design) for left, design in zip(first, per_channel, strict=True)]
-        alone[name] = np.array(_by_scope(spectra, [[index] for index in range(count)]))
+        alone[pattern] = np.array(_by_scope(spectra, [[index] for index in range(count)]))
     return Kinds(found, several, alone)
 
 
@@ -75,7 +77,7 @@ def _weights(weighing: Weighing, g: int) -> list[ChannelWeights]:
     return [each[at[channel.kind]] for each, channel in zip(weighing.weights, weighing.observed.channels, strict=True)]
 
 
-def _several(patterns: _Patterns, channels: list[Left], found: dict[str, Array]) -> float:
+def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Array]) -> float:
     """log BF of patterns of several sorts together, each sort present with probability ½. A cause outside the catalogue often appears in
     more than one sort.
 
@@ -84,28 +86,20 @@ def _several(patterns: _Patterns, channels: list[Left], found: dict[str, Array])
     """
     left, total = _by_sort(found), 0.0
     while True:
-        top = max((sort for sort in left if sort in WHOLE), key=lambda sort: left[sort], default="")
-        if not top or left[top] < PLAIN:
+        top = max((sort for sort in left if sort in WHOLE), key=lambda sort: left[sort], default=None)
+        if top is None or left[top] < PLAIN:
             return total + sum(map(_maybe, left.values()))
         total += _maybe(left.pop(top))
         channels = [channel.without(patterns.sorts[top]) for channel in channels]
         left |= _by_sort(patterns.weighed(channels, left))
 
 
-def _sort(name: str) -> str:
-    """The sort of a pattern; "" for a pattern in the coefficients of more than one sort."""
-    word = name.split()[0]
-    if name in SPANNING:
-        return ""
-    return word if word in WHOLE or word in ("noise", "a", BURSTS) else "means"
-
-
-def _by_sort(found: dict[str, Array]) -> dict[str, float]:
+def _by_sort(found: dict[Pattern, Array]) -> dict[Sort, float]:
     """The evidence by sort, without patterns that span several sorts, because these would count twice."""
-    sorts: dict[str, list[float]] = {}
-    for name, value in found.items():
-        if sort := _sort(name):
-            sorts.setdefault(sort, []).append(float(log_mean_exp(value, 0)))
+    sorts: dict[Sort, list[float]] = {}
+    for pattern, value in found.items():
+        if pattern.sort is not Sort.SEVERAL:
+            sorts.setdefault(pattern.sort, []).append(float(log_mean_exp(value, 0)))
     return {sort: float(log_mean_exp(np.array(values), 0)) for sort, values in sorts.items()}
 
 
@@ -126,26 +120,26 @@ class _Patterns:
     def __init__(self, weighing: Weighing):
         self.designs, self.repeating, self.sorts = list(designs(weighing)), Repeating(weighing), sorts(weighing)
         self.means, self.scopes = weighing.spectrum.means, _scopes(weighing)
-        self._known: dict[tuple[str, Left], Eigen] = {}
+        self._known: dict[tuple[Pattern, Left], Eigen] = {}
 
-    def weighed(self, channels: list[Left], among: Container[str] | None = None) -> dict[str, Array]:
+    def weighed(self, channels: list[Left], among: Container[Sort] | None = None) -> dict[Pattern, Array]:
         """log BF of each pattern by scope; of one odd segment in any scope. among: the requested sorts, by default all."""
-        found: dict[str, list[float]] = {}
-        for name, per_channel in self.designs:
-            if among is None or _sort(name) in among:
-                spectra = [self._eigen(name, left, own) for left, own in zip(channels, per_channel, strict=True)]
+        found: dict[Pattern, list[float]] = {}
+        for pattern, per_channel in self.designs:
+            if among is None or pattern.sort in among:
+                spectra = [self._eigen(pattern, left, own) for left, own in zip(channels, per_channel, strict=True)]
                 if any(len(values) for values, _ in spectra):
-                    found[name] = _by_scope(spectra, self.scopes)
-        if among is None or "means" in among:
-            found["one odd segment"] = [_one_segment(self.means, channels)]
+                    found[pattern] = _by_scope(spectra, self.scopes)
+        if among is None or Sort.MEANS in among:
+            found[ODD_SEGMENT] = [_one_segment(self.means, channels)]
         if among is None:
             found[PERIODIC] = self.repeating.weighed(self.scopes, channels)
-        return {name: np.array(each) for name, each in found.items()}
+        return {pattern: np.array(each) for pattern, each in found.items()}
 
-    def _eigen(self, name: str, left: Left, design: Array | Rows) -> Eigen:
-        if (name, left) not in self._known:
-            self._known[name, left] = eigen(left, design)
-        return self._known[name, left]
+    def _eigen(self, pattern: Pattern, left: Left, design: Array | Rows) -> Eigen:
+        if (pattern, left) not in self._known:
+            self._known[pattern, left] = eigen(left, design)
+        return self._known[pattern, left]
 
 
 def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list[float]:
@@ -164,13 +158,13 @@ def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list
     return [float(value) for value in found]
 
 
-def _outside(weighing: Weighing) -> dict[str, Array]:
+def _outside(weighing: Weighing) -> dict[Pattern, Array]:
     """log BF by scope of patterns outside the basis."""
     powers, scopes = [_line(weighing, index) for index in range(len(weighing.observed.channels))], _scopes(weighing)
     tones = [_tone([powers[index] for index in scope]) for scope in scopes]
     return {
-        "noise of one band": np.array(_bands(weighing)),
-        "a tone": np.array(tones),
+        BAND_NOISE: np.array(_bands(weighing)),
+        TONE: np.array(tones),
         BURSTS: bursts(weighing, scopes),
     }
 

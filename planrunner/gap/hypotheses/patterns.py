@@ -7,6 +7,8 @@ with rate, gravity, temperature or time.
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum, StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +20,55 @@ from planrunner.plan.schedule import Rest, Rock, Spin
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
-PatternDesign = tuple[str, list[Array | Rows]]
-"""Name, and per channel raw columns (M, P), or rows (M,) that are each a separate column."""
+
+
+class Sort(Enum):
+    """The coefficients of a pattern, or its place outside the basis. `SEVERAL`: coefficients of more than one sort."""
+
+    MEANS = "means"
+    TRANSIENT = "transient"
+    ROCKING = "rocking"
+    ONCE_PER_TURN = "1"
+    TWICE_PER_TURN = "2"
+    THRICE_PER_TURN = "3"
+    NOISE = "noise"
+    TONE = "tone"
+    BURSTS = "bursts"
+    SEVERAL = ""
+
+
+class Factor(StrEnum):
+    """What a gap may change with. Differences from segment to segment count as time."""
+
+    CHANNEL = "channel"
+    ORIENTATION = "orientation"
+    RATE = "rate"
+    TEMPERATURE = "temperature"
+    TIME = "time"
+    TABLE_ANGLE = "table angle"
+    BAND = "band"
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """One competitor outside the catalogue. factor: the factor that the residual follows if this pattern explains it."""
+
+    name: str
+    sort: Sort
+    factor: Factor
+
+
+PatternDesign = tuple[Pattern, list[Array | Rows]]
+"""Per channel raw columns (M, P), or rows (M,) that are each a separate column."""
+HARMONICS = {1: Sort.ONCE_PER_TURN, 2: Sort.TWICE_PER_TURN, 3: Sort.THRICE_PER_TURN}
 WHOLE = {
-    "means": "offset per segment",
-    "transient": "transient per segment",
-    "rocking": "rocking waveform",
-    **{f"{h}": f"{h} per turn, per segment" for h in (1, 2, 3)},
+    Sort.MEANS: Pattern("offset per segment", Sort.MEANS, Factor.TIME),
+    Sort.TRANSIENT: Pattern("transient per segment", Sort.TRANSIENT, Factor.BAND),
+    Sort.ROCKING: Pattern("rocking waveform", Sort.ROCKING, Factor.TABLE_ANGLE),
+    **{sort: Pattern(f"{h} per turn, per segment", sort, Factor.TABLE_ANGLE) for h, sort in HARMONICS.items()},
 }
-"""Sorts of patterns by their coefficients, each with the design that contains all of these."""
-CHANGING = "offset and transient while the temperature changes"
+"""Sorts of coefficients, each with the pattern that contains all of these."""
+CHANGING = Pattern("offset and transient while the temperature changes", Sort.SEVERAL, Factor.TEMPERATURE)
 """A pattern that acts both on the means and within the segments."""
 SMOOTH_ORDERS = 6
 TIME_ORDERS = 40  # of a drift over the run
@@ -38,55 +79,69 @@ def designs(weighing: Weighing) -> Iterator[PatternDesign]:
     everywhere = len(observed.channels)
     counts = np.sqrt(observed.counts)
     starts = observed.bounds[:-1]
-    kinds = {name: _smooth(values) for name, values in _coordinates(weighing).items()}
-    kinds["time, in many turns"] = _smooth(_coordinates(weighing)["time"], TIME_ORDERS, 0.0)
-    kinds["gravity"] = _monomials(observed.force[starts] / observed.site.gravity)
+    coordinates = _coordinates(weighing)
+    smooth = {factor: _smooth(values) for factor, values in coordinates.items()}
+    offsets = [(f"{factor}", factor, basis) for factor, basis in smooth.items()]
+    offsets.append(("time, in many turns", Factor.TIME, _smooth(coordinates[Factor.TIME], TIME_ORDERS, 0.0)))
+    offsets.append(("gravity", Factor.ORIENTATION, _monomials(observed.force[starts] / observed.site.gravity)))
 
     def at_means(table: Array) -> Array:
         out = np.zeros((len(spectrum.segment), table.shape[1]))
         out[spectrum.means] = table * counts[:, None]
         return out
 
-    yield WHOLE["means"], [at_means(np.eye(len(observed)))] * everywhere
-    for name, basis in kinds.items():
-        yield f"offset smooth in {name}", [at_means(basis)] * everywhere
+    yield WHOLE[Sort.MEANS], [at_means(np.eye(len(observed)))] * everywhere
+    for name, factor, basis in offsets:
+        yield _offset(f"offset smooth in {name}", factor), [at_means(basis)] * everywhere
     yield (
-        "offset by orientation",
+        _BY_ORIENTATION,
         [at_means(_levels([_upward(observed, s) for s in range(len(observed))]))] * everywhere,
     )
     states = _levels([_state(observed, s) for s in range(len(observed))])
-    yield "offset by motion", [at_means(states)] * everywhere
+    yield _offset("offset by motion", Factor.RATE), [at_means(states)] * everywhere
     turned = _orientations(observed)
-    for name in ("temperature", "time"):
-        both = (turned[:, :, None] * kinds[name][:, None, :2]).reshape(len(turned), -1)
-        yield f"offset with orientation, smooth in {name}", [at_means(both)] * everywhere
+    for factor in (Factor.TEMPERATURE, Factor.TIME):
+        both = (turned[:, :, None] * smooth[factor][:, None, :2]).reshape(len(turned), -1)
+        yield _offset(f"offset with orientation, smooth in {factor}", factor), [at_means(both)] * everywhere
     rates = np.column_stack([observed.rate[starts] * observed.table_axis[starts, axis] for axis in range(3)])
-    for name, basis in {"segment": np.eye(len(observed)), **{k: kinds[k] for k in ("temperature", "time")}}.items():
-        word = "per" if name == "segment" else "smooth in"
+    scales = [_offset("scale factor per segment", Factor.RATE)]
+    scales += [_offset(f"scale factor smooth in {factor}", factor) for factor in (Factor.TEMPERATURE, Factor.TIME)]
+    for pattern, basis in zip(
+        scales, (np.eye(len(observed)), smooth[Factor.TEMPERATURE], smooth[Factor.TIME]), strict=True
+    ):
         yield (
-            f"scale factor {word} {name}",
+            pattern,
             [at_means(rates[:, [channel.axis]] * basis) for channel in observed.channels],
         )
     rows = sorts(weighing)
-    yield WHOLE["transient"], [rows["transient"]] * everywhere
-    for h in (1, 2, 3):
-        yield WHOLE[f"{h}"], [rows[f"{h}"]] * everywhere
-        yield f"{h} per turn, alike", [_alike(weighing, rows[f"{h}"])] * everywhere
-    yield WHOLE["rocking"], [rows["rocking"]] * everywhere
+    yield WHOLE[Sort.TRANSIENT], [rows[Sort.TRANSIENT]] * everywhere
+    for h, sort in HARMONICS.items():
+        yield WHOLE[sort], [rows[sort]] * everywhere
+        alike = Pattern(f"{h} per turn, alike", sort, Factor.TABLE_ANGLE)
+        yield alike, [_alike(weighing, rows[sort])] * everywhere
+    yield WHOLE[Sort.ROCKING], [rows[Sort.ROCKING]] * everywhere
     slow = (spectrum.harmonic == 0) & _changing(observed)[spectrum.segment]
     yield CHANGING, [slow] * everywhere
 
 
-def sorts(weighing: Weighing) -> dict[str, Rows]:
+def _offset(name: str, factor: Factor) -> Pattern:
+    """A pattern of the means of segments."""
+    return Pattern(name, Sort.MEANS, factor)
+
+
+_BY_ORIENTATION = _offset("offset by orientation", Factor.ORIENTATION)
+
+
+def sorts(weighing: Weighing) -> dict[Sort, Rows]:
     """The coefficients (M,) of each sort."""
     spectrum, motions = weighing.spectrum, weighing.observed.motions
     spin = np.array([isinstance(motion, Spin) for motion in motions])[spectrum.segment]
     rock = np.array([isinstance(motion, Rock) for motion in motions])[spectrum.segment]
     return {
-        "means": spectrum.frequency == 0,
-        "transient": (spectrum.harmonic == 0) & (spectrum.frequency > 0),
-        "rocking": rock & (spectrum.harmonic > 0),
-        **{f"{h}": spin & (spectrum.harmonic == h) for h in (1, 2, 3)},
+        Sort.MEANS: spectrum.frequency == 0,
+        Sort.TRANSIENT: (spectrum.harmonic == 0) & (spectrum.frequency > 0),
+        Sort.ROCKING: rock & (spectrum.harmonic > 0),
+        **{sort: spin & (spectrum.harmonic == h) for h, sort in HARMONICS.items()},
     }
 
 
@@ -109,43 +164,45 @@ def factors(weighing: Weighing) -> Iterator[PatternDesign]:
         "gyro": at_means(_levels([_upward(observed, s) for s in segments])),
         "accel": at_means(_levels([_coarse(observed.attitude[s]) for s in segments])),
     }
-    yield "offset by orientation", [levels[channel.kind] for channel in observed.channels]
+    yield _BY_ORIENTATION, [levels[channel.kind] for channel in observed.channels]
     states = at_means(_levels([_state(observed, s) for s in segments]))
     yield (
-        "offset by orientation and motion",
+        _offset("offset by orientation and motion", Factor.ORIENTATION),
         [np.hstack([levels[channel.kind], states]) for channel in observed.channels],
     )
     if observed.along is None:
         cosines = _orientations(observed)
-        yield "offset along orientation", [at_means(cosines[:, channel.axis :: 3]) for channel in observed.channels]
+        along = _offset("offset along orientation", Factor.ORIENTATION)
+        yield along, [at_means(cosines[:, channel.axis :: 3]) for channel in observed.channels]
     yield (
-        "offset by kind of motion",
+        _offset("offset by kind of motion", Factor.RATE),
         [at_means(_levels([_state(observed, s, False) for s in segments]))] * len(observed.channels),
     )
     slopes = np.add.reduceat(observed.temperature_rate, observed.bounds[:-1]) / np.diff(observed.bounds)
     changes = np.column_stack([slopes, observed.last_change])
     yield (
-        "offset by change of temperature",
+        _offset("offset by change of temperature", Factor.TEMPERATURE),
         [at_means(changes / (np.abs(changes).max(0) + 1e-300))] * len(observed.channels),
     )
     turning = np.array([isinstance(motion, Spin) for motion in observed.motions])[observed.owner]
     if not turning.any():
         return
     rate = observed.rate / np.abs(observed.rate[turning]).max()
-    for order in (1, 2):
+    for order, sort in ((1, Sort.ONCE_PER_TURN), (2, Sort.TWICE_PER_TURN)):
         waves = np.column_stack([wave(order * observed.angle) * turning for wave in (np.cos, np.sin)])
         common = [spectrum.project(observed, waves), spectrum.project(observed, waves * rate[:, None])]
         own = [spectrum.project(observed, waves * (rate * observed.table_axis[:, axis])[:, None]) for axis in range(3)]
-        yield f"{order} per turn, by rate", [np.hstack([*common, own[channel.axis]]) for channel in observed.channels]
+        by_rate = Pattern(f"{order} per turn, by rate", sort, Factor.TABLE_ANGLE)
+        yield by_rate, [np.hstack([*common, own[channel.axis]]) for channel in observed.channels]
 
 
-def _coordinates(weighing: Weighing) -> dict[str, Array]:
+def _coordinates(weighing: Weighing) -> dict[Factor, Array]:
     observed = weighing.observed
     middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
     return {
-        "rate": observed.rate[observed.bounds[:-1]],
-        "temperature": observed.temperature[middles],
-        "time": observed.time[middles],
+        Factor.RATE: observed.rate[observed.bounds[:-1]],
+        Factor.TEMPERATURE: observed.temperature[middles],
+        Factor.TIME: observed.time[middles],
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.parameters import QuantityLike
@@ -98,21 +98,29 @@ class SerialSensorParameters(Record):
 
 
 def sensor_model(
-    parameters: SerialSensorParameters, channels: Mapping[str, str], resolutions: Mapping[str, float]
+    parameters: SerialSensorParameters,
+    channels: Mapping[str, str],
+    resolutions: Mapping[str, float],
+    inclinometers: Collection[str] = (),
 ) -> SensorModel:
-    """The model of a sensor with these channels (name → unit). resolutions: one count of a channel, in its unit."""
-    outputs = tuple(_output(name, text, resolutions.get(name, 0.0), parameters) for name, text in channels.items())
+    """The model of a sensor with these channels (name → unit). resolutions: one count of a channel, in its unit. inclinometers: channels
+    in units of acceleration that are not accelerometers."""
+    outputs = tuple(
+        _output(name, text, resolutions.get(name, 0.0), parameters, name not in inclinometers)
+        for name, text in channels.items()
+    )
     nominal = {f"K_{name}": 1.0 for name, text in channels.items() if text in (*RATES, *ACCELERATIONS)}
     lag = 0.0 if parameters.thermal_lag is None else parameters.thermal_lag.value
     return SensorModel(parameters.kind, outputs, parameters.sample_rate.value, nominal, one_rate=True, thermal_lag=lag)
 
 
-def _output(name: str, text: str, resolution: float, parameters: SerialSensorParameters) -> OutputModel:
+def _output(name: str, text: str, resolution: float, parameters: SerialSensorParameters, inertial: bool) -> OutputModel:
+    """inertial: whether it is an output of a gyro or an accelerometer if its unit fits."""
     known: GyroKnowledge | AccelerometerKnowledge | None = None
     walk: Quantity | None = None
     if text in RATES and parameters.gyros is not None:
         known, walk = parameters.gyros, parameters.gyros.angle_random_walk
-    elif text in ACCELERATIONS and name.startswith("accel") and parameters.accelerometers is not None:
+    elif text in ACCELERATIONS and inertial and parameters.accelerometers is not None:
         known, walk = parameters.accelerometers, parameters.accelerometers.velocity_random_walk
     if known is None:
         return OutputModel(name, text, noise=NoiseModel(resolution=resolution))

@@ -42,6 +42,7 @@ STATUS = {
     0: "x axis",
 }
 AXES = ("x", "y", "z")
+INCLINOMETERS = tuple(f"inclination_{axis}" for axis in AXES)
 
 
 class Datagram:
@@ -93,7 +94,8 @@ class Stim300(SerialSensor[Stim300Parameters]):
             hint = "set 2000 Hz, or 2000 Hz divided by a whole number, such as 1000 Hz, 500 Hz, 250 Hz or 125 Hz"
             raise InputError.at(parameters.at("sample_rate"), "meaning-range", message, hint)
         layout = cls.decoder_of(parameters)
-        return sensor_model(parameters, layout.units, {name: item.scale for name, item in layout.fields.items()})
+        resolutions = {name: item.scale for name, item in layout.fields.items()}
+        return sensor_model(parameters, layout.units, resolutions, INCLINOMETERS)
 
     @classmethod
     def decoder_of(cls, parameters: Stim300Parameters) -> FrameLayout:
