@@ -96,7 +96,7 @@ def test_the_page_for_estimates_has_a_row_for_each_of_them() -> None:
         if not estimable(effect):
             assert isinstance(effect, Explained)
             assert f"| `{name}` | {effect.shown_by} |" in page
-    assert all(f"`{name}`" in page.partition("no hypotheses")[2] for name in FOR_ESTIMATES)
+    assert all(f"`{name}`" in page.partition("not hypotheses")[2] for name in FOR_ESTIMATES)
 
 
 def test_effects_for_estimates_are_hypotheses_only_where_they_are_named() -> None:
