@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
+from planrunner.archive.reading_progress import Rows
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
 from planrunner.instruments.interfaces import Block
@@ -15,19 +17,23 @@ from planrunner.plan.schedule import Segment
 
 def played(player: RecordingPlayer, segments: Sequence[Segment]) -> tuple[RecordedSegment, ...]:
     """The segments of a player. Its recording can then be read many times. Raises `InstrumentError`."""
-    player.file = at_hand(player.file)
-    return tuple(_play(player, segment) for segment in segments)
+    player.file = at_hand(player.file, player.parameters.file, player.notice)
+    seconds = (player.length_of(one) if one.dwell is None else one.dwell for one in segments)
+    rows = min(player.file.about, sum(player.parameters.sample_rate.value * (one or math.inf) for one in seconds))
+    passed = Rows(f"reading {player.parameters.file}", 2 * rows, player.notice)
+    return tuple(_play(player, segment, passed) for segment in segments)
 
 
-def _play(player: RecordingPlayer, segment: Segment) -> RecordedSegment:
+def _play(player: RecordingPlayer, segment: Segment, passed: Rows) -> RecordedSegment:
     """A segment of the recording. Its blocks are in memory if the recording is; otherwise every pass reads them again."""
     units = dict(player.channels())
     read = partial(player.stream, segment)
     if isinstance(player.file, HeldRecording):
         whole = list(player.stream(segment))
         read = partial(iter, whole)
-    rows = sum(len(block.time) for block in read())
-    return RecordedSegment(segment, units, statistics_of(read(), tuple(units), rows), partial(_again, read))
+    rows = sum(len(block.time) for block in passed.through(read()))
+    statistics = statistics_of(passed.through(read()), tuple(units), rows)
+    return RecordedSegment(segment, units, statistics, partial(_again, read))
 
 
 def _again(read: Callable[[], Iterator[Block]], channels: Sequence[str]) -> Iterator[Block]:

@@ -153,11 +153,15 @@ def expected_segment(segment: Segment, units: dict[str, str], statistics: Statis
     return RecordedSegment(segment, units, statistics, blocks, expected=True)
 
 
+Ranges = Mapping[str, tuple[float, float]]
+"""Smallest and largest number by channel; NaN if one of the numbers is missing."""
+
+
 class Watcher(Protocol):
     """Looks at samples while they are read for their statistics."""
 
-    def through(self, blocks: Iterable[Block]) -> Iterator[Block]:
-        """The same blocks."""
+    def add(self, block: Block, ranges: Ranges | None = None) -> None:
+        """The next samples. ranges: of all channels in them, if known."""
 
     def finds(self) -> tuple[Find, ...]:
         """What was found, when the blocks are at their end."""

@@ -11,6 +11,7 @@ from pathlib import Path
 from planrunner.archive.analyses import Basis, StoredAnalysis, add_analysis
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal_state import Acknowledged, JournalState, Rejected
+from planrunner.archive.reading_progress import Rows
 from planrunner.archive.recording import RecordedSegment, WatcherOf
 from planrunner.archive.segment_file import SegmentData
 from planrunner.archive.statistics import statistics_of
@@ -18,6 +19,7 @@ from planrunner.archive.verifying import BENCH, MENDED, PLAN, Examined, examine,
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding
 from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.base.progress import Notice
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Schedule
 from planrunner.plan.selection import spelt_alike
@@ -97,13 +99,17 @@ class RunReader:
 
     # -- samples -------------------------------------------------------------------------------------------------------
 
-    def recording(self, schedule: Schedule, watch: WatcherOf | None = None) -> tuple[RecordedSegment, ...]:
+    def recording(
+        self, schedule: Schedule, watch: WatcherOf | None = None, notice: Notice | None = None
+    ) -> tuple[RecordedSegment, ...]:
         """The acknowledged segments with statistics, in the order of the schedule. Each file is read once.
 
-        schedule: made from the run's own plan and bench. watch: screens the samples in the same pass. Raises
-        `IntegrityError` if it does not match the recording.
+        schedule: made from the run's own plan and bench. watch: screens the samples in the same pass. notice: receives the
+        progress. Raises `IntegrityError` if it does not match the recording.
         """
         segments = []
+        whole = sum(part.rows for item in self.acknowledged() for part in item.parts)
+        passed = Rows("reading the recording", whole, notice)
         for item in self.acknowledged():
             known = item.index < len(schedule.segments)
             if not (known and spelt_alike(item.label, schedule.segments[item.index].label)):
@@ -114,9 +120,10 @@ class RunReader:
             read = partial(self.blocks, item)
             rows = sum(part.rows for part in item.parts)
             readings = {name: float("nan") if value is None else float(value) for name, value in item.readings.items()}
-            segment, blocks = schedule.segments[item.index], self._blocks(item, first, tuple(units))
+            segment = schedule.segments[item.index]
+            blocks = passed.through(self._blocks(item, first, tuple(units)))
             watcher = None if watch is None else watch(segment, units, rows)
-            statistics = statistics_of(blocks if watcher is None else watcher.through(blocks), tuple(units), rows)
+            statistics = statistics_of(blocks, tuple(units), rows, watcher)
             finds = None if watcher is None else watcher.finds()
             segments.append(RecordedSegment(segment, units, statistics, read, item.truncated, readings, finds=finds))
         return tuple(segments)

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.archive.recording import BATCHES, Statistics
+from planrunner.archive.recording import BATCHES, Statistics, Watcher
 from planrunner.instruments.interfaces import Block
 
 Array = NDArray[np.float64]
@@ -26,16 +26,20 @@ LARGEST = 1e100
 """A larger sample is not a measurement: its square could overflow to infinity."""
 
 
-def statistics_of(blocks: Iterable[Block], channels: Sequence[str], rows: int) -> Statistics:
+def statistics_of(
+    blocks: Iterable[Block], channels: Sequence[str], rows: int, watcher: Watcher | None = None
+) -> Statistics:
     """Statistics of `blocks`, which have `rows` rows in total (known from the files before the pass).
 
     A row with a non-finite value in any channel is left out and counted in `rejected`. With one sample, covariance and standard error are
-    NaN; with none, the mean too.
+    NaN; with none, the mean too. watcher: looks at the blocks in the same pass.
     """
     gathered = _Gathered(len(channels), rows)
     for block in blocks:
         if len(block.time):
-            gathered.add(block.time, [block.channels[name] for name in channels])
+            low, high = gathered.add(block.time, [block.channels[name] for name in channels])
+            if watcher is not None:
+                watcher.add(block, dict(zip(channels, zip(low, high, strict=True), strict=True)))
     return gathered.statistics(tuple(channels))
 
 
@@ -86,12 +90,12 @@ class _Gathered:
         self.batch_sum = np.zeros((channels, batches))
         self.batch_count = np.zeros(batches)
 
-    def add(self, time: Array, columns: list[Array]) -> None:
-        """Add the next rows, one or more."""
+    def add(self, time: Array, columns: list[Array]) -> tuple[Array, Array]:
+        """Add the next rows, one or more. Returns their smallest and largest number by column, NaN if one is missing."""
         here = np.flatnonzero((self.edges[:-1] > self.row) & (self.edges[:-1] <= self.row + len(time)))
         at = self.edges[here] - self.row
         self.row += len(time)
-        low, high = _range(columns)
+        low, high = found = _range(columns)
         if not (low.min() > -LARGEST and high.max() < LARGEST):  # both comparisons are False for NaN
             good = np.all([np.abs(column) < LARGEST for column in columns], axis=0)
             at = np.concatenate(([0], np.cumsum(good)))[at]
@@ -104,6 +108,7 @@ class _Gathered:
             np.maximum(self.maximum, high, out=self.maximum)
             self._times(time)
             self._fill(columns, len(time))
+        return found
 
     def _times(self, time: Array) -> None:
         if self.count:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
+from planrunner.base.progress import Notice
 from planrunner.bench.clock import VirtualClock, WallClock
 from planrunner.bench.lock import bench_lock
 from planrunner.bench.model import (
@@ -161,19 +162,25 @@ def real_clock(bench: Bench) -> WallClock:
 
 
 def open_bench(
-    bench: Bench, *, data_root: Path | None = None, seed: int | None = None, clock: RunClock | None = None
+    bench: Bench,
+    *,
+    data_root: Path | None = None,
+    seed: int | None = None,
+    clock: RunClock | None = None,
+    notice: Notice | None = None,
 ) -> OpenBench:
     """Connect the instruments of a bench in the order of its file.
 
     data_root: folder that must contain the recordings. seed: seed of all random numbers of a simulated bench, by default the one in the
-    bench. clock: replaces the clock that the bench names. Raises `InstrumentError` with the name of the instrument that could not be
-    connected; those connected before are closed without being commanded.
+    bench. clock: replaces the clock that the bench names. notice: receives the progress of work before the run. Raises
+    `InstrumentError` with the name of the instrument that could not be connected; those connected before are closed without being
+    commanded.
     """
     virtual = runs_on_virtual_clock(bench)
     clock = clock or (VirtualClock() if virtual else real_clock(bench))
     site = site_of(bench)
     chosen_seed = bench.seed if seed is None else seed
-    surroundings = Surroundings(clock, site, data_root, chosen_seed, real_time=not virtual)
+    surroundings = Surroundings(clock, site, data_root, chosen_seed, real_time=not virtual, notice=notice)
     opened = OpenBench(bench, clock, site)
     for name, entry in bench.instruments.items():
         try:
@@ -194,12 +201,18 @@ def open_bench(
 
 @contextmanager
 def guarded_bench(
-    bench: Bench, bench_file: bytes, shown: str, *, data_root: Path | None = None, seed: int | None = None
+    bench: Bench,
+    bench_file: bytes,
+    shown: str,
+    *,
+    data_root: Path | None = None,
+    seed: int | None = None,
+    notice: Notice | None = None,
 ) -> Iterator[OpenBench]:
     """The connected bench for the duration of a `with` block; safe and closed afterwards.
 
-    bench_file: the exact bytes of its file, which the watchdog uses to connect; shown: its name in messages. Raises `InputError` if another
-    run holds the bench, and `InstrumentError` if the watchdog or an instrument fails.
+    bench_file: the exact bytes of its file, which the watchdog uses to connect; shown: its name in messages. notice: as in
+    `open_bench`. Raises `InputError` if another run holds the bench, and `InstrumentError` if the watchdog or an instrument fails.
     """
     with bench_lock(bench, shown):
         watchdog = None
@@ -209,7 +222,7 @@ def guarded_bench(
         safe = False
         try:
             # Until the bench is controlled, the watchdog does nothing if this process ends.
-            opened = open_bench(bench, data_root=data_root, seed=seed)
+            opened = open_bench(bench, data_root=data_root, seed=seed, notice=notice)
             opened.watchdog = watchdog
             try:
                 with opened:

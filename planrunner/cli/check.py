@@ -11,7 +11,7 @@ from planrunner.bench.model import runs_on_virtual_clock, safe_order
 from planrunner.cli import exit_codes
 from planrunner.cli.operator import add_attendance
 from planrunner.cli.printing import columns, print_findings, print_json
-from planrunner.cli.progress import RowsLookedAt
+from planrunner.cli.progress import reading_progress
 from planrunner.reporting.budgets import shown_unit
 from planrunner.reporting.words import duration
 from planrunner.tasks.check import Checked, Sound, check_plan
@@ -39,7 +39,8 @@ def run(args: argparse.Namespace) -> int:
         if args.data is not None and checked.models is not None and checked.models.replays:
             from planrunner.tasks.check_recording import check_recording
 
-            check_recording(checked, args.data, None if args.quiet else RowsLookedAt().take)
+            with reading_progress(args.quiet) as notice:
+                check_recording(checked, args.data, notice)
     if args.json:
         print_json([finding.to_json() for checked in checks for finding in checked.findings])
     else:

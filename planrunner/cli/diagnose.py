@@ -12,8 +12,10 @@ from planrunner.base.documents import JsonObject
 from planrunner.base.findings import InputError, Mark, closest
 from planrunner.cli import exit_codes
 from planrunner.cli.printing import print_findings, print_json, write_file
+from planrunner.cli.progress import reading_progress
 
 if TYPE_CHECKING:
+    from planrunner.base.progress import Notice
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
     from planrunner.reporting.diagnosis_page import DiagnosisContext
     from planrunner.tasks.diagnose import Diagnosed, Recorded
@@ -78,13 +80,12 @@ def _jobs(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    recorded = _recorded(args)
     from planrunner.tasks.diagnose import diagnose_recorded, joined
 
-    recorded = joined(recorded, args.also)
-    print_findings(recorded.remarks)
-
-    made = diagnose_recorded(recorded, _options(args.nominal), args.jobs)
+    with reading_progress() as notice:
+        recorded = joined(_recorded(args, notice), args.also, notice)
+        print_findings(recorded.remarks)
+        made = diagnose_recorded(recorded, _options(args.nominal), args.jobs, notice)
     print_findings(made.findings)
     found = made.to_json()
     text = _next(args, found)
@@ -136,7 +137,7 @@ def _options(nominal: list[str] | None) -> DiagnosisOptions | None:
     return None if nominal is None else DiagnosisOptions(nominal=tuple(nominal))
 
 
-def _recorded(args: argparse.Namespace) -> Recorded:
+def _recorded(args: argparse.Namespace, notice: Notice | None) -> Recorded:
     """A run folder, or a plan with a recording."""
     from planrunner.tasks.diagnose import recorded_file, recorded_run
 
@@ -150,11 +151,11 @@ def _recorded(args: argparse.Namespace) -> Recorded:
             raise InputError.at(
                 Mark(str(subject)), "gap-arguments", message, "give the run folder alone, or a plan instead"
             )
-        return recorded_run(subject)
+        return recorded_run(subject, notice)
     if args.recording is None:
         hint = "add --recording FILE, or give a run folder instead of the plan"
         raise InputError.at(Mark(str(subject)), "gap-arguments", "a plan alone contains nothing to diagnose", hint)
-    return recorded_file(subject, args.bench, args.recording, args.segments)
+    return recorded_file(subject, args.bench, args.recording, args.segments, notice)
 
 
 def _next(args: argparse.Namespace, found: JsonObject) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from planrunner.cli.each_run import Done, add_runs, each_run
 from planrunner.cli.outcome import conclude
+from planrunner.cli.progress import reading_progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +23,8 @@ def run(args: argparse.Namespace) -> int:
 def _estimate(folder: Path, *, as_json: bool) -> Done:
     from planrunner.tasks import run as running
 
-    analysis = running.analyse_run(folder)
+    with reading_progress() as notice:
+        analysis = running.analyse_run(folder, notice=notice)
     if analysis.before is not None:
         verdict = "the same numbers as" if analysis.same else "OTHER NUMBERS than"
         print(f"analysis {analysis.folder.name} has {verdict} analysis {analysis.before}", file=sys.stderr)

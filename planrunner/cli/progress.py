@@ -1,14 +1,19 @@
-"""A progress bar with time left for runs; silent on request and if standard error is not a terminal."""
+"""Progress with time left for runs and for reading long recordings: a bar on a terminal, otherwise an occasional line; silent on
+request.
+"""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from planrunner.execution.progress import ProgressCallback, ProgressEvent
+    from rich.progress import Progress
+
+    from planrunner.base.progress import Notice, Underway
+    from planrunner.execution.progress import Advanced, ProgressCallback, ProgressEvent, SegmentBegun, SegmentFinished
 
 LINES_EVERY = 10.0
 """Seconds between lines of progress if the output is not a terminal."""
@@ -26,8 +31,16 @@ def run_progress(quiet: bool) -> Iterator[tuple[ProgressCallback | None, Callabl
 
 
 def _bar() -> Iterator[tuple[ProgressCallback, Callable[[str], None]]]:
+    with _drawn(transient=False) as (take, progress):
+        yield take, lambda text: progress.console.print(text)
+
+
+@contextmanager
+def _drawn(*, transient: bool) -> Iterator[tuple[ProgressCallback, Progress]]:
+    """A bar on the terminal. transient: it disappears at the end."""
     from rich.progress import BarColumn, Progress, TextColumn
 
+    from planrunner.base.progress import Underway
     from planrunner.execution.progress import Advanced
     from planrunner.reporting import terminal
 
@@ -39,51 +52,63 @@ def _bar() -> Iterator[tuple[ProgressCallback, Callable[[str], None]]]:
         TextColumn("{task.description}", style="dim"),
     )
     console = terminal.console(file=sys.stderr)
-    with Progress(*columns, console=console, transient=False) as progress:
+    with Progress(*columns, console=console, transient=transient) as progress:
         task = progress.add_task("", total=1.0, count="", left="")
 
         def take(event: ProgressEvent) -> None:
-            what = event.activity if isinstance(event, Advanced) else ""
-            progress.update(
-                task,
-                completed=event.fraction,
-                count=f"{event.index + 1}/{event.segments}",
-                left=left_text(event.time_left),
-                description=f"{event.label}  {what}",
-            )
+            if isinstance(event, Underway):
+                count, what = "", event.what
+            else:
+                count = f"{event.index + 1}/{event.segments}"
+                what = f"{event.label}  {event.activity if isinstance(event, Advanced) else ''}"
+            left = left_text(event.time_left)
+            progress.update(task, completed=event.fraction, count=count, left=left, description=what)
 
-        yield take, lambda text: progress.console.print(text)
+        yield take, progress
+
+
+@contextmanager
+def reading_progress(quiet: bool = False) -> Iterator[Notice | None]:
+    """A callback for the progress of passes over recorded samples. Nothing is shown before the first call, and a bar disappears at the
+    end."""
+    if quiet:
+        yield None
+        return
+    if not sys.stderr.isatty():
+        yield _Lines().take
+        return
+    with ExitStack() as stack:
+        drawn: list[Notice] = []
+
+        def take(event: Underway) -> None:
+            if not drawn:
+                drawn.append(stack.enter_context(_drawn(transient=True))[0])
+            drawn[0](event)
+
+        yield take
 
 
 class _Lines:
     """Progress for logs: an occasional line."""
 
     def __init__(self) -> None:
-        import time
+        from planrunner.base.progress import now
 
-        self._now = time.monotonic
+        self._now = now
         self._shown = self._now()
 
     def take(self, event: ProgressEvent) -> None:
-        if self._now() - self._shown >= LINES_EVERY:
-            self._shown = self._now()
-            text = f"{event.fraction:.0%}, segment {event.index + 1} of {event.segments} ({event.label})"
-            print(f"{text}, {left_text(event.time_left)}", file=sys.stderr, flush=True)
+        from planrunner.base.progress import Underway
 
-
-class RowsLookedAt:
-    """Progress in examining a long recording: an occasional line, none for a short recording."""
-
-    def __init__(self) -> None:
-        import time
-
-        self._now = time.monotonic
+        if self._now() - self._shown < LINES_EVERY:
+            return
         self._shown = self._now()
+        what = event.what if isinstance(event, Underway) else _place(event)
+        print(f"{event.fraction:.0%}, {what}, {left_text(event.time_left)}", file=sys.stderr, flush=True)
 
-    def take(self, rows: int) -> None:
-        if self._now() - self._shown >= LINES_EVERY:
-            self._shown = self._now()
-            print(f"{rows:,} rows checked".replace(",", " "), file=sys.stderr, flush=True)
+
+def _place(event: SegmentBegun | Advanced | SegmentFinished) -> str:
+    return f"segment {event.index + 1} of {event.segments} ({event.label})"
 
 
 def left_text(seconds: float | None) -> str:

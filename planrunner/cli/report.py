@@ -11,6 +11,7 @@ from planrunner.base.findings import COMMAND_LINE, InputError, closest
 from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done, each_run
 from planrunner.cli.printing import print_findings, write_file
+from planrunner.cli.progress import reading_progress
 from planrunner.plan.run_information import gather_for_issue
 
 
@@ -85,12 +86,14 @@ def _report(run: Path, names: tuple[str, ...], args: argparse.Namespace) -> Done
     given = gather_for_issue([*certifying.names(), *recorded], args.set, args.info)
     issue = running.Issue(names, given, args.before)
     if args.template is None:
-        analysis = running.analyse_run(run, issue)
+        with reading_progress() as notice:
+            analysis = running.analyse_run(run, issue, notice=notice)
         print_findings((*analysis.remarks, *analysis.withheld))
         written = [*analysis.reports]
         found = {"analysis": str(analysis.folder), "withheld": [finding.to_json() for finding in analysis.withheld]}
     else:
-        text = running.report_through(run, args.template, issue)
+        with reading_progress() as notice:
+            text = running.report_through(run, args.template, issue, notice)
         written = [args.output or Path(args.template.name.removesuffix(".j2"))]
         write_file(written[0], text)
         found = {}

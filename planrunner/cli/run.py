@@ -8,7 +8,7 @@ from pathlib import Path
 from planrunner.cli.check import sound_plan
 from planrunner.cli.operator import add_attendance, operator_of
 from planrunner.cli.outcome import finish, tell
-from planrunner.cli.progress import run_progress
+from planrunner.cli.progress import reading_progress, run_progress
 from planrunner.plan.run_information import gather
 
 
@@ -73,4 +73,6 @@ def run(args: argparse.Namespace) -> int:
         )
     if not outcome.ok:
         return tell(folder, outcome, as_json=args.json)
-    return finish(running.analyse_run(folder, checked=sound), as_json=args.json)
+    with reading_progress(args.quiet) as notice:
+        analysis = running.analyse_run(folder, checked=sound, notice=notice)
+    return finish(analysis, as_json=args.json)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from planrunner.cli.outcome import finish, tell
 from planrunner.cli.printing import print_findings
-from planrunner.cli.progress import run_progress
+from planrunner.cli.progress import reading_progress, run_progress
 from planrunner.cli.run import add_run_arguments, seed
 from planrunner.plan.run_information import gather
 
@@ -66,6 +66,8 @@ def run(args: argparse.Namespace) -> int:
     out = sys.stderr if args.json else sys.stdout
     for line in made.words() or ["Nothing was added."]:
         print(f"added {line}" if made.additions else line, file=out)
-    code = finish(running.analyse_run(folder, checked=made.sound), as_json=args.json)
+    with reading_progress(args.quiet) as notice:
+        analysis = running.analyse_run(folder, checked=made.sound, notice=notice)
+    code = finish(analysis, as_json=args.json)
     print(folder, file=out)
     return code

@@ -8,8 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from planrunner.archive.reading_progress import announced
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.findings import InputError
+from planrunner.base.progress import Notice
 from planrunner.estimators.foresight import detection_of, patterns_of
 from planrunner.estimators.interface import (
     Estimate,
@@ -42,19 +44,21 @@ def analyse(
     site: Site,
     sensor: SensorModel,
     setup: Setup | None = None,
+    notice: Notice | None = None,
 ) -> Results:
-    """All estimates and limits of a plan.
+    """All estimates and limits of a plan. notice: receives the progress of passes over the samples.
 
     Never raises because of the data: failures are messages, by the name of the estimate or by `limit on …`.
     """
-    recording = screened(recording, sensor)
+    looked_at = screened(announced(recording, "screening the samples", notice), sensor)
+    recording = [replace(item, finds=one.finds) for item, one in zip(recording, looked_at, strict=True)]
     made: dict[str, Estimate] = {}
     failures: dict[str, str] = {}
     unfit: list[str] = []
     for name in _in_order(estimates):
         spec = estimates[name]
         try:
-            made[name] = _estimate(name, spec, recording, site, sensor, made, estimates, setup or Setup())
+            made[name] = _estimate(name, spec, recording, site, sensor, made, estimates, setup or Setup(), notice)
         except EstimationError as error:
             failures[name] = str(error)
             missing = [used for used in spec.uses if used not in made]
@@ -105,14 +109,17 @@ def _estimate(
     made: Mapping[str, Estimate],
     estimates: Mapping[str, EstimateSpec],
     setup: Setup,
+    notice: Notice | None,
 ) -> Estimate:
     for used in spec.uses:
         if used not in made:
             why = "could not be made" if used in estimates else "is not in the plan"
             raise EstimationError(f"it uses '{used}', which {why}")
-    chosen = [recording[index] for index in select([recorded.label for recorded in recording], patterns_of(spec))]
+    labels = [recorded.label for recorded in recording]
+    chosen = tuple(recording[index] for index in select(labels, patterns_of(spec)))
     if not chosen:
         raise EstimationError(f"no recorded segment has a label that matches {', '.join(patterns_of(spec))}")
+    chosen = announced(chosen, f"estimating '{name}'", notice)
     estimator = estimator_of(spec)
     detection = detection_of(spec, estimator)
     uses = {used: made[used] for used in spec.uses}

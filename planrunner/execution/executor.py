@@ -21,7 +21,7 @@ from planrunner.execution.continuity import Continuity
 from planrunner.execution.lookout import EVERY, Lookout, StoppedAtOnceError
 from planrunner.execution.operator import Boundary, Operator
 from planrunner.execution.outcome import Failure, Outcome
-from planrunner.execution.progress import Meter, ProgressCallback, seconds_behind
+from planrunner.execution.progress import Meter, ProgressCallback, seconds_behind, with_lengths
 from planrunner.execution.reaching import Patience, Reaching
 from planrunner.execution.readings import Holding, LimitPassedError
 from planrunner.execution.stopping import StopRequest
@@ -84,7 +84,8 @@ class _Execution:
         self.channels: Mapping[str, str] = {}
         self.meter: Meter | None = None
         if progress is not None:
-            self.meter = Meter(schedule, progress, seconds_behind(schedule, self._done))
+            planned = with_lengths(schedule, bench.sensor)
+            self.meter = Meter(planned, progress, seconds_behind(planned, self._done))
         self.lookout = Lookout(bench, stop, self._notice)
         self.reaching = Reaching(bench, self.lookout, patience, self._say)
         self.continuity = Continuity(bench, self.reaching)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from planrunner.base.progress import EVERY, Underway
+from planrunner.instruments.interfaces import KnowsLength
 from planrunner.plan.schedule import Schedule, Segment
-
-EVERY = 0.05
-"""Minimum seconds of real time between two `Advanced` events."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,13 +45,22 @@ class SegmentFinished:
     time_left: float | None
 
 
-ProgressEvent = SegmentBegun | Advanced | SegmentFinished
+ProgressEvent = Underway | SegmentBegun | Advanced | SegmentFinished
+"""`Underway` before the first segment, while a recording is examined that is to be played back."""
 ProgressCallback = Callable[[ProgressEvent], None]
 
 
 def planned_seconds(segment: Segment) -> float:
     """Planned time of one segment, s: transition, soak, settling and dwell."""
     return segment.transition + segment.soak + segment.settle + (segment.dwell or 0.0)
+
+
+def with_lengths(schedule: Schedule, sensor: object) -> Schedule:
+    """The schedule with a dwell also for the segments that last as long as their recording, as far as the sensor knows it."""
+    if not isinstance(sensor, KnowsLength):
+        return schedule
+    segments = (replace(one, dwell=sensor.length_of(one)) if one.dwell is None else one for one in schedule.segments)
+    return replace(schedule, segments=tuple(segments))
 
 
 class Meter:
@@ -64,6 +72,7 @@ class Meter:
 
     def __init__(self, schedule: Schedule, callback: ProgressCallback, behind: float):
         self._segments = len(schedule.segments)
+        self._planned = {segment.index: segment for segment in schedule.segments}
         self._total = sum(planned_seconds(segment) for segment in schedule.segments)
         self._by_count = self._total <= 0
         self._callback: ProgressCallback | None = callback
@@ -73,7 +82,7 @@ class Meter:
         self._segment_clock = 0.0
 
     def begin(self, segment: Segment, clock: float) -> None:
-        self._segment, self._segment_clock = segment, clock
+        self._segment, self._segment_clock = self._planned[segment.index], clock
         self._send(SegmentBegun, self._behind)
 
     def advance(self, clock: float, activity: str) -> None:

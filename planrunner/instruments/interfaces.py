@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
 from planrunner.base.findings import Finding
+from planrunner.base.progress import Notice
 from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
@@ -87,7 +88,8 @@ class Closes(Protocol):
 class Surroundings:
     """Context for connecting a driver: clock, site, the folder that must contain data files, the seed of the run, and the other
     instruments by role. world: shared by the drivers of a virtual bench; real drivers ignore it. real_time: the clock is a real-time
-    clock, so simulated and played-back samples come in blocks of about a second."""
+    clock, so simulated and played-back samples come in blocks of about a second. notice: receives the progress of work that takes long
+    before the run begins, such as the examination of a recording."""
 
     clock: Clock
     site: Site
@@ -95,6 +97,7 @@ class Surroundings:
     seed: int = 0
     real_time: bool = False
     world: object = None
+    notice: Notice | None = None
     instruments: dict[str, Instrument] = field(default_factory=dict)
 
 
@@ -171,6 +174,12 @@ class HoldsTemperature(Protocol):
 class Foresees(Protocol):
     def foresee(self, segments: Sequence[Segment]) -> None:
         """Raises `InstrumentError` if a schedule cannot be served. Called before anything moves."""
+
+
+@runtime_checkable
+class KnowsLength(Protocol):
+    def length_of(self, segment: Segment) -> float | None:
+        """Seconds of data for a segment whose dwell is not planned; None if not known. Called after `foresee`, for progress only."""
 
 
 @runtime_checkable

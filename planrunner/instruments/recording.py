@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from planrunner.base.documents import Json
 from planrunner.base.findings import Findings, Mark
+from planrunner.base.progress import Notice
 from planrunner.instruments.interfaces import Block, Clock, InstrumentError, PlaysBack, Surroundings, UnservedError
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.recording_file import RecordingFile, beneath, open_recording
 from planrunner.instruments.recording_keys import SECONDS, RecordingParameters
-from planrunner.instruments.recording_scan import ScanProgress, Wanted, scan
+from planrunner.instruments.recording_scan import Wanted, scan
 from planrunner.instruments.recording_segments import SegmentTable, read_segment_table, stretches
 from planrunner.plan.schedule import Segment
 from planrunner.plan.span import Span
@@ -44,6 +45,7 @@ class RecordingPlayer(PlaysBack):
         clock: Clock,
         piece: float,
         parted: tuple[Span, ...] = (),
+        notice: Notice | None = None,
     ):
         self.parameters = parameters
         self.file = file
@@ -53,7 +55,9 @@ class RecordingPlayer(PlaysBack):
         self.piece = piece
         power_on = parameters.time.power_on
         self.origin = file.origin if power_on is None else power_on.value
+        self.notice = notice
         self._served: str | None = None
+        self._held: Span | None = None
 
     @classmethod
     def model(cls, parameters: RecordingParameters) -> SensorModel:
@@ -73,13 +77,21 @@ class RecordingPlayer(PlaysBack):
     def connect(cls, parameters: RecordingParameters, surroundings: Surroundings) -> RecordingPlayer:
         table = None if parameters.segments is None else beneath(surroundings.data_root, parameters.segments.table)
         piece = 1.0 if surroundings.real_time else math.inf
-        return cls.open(parameters, beneath(surroundings.data_root, parameters.file), table, surroundings.clock, piece)
+        path = beneath(surroundings.data_root, parameters.file)
+        return cls.open(parameters, path, table, surroundings.clock, piece, surroundings.notice)
 
     @classmethod
     def open(
-        cls, parameters: RecordingParameters, path: Path, table: Path | None, clock: Clock, piece: float = math.inf
+        cls,
+        parameters: RecordingParameters,
+        path: Path,
+        table: Path | None,
+        clock: Clock,
+        piece: float = math.inf,
+        notice: Notice | None = None,
     ) -> RecordingPlayer:
-        """A player of the file at `path`. table: file of the segments; piece: s, the longest block. Raises `InstrumentError`."""
+        """A player of the file at `path`. table: file of the segments; piece: s, the longest block; notice: receives the progress where
+        the whole file is read. Raises `InstrumentError`."""
         columns = {name: channel.column for name, channel in parameters.channels.items()}
         file = open_recording(path, parameters.file, parameters.time.column, SECONDS[parameters.time.unit], columns)
         _check_time(file, parameters)
@@ -91,8 +103,8 @@ class RecordingPlayer(PlaysBack):
             )
         if stated is not None and parameters.pauses is not None:
             raise InstrumentError("`segments` and `pauses` both define the segments of the recording: keep one of them")
-        parted = () if parameters.pauses is None else stretches(file, parameters.pauses.value)
-        return cls(parameters, file, spans, clock, piece, parted)
+        parted = () if parameters.pauses is None else stretches(file, parameters.pauses.value, parameters.file, notice)
+        return cls(parameters, file, spans, clock, piece, parted, notice)
 
     # -- capabilities --------------------------------------------------------------------------------------------------
 
@@ -106,16 +118,23 @@ class RecordingPlayer(PlaysBack):
         if found.errors:
             raise UnservedError(found.errors)
 
-    def look_over(self, segments: Sequence[Segment], log: Findings, progress: ScanProgress | None = None) -> None:
-        """Adds all findings about the recording to `log`, in one pass, before these segments are played back. progress:
-        called with the rows checked so far."""
-        name = self.parameters.file
+    def look_over(self, segments: Sequence[Segment], log: Findings) -> None:
+        """Adds all findings about the recording to `log`, in one pass, before these segments are played back."""
+        name, rate = self.parameters.file, self.parameters.sample_rate.value
         try:
-            scan(self.file, name, self.parameters.sample_rate.value, self._wanted(segments, log), log, progress)
+            self._held = scan(self.file, name, rate, self._wanted(segments, log), log, self.notice)
         except InstrumentError as error:
             log.error(
                 "recording-unfit", Mark(name), str(error), "correct the file, or its description in the bench file"
             )
+
+    def length_of(self, segment: Segment) -> float | None:
+        """Seconds of a segment that is played back to its end; None before the recording was looked over."""
+        if self.spans is not None and segment.label in self.spans.spans:
+            return self.spans.span(segment.label).seconds
+        if self.parted and segment.index < len(self.parted):
+            return self.parted[segment.index].seconds
+        return None if self._held is None else self._held.seconds
 
     def _wanted(self, segments: Sequence[Segment], log: Findings) -> list[Wanted]:
         """The intervals of the segments that the recording contains; faults of the others are added to `log`."""

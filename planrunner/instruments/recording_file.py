@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from planrunner.base import arrow_columns
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
+from planrunner.base.progress import Notice, Pace
 from planrunner.base.regular_files import RefusedFileError, open_regular
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.span import EVERYTHING, Span
@@ -143,12 +144,14 @@ def beneath(root: Path | None, name: str) -> Path:
 
 class RecordingFile(Protocol):
     """A recording that can be read again and again. origin: time of its first row, s; interval: median time between its
-    first rows, s, NaN for a single row."""
+    first rows, s, NaN for a single row; about: approximate number of rows, for progress."""
 
     @property
     def origin(self) -> float: ...
     @property
     def interval(self) -> float: ...
+    @property
+    def about(self) -> int: ...
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
         """Times [s], shape (n,), and channels, each (n,), of the samples in a span, in batches of at most `BATCH`
@@ -182,6 +185,7 @@ def open_recording(path: Path, name: str, time: str, scale: float, channels: Map
     for first, _ in file.rows():
         file.origin = float(first[0])
         file.interval = float(np.median(np.diff(first))) if first.size > 1 else math.nan
+        file.about = file.rows_about()
         return file
     raise InstrumentError(f"{name} holds no samples")
 
@@ -196,18 +200,24 @@ class HeldRecording:
     columns: Mapping[str, Array]
 
     @classmethod
-    def of(cls, file: RecordingFile, most: float = np.inf) -> HeldRecording | None:
+    def of(cls, file: RecordingFile, most: float = np.inf, pace: Pace | None = None) -> HeldRecording | None:
         """All rows of a file, read once; None if there are more than `most`. Raises `InstrumentError` like the file."""
         pieces, count = [], 0
         for piece in file.rows():
             pieces.append(piece)
             count += len(piece[0])
+            if pace is not None:
+                pace.reached(count)
             if count > most:
                 return None
         time = np.concatenate([piece for piece, _ in pieces])
         names = pieces[0][1]
         columns = {name: np.concatenate([values[name] for _, values in pieces]) for name in names}
         return cls(file.origin, file.interval, time, columns)
+
+    @property
+    def about(self) -> int:
+        return len(self.time)
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
         """As for a file; one batch at most."""
@@ -221,13 +231,14 @@ class HeldRecording:
             yield 1, self.time, dict(self.columns)
 
 
-def at_hand(file: RecordingFile) -> RecordingFile:
+def at_hand(file: RecordingFile, name: str = "", notice: Notice | None = None) -> RecordingFile:
     """The same recording in a form from which many stretches can be read quickly: in memory up to `HELD` rows. A longer CSV file becomes a
-    temporary Parquet file, because all preceding rows must be read to find a stretch in CSV. Raises `InstrumentError` like the file."""
-    held = HeldRecording.of(file, HELD)
+    temporary Parquet file, because all preceding rows must be read to find a stretch in CSV. name: of the file, for notice, which
+    receives the progress. Raises `InstrumentError` like the file."""
+    held = HeldRecording.of(file, HELD, Pace(f"reading {name}", min(file.about, HELD), notice))
     if held is not None:
         return held
-    return file if isinstance(file, _Parquet) else _Spooled.of(file)
+    return file if isinstance(file, _Parquet) else _Spooled.of(file, Pace(f"copying {name}", file.about, notice))
 
 
 def _column_hint(column: str, known: list[str]) -> str:
@@ -252,8 +263,13 @@ class _File:
     channels: dict[str, str]
     origin: float = 0.0
     interval: float = math.nan
+    about: int = 0
 
     def columns(self) -> list[str]:
+        raise NotImplementedError
+
+    def rows_about(self) -> int:
+        """Approximate number of rows, without reading them."""
         raise NotImplementedError
 
     def batches(self, span: Span) -> Iterator[tuple[int, pa.RecordBatch]]:
@@ -335,6 +351,10 @@ class _Parquet(_File):
         except (OSError, ValueError, pa.ArrowException) as error:
             raise self._unreadable(error) from None
 
+    def rows_about(self) -> int:
+        with self._opened() as file:
+            return int(file.metadata.num_rows)
+
     @contextlib.contextmanager
     def _opened(self) -> Iterator[pq.ParquetFile]:
         """The file, with its directory read and checked against its bounds; columns are read in small pieces."""
@@ -381,16 +401,18 @@ class _Spooled:
     file: _Parquet
 
     @classmethod
-    def of(cls, file: RecordingFile) -> _Spooled:
+    def of(cls, file: RecordingFile, pace: Pace) -> _Spooled:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         path = Path(tempfile.mkdtemp(prefix="planrunner-")) / "recording.parquet"
         spooled = cls(
-            file.origin, file.interval, _Parquet(path, path.name, "time", 1.0, {}, file.origin, file.interval)
+            file.origin,
+            file.interval,
+            _Parquet(path, path.name, "time", 1.0, {}, file.origin, file.interval, file.about),
         )
         weakref.finalize(spooled, shutil.rmtree, path.parent, ignore_errors=True)
-        writer = None
+        writer, count = None, 0
         try:
             for time, columns in file.rows():
                 spooled.file.channels = {name: f"column {name}" for name in columns}
@@ -400,6 +422,8 @@ class _Spooled:
                 )
                 writer = writer or pq.ParquetWriter(path, table.schema)
                 writer.write_table(table)
+                count += len(time)
+                pace.reached(count)
         except OSError as error:
             message = f"{path} cannot be written: {error.strerror}; planrunner needs room for a copy of a long CSV file"
             raise InstrumentError(message) from None
@@ -407,6 +431,10 @@ class _Spooled:
             if writer is not None:
                 writer.close()
         return spooled
+
+    @property
+    def about(self) -> int:
+        return self.file.about
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
         """As for a file."""
@@ -423,6 +451,11 @@ class _Csv(_File):
     def columns(self) -> list[str]:
         with self._opened(None) as reader:
             return list(reader.schema.names)
+
+    def rows_about(self) -> int:
+        with open_samples(self.path, self.name) as file:
+            start = file.read(MAX_HEADER)
+            return file.seek(0, 2) * start.count(b"\n") // max(len(start), 1)
 
     def batches(self, span: Span) -> Iterator[tuple[int, pa.RecordBatch]]:
         with self._opened(list(dict.fromkeys((self.time, *self.channels.values())))) as reader:

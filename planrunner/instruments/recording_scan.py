@@ -7,7 +7,7 @@ missing numbers. Faults that prevent playback are errors; faults that only reduc
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from itertools import pairwise
 
@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark
+from planrunner.base.progress import Notice, Pace
 from planrunner.instruments.recording_file import RecordingFile
 from planrunner.plan.span import ROUNDING, Span
 
 Array = NDArray[np.float64]
-ScanProgress = Callable[[int], None]
-
 GAP = 1.5
 """Number of sample periods: if samples are further apart, one is missing. A segment may also end this long after the last sample."""
 SHOWN = 3
@@ -118,26 +117,28 @@ def scan(
     sample_rate: float,
     wanted: Sequence[Wanted],
     log: Findings,
-    progress: ScanProgress | None = None,
-) -> None:
-    """Adds all faults of a recording to `log`. name: of the file, for messages; sample_rate: Hz, as declared; progress:
-    called with the rows checked so far. Raises `InstrumentError` if the rest of the file cannot be read."""
+    notice: Notice | None = None,
+) -> Span | None:
+    """Adds all faults of a recording to `log`. name: of the file, for messages; sample_rate: Hz, as declared; notice:
+    receives the progress. Returns the span of the recording, None if its time is wrong. Raises `InstrumentError` if the rest of the file
+    cannot be read."""
     period = 1 / sample_rate if math.isnan(file.interval) else file.interval
     found = _Pass(period, [_Seen() for _ in wanted])
+    pace = Pace(f"checking {name}", file.about, notice)
     try:
         for first, time, columns in file.all_rows():
             found.take(first, time, columns, wanted)
-            if progress is not None:
-                progress(found.rows)
+            pace.reached(found.rows)
     finally:
         _on_time(found, name, log)
     if found.wrong:
-        return
+        return None
     for one, seen in zip(wanted, found.seen, strict=True):
         _on_segment(one, seen, found, name, log)
     _on_gaps(wanted, found, name, log)
     _on_missing(wanted, found, name, log)
     _on_overlaps(wanted, period, log)
+    return Span(found.first, found.last + period)
 
 
 def _on_time(found: _Pass, name: str, log: Findings) -> None:

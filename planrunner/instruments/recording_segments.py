@@ -13,6 +13,7 @@ import numpy as np
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import InputError, closest
+from planrunner.base.progress import Notice, Pace
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording_file import RecordingFile
 from planrunner.plan.selection import closest_label
@@ -88,15 +89,16 @@ def _row(
     return label, Span(start, end)
 
 
-def stretches(file: RecordingFile, pause: float) -> tuple[Span, ...]:
+def stretches(file: RecordingFile, pause: float, name: str = "", notice: Notice | None = None) -> tuple[Span, ...]:
     """The stretches of a recording within which no two rows are more than `pause` s apart, in one pass over it. Each ends a sample period
-    after its last row.
+    after its last row. name: of the file, for notice, which receives the progress.
 
     Raises `InstrumentError` as the file does.
     """
     found: list[Span] = []
     start = last = math.nan
     period = 0.0 if math.isnan(file.interval) else min(file.interval, pause)
+    pace, rows = Pace(f"searching {name} for pauses", file.about, notice), 0
     for time, _ in file.rows():
         steps = np.diff(time, prepend=time[0] if math.isnan(last) else last)
         breaks = np.flatnonzero(steps > pause)
@@ -106,4 +108,6 @@ def stretches(file: RecordingFile, pause: float) -> tuple[Span, ...]:
             found.append(Span(start, (float(time[index - 1]) if index else last) + period))
             start = float(time[index])
         last = float(time[-1])
+        rows += len(time)
+        pace.reached(rows)
     return (*found, Span(start, last + period))

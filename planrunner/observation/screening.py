@@ -19,13 +19,13 @@ noise does not reach the next count, therefore never count as stuck; neither do 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.archive.recording import Find, FindKind, RecordedSegment, WatcherOf
+from planrunner.archive.recording import Find, FindKind, Ranges, RecordedSegment, WatcherOf
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import SensorModel
@@ -50,6 +50,7 @@ _NEAR_SCALE, _FAR_SCALE = (
 _NEAR_WIDER, _FAR_WIDER = 1.10, 1.02  # standard deviation of an independent sample from such a median, σ
 _LARGE = 6.2  # mean changes: a larger change between neighbours, 7σ in white noise, has the piece examined
 _APART = 4.7  # mean changes: 5.3σ in white noise; of two samples with a large change between them one lies so far from its surroundings
+_SPARSE = 16  # of so many changes one is looked at where the noise of a piece is estimated at little cost
 _FEW = 50  # large changes that are looked at one by one
 _SAMPLED = 4096  # distances from which the scale is taken
 _JERK = 1.5  # mean changes around a sample, in a segment that may move freely: less is no outlier
@@ -85,8 +86,8 @@ def screened(recording: Sequence[RecordedSegment], sensor: SensorModel) -> tuple
 
 def _screened(item: RecordedSegment, watch: WatcherOf) -> RecordedSegment:
     watcher = watch(item.segment, item.units, item.statistics.count + item.statistics.rejected)
-    for _ in watcher.through(item.blocks(tuple(item.units))):
-        pass
+    for block in item.blocks(tuple(item.units)):
+        watcher.add(block)
     return replace(item, finds=watcher.finds())
 
 
@@ -127,6 +128,43 @@ class _Run:
     after: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Last:
+    """The sample of a channel before those that are looked at."""
+
+    row: int
+    time: float
+    value: float
+
+
+@dataclass
+class _Window:
+    """A piece of one channel with the samples around it, as far as they exist. low, high: its own samples; usual, count: mean change and
+    count as known when it was looked at; places: (n,), samples before its large changes."""
+
+    values: Array
+    rows: RowNumbers
+    times: Array
+    low: int
+    high: int
+    usual: float
+    count: float
+    places: RowNumbers
+
+    def preceded(self, values: Array, rows: RowNumbers, times: Array) -> None:
+        """The samples before."""
+        self.values = np.concatenate([values, self.values])
+        self.rows = np.concatenate([rows, self.rows])
+        self.times = np.concatenate([times, self.times])
+
+    def extended(self, values: Array, rows: RowNumbers, times: Array) -> None:
+        """The samples that follow, as far as they belong to the context."""
+        more = slice(0, max(self.high + _BESIDE - len(self.values), 0))
+        self.values = np.concatenate([self.values, values[more]])
+        self.rows = np.concatenate([self.rows, rows[more]])
+        self.times = np.concatenate([self.times, times[more]])
+
+
 @dataclass
 class _Runs:
     """Runs of equal samples of one channel. lengths: number of runs by length, the last for longer ones; long: the longest; row, time,
@@ -164,13 +202,18 @@ class _Runs:
         self.bend += float(np.abs(np.diff(values, 2)).sum())
         self.bends += max(len(values) - 2, 0)
 
-    def add_changing(self, values: Array, rows: RowNumbers, times: Array) -> None:
-        """The same where every sample differs from the one before."""
-        if self.length >= RUN:
-            self._hold(values, rows, times, -1, 0, self.length)
-        self.lengths[min(max(self.length, 1), _SHORT)] += 1
-        self.lengths[1] += len(values) - 2
-        self.row, self.time, self.before, self.length = int(rows[-1]), float(times[-1]), float(values[-2]), 1
+    def add_changing(self, values: Array, rows: RowNumbers, times: Array, last: _Last | None) -> None:
+        """The next samples, without the last one before them, where every sample differs from the one before."""
+        if last is not None:
+            if self.length >= RUN:
+                two = np.array([last.value, values[0]])
+                self._hold(two, np.array([last.row, rows[0]]), np.array([last.time, times[0]]), -1, 0, self.length)
+            self.lengths[min(self.length, _SHORT)] += 1
+            self.before = last.value
+        self.lengths[1] += len(values) - 1
+        if len(values) > 1:
+            self.before = float(values[-2])
+        self.row, self.time, self.length = int(rows[-1]), float(times[-1]), 1
 
     def _hold(self, values: Array, rows: RowNumbers, times: Array, before: int, last: int, length: int) -> None:
         """A run that ends at `last`; before: the place of the sample before it, negative for the run that went on."""
@@ -215,10 +258,13 @@ class Screening:
         self.channels, self.steady = tuple(counts), steady
         self.counts = np.array([counts[name] for name in self.channels])
         self.full_scales = full_scales
-        k, room = len(self.channels), min(_PIECE, max(rows, 1)) + 2 * _BESIDE
-        self.values, self.time = np.empty((k, room)), np.empty(room)
-        self.rows = np.empty(room, dtype=np.int64)
-        self.filled, self.begin = _BESIDE, _BESIDE  # before `begin` there are no samples yet
+        k, room = len(self.channels), min(_PIECE, max(rows, 1))
+        # A piece that is not complete yet, and the samples before what is looked at next.
+        self.values, self.time, self.rows = np.empty((k, room)), np.empty(room), np.empty(room, dtype=np.int64)
+        self.filled = 0
+        self.before, self.times_before = np.empty((k, 0)), np.empty(0)
+        self.rows_before = np.empty(0, dtype=np.int64)
+        self.waiting: list[tuple[int, _Window]] = []
         self.row, self.done = 0, 0
         self.runs = [_Runs() for _ in self.channels]
         self.levels: list[list[float]] = [[] for _ in self.channels]
@@ -232,121 +278,170 @@ class Screening:
         self.more = [0] * k  # finds that were not kept
         self.in_time: list[Find] = []
         self.pauses = 0
-        self.interval = math.nan
-        self.work = np.empty(room)
-        self.count_up = np.arange(room)
+        self.interval, self.begin = math.nan, math.nan
 
-    def through(self, blocks: Iterable[Block]) -> Iterator[Block]:
-        """Hands the blocks on while it looks at them."""
-        for block in blocks:
-            if self.channels:
-                self.add(block)
-            yield block
-
-    def add(self, block: Block) -> None:
-        """The next samples; rows with a missing number are passed over."""
-        columns = [block.channels[name] for name in self.channels]
-        taken, count = 0, len(block.time)
-        while taken < count:
-            step = min(self.values.shape[1] - self.filled, count - taken)
-            place, part = slice(self.filled, self.filled + step), slice(taken, taken + step)
+    def add(self, block: Block, ranges: Ranges | None = None) -> None:
+        """The next samples; rows with a missing number are passed over. ranges: smallest and largest number of each channel in them, NaN
+        if one is missing; found here by default."""
+        count = len(block.time)
+        rows = np.arange(self.row, self.row + count)
+        self.row += count
+        if not self.channels or not count:
+            return
+        time, columns = block.time, [block.channels[name] for name in self.channels]
+        known = (
+            [(one.min(), one.max()) for one in columns] if ranges is None else [ranges[one] for one in self.channels]
+        )
+        low, high = np.array(known).T
+        if not (low.min() > -_LARGEST and high.max() < _LARGEST):  # true for NaN and infinity as well
+            good = np.all([np.abs(column) < _LARGEST for column in columns], axis=0)
+            time, rows, columns = time[good], rows[good], [column[good] for column in columns]
+            if not len(time):
+                return
+            low, high = np.array([(one.min(), one.max()) for one in columns]).T
+        at, room = 0, len(self.time)
+        while at < len(time):
+            whole = (len(time) - at) // _PIECE * _PIECE
+            if not self.filled and whole:
+                part = slice(at, at + whole)
+                self._look(time[part], rows[part], [one[part] for one in columns], low, high)
+                at += whole
+                continue
+            step = min(room - self.filled, len(time) - at)
+            place, part = slice(self.filled, self.filled + step), slice(at, at + step)
             for row, one in zip(self.values, columns, strict=True):
                 row[place] = one[part]
-            self.time[place] = block.time[part]
-            self.rows[place] = self.count_up[:step] + (self.row + taken)
-            taken += step
-            self._keep(step)
-            if self.filled == self.values.shape[1]:
-                self._look(self.filled - _BESIDE)
-                self._move_on()
-        self.row += count
-
-    def _keep(self, step: int) -> None:
-        """The next so many rows of the buffer count, without those that have a missing number."""
-        place = slice(self.filled, self.filled + step)
-        values = self.values[:, place]
-        with np.errstate(over="ignore", invalid="ignore"):
-            sums = np.add.reduce(values, axis=1)
-        if not np.all(np.abs(sums) < _LARGEST):  # true for NaN and infinity as well
-            good = np.all(np.abs(values) < _LARGEST, axis=0)
-            step = int(np.count_nonzero(good))
-            for array in (self.values, self.time, self.rows):
-                array[..., self.filled : self.filled + step] = array[..., place][..., good]
-        self.filled += step
+            self.time[place], self.rows[place] = time[part], rows[part]
+            self.filled, at = self.filled + step, at + step
+            if self.filled == room:
+                self._look_at_filled()
 
     def finds(self) -> tuple[Find, ...]:
         """What was found, in order of time; to be asked once, at the end."""
-        if self.filled > _BESIDE:
-            self._look(self.filled)
-            last = slice(self.filled - 1, self.filled)
-            for k, runs in enumerate(self.runs):
-                runs.finish(self.values[k, last], self.rows[last], self.time[last])
+        if self.filled:
+            self._look_at_filled()
+        self._examine_waiting()
+        for k, runs in enumerate(self.runs if self.done else ()):
+            runs.finish(self.before[k, -1:], self.rows_before[-1:], self.times_before[-1:])
         out = [item for k in range(len(self.channels)) for item in self._of_channel(k)]
         return tuple(sorted((*out, *self._of_time()), key=lambda item: item.first))
 
-    def _move_on(self) -> None:
-        keep = 2 * _BESIDE
-        for array in (self.values, self.time, self.rows):
-            array[..., :keep] = array[..., self.filled - keep : self.filled].copy()
-        self.filled, self.begin = keep, 0
+    def _look_at_filled(self) -> None:
+        values = self.values[:, : self.filled]
+        self._look(
+            self.time[: self.filled], self.rows[: self.filled], list(values), values.min(axis=1), values.max(axis=1)
+        )
+        self.filled = 0
 
-    def _look(self, end: int) -> None:
-        """The samples from the context on up to `end`, which have not been looked at."""
-        first = _BESIDE
-        count = end - first
-        if count <= 0:
-            return
-        start = self.done
-        self._times(first - min(start, 1), end)
-        whole = count - count % self.bin
+    def _look(self, time: Array, rows: RowNumbers, columns: list[Array], low: Array, high: Array) -> None:
+        """Whole pieces, or the last one, which is shorter. low, high: no channel has values beyond them here."""
+        for k, window in self.waiting:
+            window.extended(columns[k], rows, time)
+        self._examine_waiting()
+        if not self.done:
+            self.begin = float(time[0])
+        self._times(time, rows, columns)
+        whole = len(time) - len(time) % self.bin
         if whole and self.steady:
-            self.bin_times.append(self.time[first : first + whole : self.bin].copy())
-        for k in range(len(self.channels)):
-            values = self.values[k, first - min(start, 1) : end]
-            if len(values) > 1:
-                self._channel(k, start, values, end)
-            if whole and self.steady:
-                self.means[k].append(self.values[k, first : first + whole].reshape(-1, self.bin).sum(axis=1) / self.bin)
-        self.done += count
+            self.bin_times.append(time[: whole : self.bin].copy())
+        for k, values in enumerate(columns):
+            means = values[:whole].reshape(-1, self.bin).sum(axis=1) / self.bin if whole and self.steady else None
+            if means is not None:
+                self.means[k].append(means)
+            self._channel(k, values, rows, time, means, float(low[k]), float(high[k]))
+        values = np.array([one[-_BESIDE:] for one in columns])
+        self.before = np.concatenate([self.before, values], axis=1)[:, -_BESIDE:]
+        self.rows_before = np.concatenate([self.rows_before, rows[-_BESIDE:]])[-_BESIDE:]
+        self.times_before = np.concatenate([self.times_before, time[-_BESIDE:]])[-_BESIDE:]
+        self.done += len(time)
 
-    def _channel(self, k: int, start: int, values: Array, end: int) -> None:
-        changes = self.work[: len(values) - 1]
-        np.subtract(values[1:], values[:-1], out=changes)
-        np.abs(changes, out=changes)
-        level, most, runs = float(np.add.reduce(changes)) / len(changes), float(changes.max()), self.runs[k]
-        rows, times = self.rows[end - len(values) : end], self.time[end - len(values) : end]
+    def _channel(
+        self, k: int, values: Array, rows: RowNumbers, times: Array, means: Array | None, low: float, high: float
+    ) -> None:
+        """Whole pieces of one channel, or the last one. A piece in which no sample is far from the mean, and each differs from the one
+        before, has no find. This costs little to see, and is seen for several pieces together."""
+        last = self._last(k)
+        pieces = max(len(values) // _PIECE, 1)
+        size = len(values) // pieces
+        if size < _SAMPLED:
+            self._piece(k, values, rows, times, 0, size, last)
+            return
+        shaped = values.reshape(pieces, size)
+        levels = np.abs(shaped[:, 1::_SPARSE] - shaped[:, : size - 1 : _SPARSE]).mean(axis=1)
+        centres = shaped.mean(axis=1) if means is None or size % self.bin else means.reshape(pieces, -1).mean(axis=1)
+        changing = not (values[1:] == values[:-1]).any() and (last is None or last.value != values[0])
+        if changing and max(high - centres.min(), centres.max() - low) <= _APART * levels.min():
+            self.runs[k].add_changing(values, rows, times, last)
+            for level in levels:
+                self._level(k, float(level))
+            return
+        for piece, (level, centre) in enumerate(zip(levels, centres, strict=True)):
+            begin, end = piece * size, piece * size + size
+            if begin:
+                last = _Last(int(rows[begin - 1]), float(times[begin - 1]), float(values[begin - 1]))
+            own = shaped[piece]
+            alike = (own[1:] == own[:-1]).any() or (last is not None and last.value == own[0])
+            if not alike and max(own.max() - centre, centre - own.min()) <= _APART * level:
+                self.runs[k].add_changing(own, rows[begin:end], times[begin:end], last)
+                self._level(k, float(level))
+            else:
+                self._piece(k, values, rows, times, begin, end, last)
+
+    def _last(self, k: int) -> _Last | None:
+        if not self.done:
+            return None
+        return _Last(int(self.rows_before[-1]), float(self.times_before[-1]), float(self.before[k, -1]))
+
+    def _examine_waiting(self) -> None:
+        for k, window in self.waiting:
+            self._examine(k, window)
+        self.waiting.clear()
+
+    def _level(self, k: int, level: float) -> None:
+        if level > 0 and len(self.levels[k]) < _RUNS:
+            self.levels[k].append(level)
+            self.usual[k] = float(np.median(self.levels[k]))
+
+    def _piece(
+        self, k: int, values: Array, rows: RowNumbers, times: Array, begin: int, end: int, last: _Last | None
+    ) -> None:
+        """One piece of a channel, from `begin` to `end` of some samples."""
+        own, own_rows, own_times = values[begin:end], rows[begin:end], times[begin:end]
+        if last is not None:
+            own = np.concatenate([[last.value], own])
+            own_rows, own_times = np.concatenate([[last.row], own_rows]), np.concatenate([[last.time], own_times])
+        if len(own) < 2:
+            self.runs[k].add(own, own_rows, own_times)
+            return
+        changes = np.abs(np.diff(own))
+        level, runs = float(np.add.reduce(changes)) / len(changes), self.runs[k]
         if changes.min() > 0:
-            runs.add_changing(values, rows, times)
+            runs.add_changing(values[begin:end], rows[begin:end], times[begin:end], last)
         else:
-            runs.add(values, rows, times)
-            self._extremes(k, values[min(start, 1) :], level)
+            runs.add(own, own_rows, own_times)
+            self._extremes(k, values[begin:end], level)
         if level > 0:
-            usual = min(level, self.usual[k])
-            large = max(_LARGE * usual, 3 * self._count(k))
-            if most > large:
-                places = np.flatnonzero(changes > large) + end - len(values)
-                if self._stands_out(k, places, usual):
-                    self._examine(k, places, end)
-            if len(self.levels[k]) < _RUNS:
-                self.levels[k].append(level)
-                self.usual[k] = float(np.median(self.levels[k]))
+            usual, count = min(level, self.usual[k]), self._count(k)
+            large = max(_LARGE * usual, 3 * count)
+            if changes.max() > large:
+                around = slice(max(begin - _BESIDE, 0), end + _BESIDE)
+                low = _BESIDE if begin else len(self.rows_before)
+                places = np.flatnonzero(changes > large) + low - (last is not None)
+                window = _Window(
+                    values[around], rows[around], times[around], low, low + end - begin, usual, count, places
+                )
+                if not begin:
+                    window.preceded(self.before[k], self.rows_before, self.times_before)
+                if end + _BESIDE <= len(values):
+                    self._examine(k, window)
+                else:
+                    self.waiting.append((k, window))
+        self._level(k, level)
 
     def _count(self, k: int) -> float:
         """The channel's count, declared or seen; 0 if neither."""
         seen = self.runs[k].count
         return max(float(self.counts[k]), seen if math.isfinite(seen) else 0.0)
-
-    def _stands_out(self, k: int, places: RowNumbers, usual: float) -> bool:
-        """Whether a sample beside one of a few large changes (n,) is far from the samples around it: two opposite deviations of usual
-        size make a large change too."""
-        if len(places) > _FEW:
-            return True
-        for place in places:
-            around = self.values[k, max(self.begin, place - _TOGETHER) : min(self.filled, place + 2 + _TOGETHER)]
-            off = np.abs(self.values[k, place : place + 2] - np.median(around))
-            if off.max() > _APART * usual:
-                return True
-        return False
 
     def _extremes(self, k: int, values: Array, level: float) -> None:
         """Counts samples at the largest and smallest value, and those just below it."""
@@ -365,17 +460,17 @@ class Screening:
             else:
                 self.smallest[k] = -known
 
-    def _examine(self, k: int, places: RowNumbers, end: int) -> None:
-        """Outliers near large changes, by their distance from local medians. places: (n,), the samples before these changes."""
-        x, begin = self.values[k, self.begin : self.filled], self.begin
-        if len(x) < _LEAST:
+    def _examine(self, k: int, window: _Window) -> None:
+        """Outliers near large changes, by their distance from local medians."""
+        x = window.values
+        if len(x) < _LEAST or not _stands_out(window):
             return
         g, changes = threshold(len(x)), np.abs(np.diff(x))
         near = np.zeros(len(x) + 1, dtype=np.int64)
-        np.add.at(near, np.maximum(places - begin - _FAR, 0), 1)
-        np.add.at(near, np.minimum(places - begin + _FAR, len(x)), -1)
+        np.add.at(near, np.maximum(window.places - _FAR, 0), 1)
+        np.add.at(near, np.minimum(window.places + _FAR, len(x)), -1)
         looked = np.flatnonzero(np.cumsum(near[:-1]))
-        looked = looked[(looked >= _BESIDE - begin) & (looked < end - begin)]
+        looked = looked[(looked >= window.low) & (looked < window.high)]
         outlying = np.zeros(len(looked), dtype=bool)
         moving = np.flatnonzero(
             (np.append(changes, 1.0) > 0) & (np.append(1.0, changes) > 0)
@@ -389,27 +484,23 @@ class Screening:
                 factor * float(ordered[len(ordered) // 2]),
                 1.395 * float(ordered[: max(1, int(0.95 * len(ordered)))].mean()),
                 0.3 * _trimmed(changes),
-                self._count(k) / 2,
+                window.count / 2,
             )
             off, scale = _off(x, size, looked), np.full(len(looked), usual)
             if not self.steady:
                 scale = np.maximum(scale, _JERK * _mean_around(np.append(changes, changes[-1]), _FAR)[looked])
             outlying |= off > g * wider * scale
-        found = looked[outlying] + begin
+        found = looked[outlying]
         for group in np.split(found, np.flatnonzero(np.diff(found) > _TOGETHER) + 1) if len(found) else ():
-            self._note(k, int(group[0]), int(group[-1]) + 1)
+            self._note(k, window, int(group[0]), int(group[-1]) + 1)
 
-    def _note(self, k: int, low: int, high: int) -> None:
-        """Keeps an outlier or a burst, from one place in the buffer to another."""
-        around = np.concatenate(
-            [self.values[k, max(self.begin, low - _FAR) : low], self.values[k, high : min(self.filled, high + _FAR)]]
-        )
-        before, after = (
-            self.values[k, max(self.begin, low - 4) : low],
-            self.values[k, high : min(self.filled, high + 4)],
-        )
+    def _note(self, k: int, window: _Window, low: int, high: int) -> None:
+        """Keeps an outlier or a burst, from one place in the window to another."""
+        values, rows, times = window.values, window.rows, window.times
+        around = np.concatenate([values[max(0, low - _FAR) : low], values[high : high + _FAR]])
+        before, after = values[max(0, low - 4) : low], values[high : high + 4]
         before, after = (before if len(before) else after), (after if len(after) else before)
-        own = self.values[k, low:high] - float(np.median(around))
+        own = values[low:high] - float(np.median(around))
         if len(self.found[k]) >= _KEPT:
             self.more[k] += 1
             return
@@ -417,10 +508,10 @@ class Screening:
             Find(
                 FindKind.SPIKE if high - low <= _SPIKE else FindKind.BURST,
                 self.channels[k],
-                int(self.rows[low]),
-                int(self.rows[high - 1] - self.rows[low]) + 1,
-                float(self.time[low]),
-                float(self.time[high - 1] - self.time[low]) + self.interval,
+                int(rows[low]),
+                int(rows[high - 1] - rows[low]) + 1,
+                float(times[low]),
+                float(times[high - 1] - times[low]) + self.interval,
                 float(own[np.argmax(np.abs(own))]),
                 1.4826 * float(np.median(np.abs(around - np.median(around)))),
                 float(np.median(before)),
@@ -471,7 +562,7 @@ class Screening:
         for value, (at, beside) in ((self.largest[k], self.at_top[:, k]), (self.smallest[k], self.at_bottom[:, k])):
             own = at - sum(one.rows for one in stuck if one.size == value)
             if own >= _CLIPPED and own > 4 * beside:
-                kind, begin = FindKind.CLIPPED, float(self.time[_BESIDE if self.begin else 0])
+                kind, begin = FindKind.CLIPPED, self.begin
                 found.append(Find(kind, self.channels[k], 0, int(own), begin, 0.0, float(value), bad=False))
         return found
 
@@ -515,40 +606,54 @@ class Screening:
                     out.append(Find(FindKind.STEP, name, row, 0, time, 0.0, float(rise[at]), scale, bad=False))
         return out
 
-    def _times(self, low: int, end: int) -> None:
+    def _times(self, time: Array, rows: RowNumbers, columns: Sequence[Array]) -> None:
         """Lost and repeated samples."""
-        time = self.time[low:end]
-        if len(time) < 2:
+        steps = np.diff(time, prepend=self.times_before[-1:])
+        first = len(time) - len(steps)  # 1 if there is no sample before
+        if not len(steps):
             return
-        steps = np.diff(time)
         if math.isnan(self.interval):
-            self.interval = float(np.median(steps))
+            self.interval = float(np.median(steps[: _PIECE - 1]))
         if float(steps.max()) > _PAUSE * self.interval:
             for place in np.flatnonzero(steps > _PAUSE * self.interval):
                 self.pauses += 1
                 if len(self.in_time) < _KEPT:
-                    gap, at = float(steps[place]), low + int(place)
+                    gap, at = float(steps[place]), first + int(place)
                     missing = max(round(gap / self.interval) - 1, 0)
                     if missing:
-                        row = int(self.rows[at + 1])
-                        kind = FindKind.LOST
-                        self.in_time.append(
-                            Find(kind, "", row, 0, float(self.time[at]), gap, float(missing), bad=False)
-                        )
+                        row, begin = int(rows[at]), float(time[at]) - gap
+                        lost = Find(FindKind.LOST, "", row, 0, begin, gap, float(missing), bad=False)
+                        self.in_time.append(lost)
         if float(steps.min()) < _EARLY * self.interval:
             for place in np.flatnonzero(steps < _EARLY * self.interval):
                 self.pauses += 1
-                at = low + int(place) + 1
-                same = bool(np.all(self.values[:, at] == self.values[:, at - 1]))
+                at = first + int(place)
+                same = all(
+                    values[at] == (values[at - 1] if at else old[-1])
+                    for values, old in zip(columns, self.before, strict=True)
+                )
                 if same and len(self.in_time) < _KEPT:
-                    row, kind = int(self.rows[at]), FindKind.REPEATED
-                    self.in_time.append(Find(kind, "", row, 1, float(self.time[at]), self.interval, 1.0))
+                    row, kind = int(rows[at]), FindKind.REPEATED
+                    self.in_time.append(Find(kind, "", row, 1, float(time[at]), self.interval, 1.0))
 
     def _of_time(self) -> list[Find]:
         """Without what a clock that jitters does anyway."""
         if self.pauses <= _JITTER * max(self.done, 1):
             return self.in_time
         return [one for one in self.in_time if one.kind is FindKind.LOST and one.seconds > _LONG_PAUSE * self.interval]
+
+
+def _stands_out(window: _Window) -> bool:
+    """Whether a sample beside one of a few large changes is far from the samples around it: two opposite deviations of usual size make a
+    large change too."""
+    if len(window.places) > _FEW:
+        return True
+    for place in window.places:
+        around = window.values[max(0, place - _TOGETHER) : place + 2 + _TOGETHER]
+        off = np.abs(window.values[place : place + 2] - np.median(around))
+        if off.max() > _APART * window.usual:
+            return True
+    return False
 
 
 def _as_one(finds: Sequence[Find]) -> list[Find]:

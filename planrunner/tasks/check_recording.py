@@ -5,12 +5,12 @@ Findings are added to those of the plan. No value is kept: the check shows only 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from planrunner.archive.played_back import played
 from planrunner.base.findings import Mark
+from planrunner.base.progress import Notice
 from planrunner.bench.clock import VirtualClock
 from planrunner.estimators.analysis import analyse
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
@@ -19,9 +19,9 @@ from planrunner.instruments.recording_keys import RecordingParameters
 from planrunner.tasks.check import Checked, Sound
 
 
-def check_recording(checked: Checked, data_root: Path, progress: Callable[[int], None] | None = None) -> None:
-    """Adds findings about the recording that a plan's bench plays back; nothing for other benches. progress: called with the number of
-    examined rows. Never raises because of the content of the files."""
+def check_recording(checked: Checked, data_root: Path, notice: Notice | None = None) -> None:
+    """Adds findings about the recording that a plan's bench plays back; nothing for other benches. notice: receives the
+    progress. Never raises because of the content of the files."""
     bench, models, log = checked.bench, checked.models, checked.findings
     if bench is None or models is None:
         return
@@ -30,18 +30,19 @@ def check_recording(checked: Checked, data_root: Path, progress: Callable[[int],
         if not isinstance(entry.parameters, RecordingParameters):
             continue
         try:
-            player = RecordingPlayer.connect(entry.parameters, Surroundings(VirtualClock(), models.site, data_root))
+            surroundings = Surroundings(VirtualClock(), models.site, data_root, notice=notice)
+            player = RecordingPlayer.connect(entry.parameters, surroundings)
         except InstrumentError as error:
             hint = "check the bench file, --data and the plan's labels"
             log.error("recording-unfit", entry.origin.mark, str(error), hint)
             return
         if segments:
-            player.look_over(segments, log, progress)
+            player.look_over(segments, log)
         if checked.ok:
-            _try_estimates(checked.sound(), player)
+            _try_estimates(checked.sound(), player, notice)
 
 
-def _try_estimates(sound: Sound, player: RecordingPlayer) -> None:
+def _try_estimates(sound: Sound, player: RecordingPlayer, notice: Notice | None) -> None:
     """Tries every estimate of a plan on the recording. An estimate that fails is an error."""
     estimates = {name: replace(spec, validate=None) for name, spec in sound.plan.estimates.items()}
     try:
@@ -52,7 +53,7 @@ def _try_estimates(sound: Sound, player: RecordingPlayer) -> None:
             "recording-unfit", mark, str(error), "correct the file, or its description in the bench file"
         )
         return
-    results = analyse(estimates, (), recording, sound.models.site, sound.sensor, sound.setup)
+    results = analyse(estimates, (), recording, sound.models.site, sound.sensor, sound.setup, notice)
     for name, message in results.failures.items():
         hint = "choose other segments or parameters, or record the missing data"
         sound.findings.error("recording-estimate", estimates[name].origin.mark, f"'{name}': {message}", hint)

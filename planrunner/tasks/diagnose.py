@@ -16,11 +16,13 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from planrunner.archive.played_back import played
+from planrunner.archive.reading_progress import announced
 from planrunner.archive.recording import RecordedSegment, in_time_order
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.statistics import statistics_of
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
+from planrunner.base.progress import Notice
 from planrunner.bench.clock import VirtualClock
 from planrunner.bench.model import Bench, shipped_benches
 from planrunner.instruments.interfaces import Block, InstrumentError, UnservedError
@@ -69,13 +71,17 @@ class Diagnosed:
         return found | {"next": None if self.following is None else self.following.to_json()}
 
 
-def diagnose_recorded(recorded: Recorded, options: DiagnosisOptions | None = None, jobs: int = 1) -> Diagnosed:
+def diagnose_recorded(
+    recorded: Recorded, options: DiagnosisOptions | None = None, jobs: int = 1, notice: Notice | None = None
+) -> Diagnosed:
     """Diagnoses how a recording differs from its simulation. options: by default those of the plan; jobs: threads of the linear algebra;
-    with many small systems more than one rarely helps. Raises `InputError` with all obstacles to a diagnosis."""
+    with many small systems more than one rarely helps. notice: receives the progress of reading.
+    Raises `InputError` with all obstacles to a diagnosis."""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=jobs, user_api="blas"):
-        return _diagnosed(recorded, options)
+        segments = announced(recorded.segments, "diagnosing", notice)
+        return _diagnosed(replace(recorded, segments=segments), options)
 
 
 def _diagnosed(recorded: Recorded, options: DiagnosisOptions | None) -> Diagnosed:
@@ -228,19 +234,21 @@ def _unfit(recorded: Recorded, error: Exception) -> InputError:
     )
 
 
-def recorded_run(run: Path) -> Recorded:
-    """A run folder. Raises `InputError` and `IntegrityError`."""
+def recorded_run(run: Path, notice: Notice | None = None) -> Recorded:
+    """A run folder. notice: receives the progress of reading. Raises `InputError` and `IntegrityError`."""
     reader = RunReader.open(run)
     sound = sound_run(reader)
     known = [name for name, path in shipped_benches().items() if path.read_bytes() == sound.bench_bytes]
     bench = known[0] if known else str((run / "bench.yaml").resolve())
     created = datetime.fromisoformat(reader.run["created"])
-    return Recorded(sound, reader.recording(sound.schedule), str(run), bench, created, reader.findings)
+    return Recorded(sound, reader.recording(sound.schedule, notice=notice), str(run), bench, created, reader.findings)
 
 
-def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path | None = None) -> Recorded:
+def recorded_file(
+    plan: Path, bench: str | None, recording: Path, segments: Path | None = None, notice: Notice | None = None
+) -> Recorded:
     """A recording in a file. bench: maps its columns; by default the bench of the plan. segments: table of labels with beginnings and ends;
-    by default the table in the bench file, next to the recording. Raises `InputError`."""
+    by default the table in the bench file, next to the recording. notice: receives the progress of reading. Raises `InputError`."""
     sound = check_plan(plan, bench=bench, today=date.today()).sound()
     parameters = _parameters(sound.bench, sound.file)
     columns = parameters.segments
@@ -252,7 +260,7 @@ def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path
     pauses = None if columns is not None else parameters.pauses
     parameters = replace(parameters, file=recording.name, segments=columns, pauses=pauses)
     try:
-        player = RecordingPlayer.open(parameters, recording, table, VirtualClock())
+        player = RecordingPlayer.open(parameters, recording, table, VirtualClock(), notice=notice)
         player.foresee(sound.schedule.segments)
         segments_played = played(player, sound.schedule.segments)
     except UnservedError as error:
@@ -299,15 +307,15 @@ def _only(units: dict[str, str], dimension: str) -> str | None:
     return found[0] if len(found) == 1 else None
 
 
-def joined(first: Recorded, runs: Sequence[Path]) -> Recorded:
+def joined(first: Recorded, runs: Sequence[Path], notice: Notice | None = None) -> Recorded:
     """A recording and later runs of the same sensor, which stayed switched on in between.
 
     Times continue: a later run is delayed by the difference of the start times in the run folders, but begins not before the end of the
-    previous one. Raises `InputError` if a run has other channels or cannot be read.
+    previous one. notice: receives the progress of reading. Raises `InputError` if a run has other channels or cannot be read.
     """
     whole, origin = first, first.created
     for run in runs:
-        further = recorded_run(run)
+        further = recorded_run(run, notice)
         if dict(further.segments[0].units) != dict(first.segments[0].units):
             message = "its channels differ from those of the preceding recording"
             raise InputError.at(

@@ -23,6 +23,7 @@ from planrunner.archive.verifying import Examined, examine, open_run
 from planrunner.base.documents import Json
 from planrunner.base.findings import Finding, Findings, InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.base.progress import Notice
 from planrunner.bench.attendance import check_unattended
 from planrunner.bench.model import locate, runs_on_virtual_clock
 from planrunner.bench.opening import NotSafeError, OpenBench, guarded_bench
@@ -232,7 +233,7 @@ def _carry_out(
     safe."""
     ended: tuple[Path, Outcome] | None = None
     try:
-        with _ready(sound, data_root, seed) as bench, open_writer() as writer:
+        with _ready(sound, data_root, seed, progress) as bench, open_writer() as writer:
             if bench.watchdog is not None:
                 bench.watchdog.report_to(writer.path)
             outcome = execute(
@@ -276,12 +277,13 @@ def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
 
 
 @contextmanager
-def _ready(sound: Sound, data_root: Path | None, seed: int | None) -> Iterator[OpenBench]:
+def _ready(sound: Sound, data_root: Path | None, seed: int | None, notice: Notice | None) -> Iterator[OpenBench]:
     """The bench, connected and able to serve the schedule. An unsuitable recording is an `InputError`, because nothing can have moved."""
     bench, file = sound.bench, sound.bench.origin.mark.file
     with ExitStack() as stack:
         try:
-            opened = stack.enter_context(guarded_bench(bench, sound.bench_bytes, file, data_root=data_root, seed=seed))
+            guarded = guarded_bench(bench, sound.bench_bytes, file, data_root=data_root, seed=seed, notice=notice)
+            opened = stack.enter_context(guarded)
             if isinstance(opened.sensor, Foresees):
                 opened.sensor.foresee(sound.schedule.segments)
         except InstrumentError as error:
@@ -309,16 +311,19 @@ def sound_run(reader: RunReader, today: date | None = None, bench: Document | No
     return check_plan(plan, bench, today or made).sound()
 
 
-def analyse_run(run: Path, issue: Issue | None = None, checked: Sound | None = None) -> Analysis:
+def analyse_run(
+    run: Path, issue: Issue | None = None, checked: Sound | None = None, notice: Notice | None = None
+) -> Analysis:
     """Estimate from a run's recording only; write results and reports as a new analysis.
 
-    checked: the plan as checked for this run; it is not checked again if the folder contains the same plan and bench.
+    checked: the plan as checked for this run; it is not checked again if the folder contains the same plan and bench. notice: receives the
+    progress of reading.
 
     issue: the reports and the information for them; by default those of the plan. If a certificate requested by the plan cannot be issued
     it is withheld; if it is requested by the issue, `InputError` is raised with all obstacles.
     """
     issue = issue or Issue()
-    made = _analyse(run, issue, checked, kept=True)
+    made = _analyse(run, issue, checked, notice, kept=True)
     reports = tuple(dict.fromkeys(issue.reports or made.sound.plan.report))
     withheld: tuple[Finding, ...] = ()
     if any(is_certificate(name) for name in reports):
@@ -357,9 +362,9 @@ def _read_results(analysis: StoredAnalysis) -> Json:
         raise IntegrityError(f"{analysis.path / RESULTS}: not JSON: {str(error)[:200]}; estimate again") from None
 
 
-def report_through(run: Path, template: Path, issue: Issue | None = None) -> str:
+def report_through(run: Path, template: Path, issue: Issue | None = None, notice: Notice | None = None) -> str:
     """The results of a run, rendered with a user's template; nothing is written to the run folder."""
-    made = _analyse(run, issue or Issue())
+    made = _analyse(run, issue or Issue(), notice=notice)
     return render_report(made.context, template.name.removesuffix(".j2"), template.parent)
 
 
@@ -372,16 +377,20 @@ class _Made:
     shown: CertificateFacts
 
 
-def _analyse(run: Path, issue: Issue, checked: Sound | None = None, *, kept: bool = False) -> _Made:
+def _analyse(
+    run: Path, issue: Issue, checked: Sound | None = None, notice: Notice | None = None, *, kept: bool = False
+) -> _Made:
     """kept: whether it becomes the next analysis of the run; its reports then show this number."""
     reader = RunReader.open(run)
     same = checked is not None and (checked.plan_bytes, checked.bench_bytes) == (reader.plan_bytes, reader.bench_bytes)
     sound = checked if checked is not None and same else sound_run(reader)
-    recording = reader.recording(sound.schedule, watch_of(sound.sensor))
+    recording = reader.recording(sound.schedule, watch_of(sound.sensor), notice)
     setup = replace(sound.setup, information=recorded_information(reader))
-    results = analyse(sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor, setup)
+    results = analyse(
+        sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor, setup, notice
+    )
     results = replace(results, origin=sound.models.origin)
-    before = None if issue.before is None else _analyse(issue.before, Issue())
+    before = None if issue.before is None else _analyse(issue.before, Issue(), notice=notice)
     shown = facts(
         reader,
         sound,

@@ -1,0 +1,62 @@
+"""Progress of reading recorded samples, for passes that take long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.base.progress import Notice, Pace
+from planrunner.instruments.interfaces import Block
+
+
+class Rows:
+    """Rows that were read of a known number, over several segments."""
+
+    def __init__(self, what: str, rows: float, notice: Notice | None):
+        self._pace = Pace(what, rows, notice)
+        self._done = 0
+
+    def through(self, blocks: Iterator[Block]) -> Iterator[Block]:
+        """The same blocks."""
+        for block in blocks:
+            yield block
+            self._done += len(block.time)
+            self._pace.reached(self._done)
+
+
+def announced(recording: Sequence[RecordedSegment], what: str, notice: Notice | None) -> tuple[RecordedSegment, ...]:
+    """The same segments. Passes over their samples that take long are announced to `notice` as `what`, with the part of all rows that was
+    read at least once; when all have been read, a further pass begins anew."""
+    if notice is None:
+        return tuple(recording)
+    passes = _Passes([item.statistics.count + item.statistics.rejected for item in recording], what, notice)
+    return tuple(
+        item if item.expected else replace(item, blocks=partial(passes.through, index, item.blocks))
+        for index, item in enumerate(recording)
+    )
+
+
+class _Passes:
+    """rows: of each segment."""
+
+    def __init__(self, rows: Sequence[int], what: str, notice: Notice):
+        self._rows, self._what, self._notice = rows, what, notice
+        self._begin()
+
+    def _begin(self) -> None:
+        self._reached = [0] * len(self._rows)
+        self._pace = Pace(self._what, sum(self._rows), self._notice)
+
+    def through(
+        self, index: int, read: Callable[[Sequence[str]], Iterator[Block]], channels: Sequence[str]
+    ) -> Iterator[Block]:
+        if sum(self._reached) in (0, sum(self._rows)):
+            self._begin()
+        row = 0
+        for block in read(channels):
+            yield block
+            row += len(block.time)
+            self._reached[index] = max(self._reached[index], row)
+            self._pace.reached(sum(self._reached))

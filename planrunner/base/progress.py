@@ -1,0 +1,55 @@
+"""Progress of a long pass over data: the work, the part that is done, and the time left at the pace so far."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import monotonic
+
+from planrunner.base.dataclass import dataclass
+
+EVERY = 0.05
+"""Minimum seconds of real time between two reports of progress."""
+LONG = 2.0
+"""Seconds; work that takes less at its pace is not announced."""
+
+
+now = monotonic
+"""The clock of progress, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Underway:
+    """what: the work, such as "checking long.csv". fraction: completed part, 0 to 1. time_left: s of real time."""
+
+    what: str
+    fraction: float
+    time_left: float
+
+
+Notice = Callable[[Underway], None]
+
+
+class Pace:
+    """Announces work on a known amount of data, such as rows. A callback that raises is not called again, because a display must not end
+    the work."""
+
+    def __init__(self, what: str, amount: float, notice: Notice | None):
+        self._what, self._amount, self._notice = what, amount, notice
+        self._began = self._shown = now()
+
+    def reached(self, amount: float) -> None:
+        """The amount that is done; called often. Announces it if that is due."""
+        if self._notice is None or amount <= 0 or self._amount <= 0:
+            return
+        time = now()
+        if time - self._shown < EVERY:
+            return
+        self._shown = time
+        fraction = min(1.0, amount / self._amount)
+        whole = (time - self._began) / fraction
+        if whole < LONG:
+            return
+        try:
+            self._notice(Underway(self._what, fraction, whole * (1 - fraction)))
+        except Exception:
+            self._notice = None
