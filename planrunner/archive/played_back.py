@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
-from planrunner.archive.reading_progress import Rows
+from planrunner.archive.reading_progress import RowsRead
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
 from planrunner.instruments.interfaces import Block
@@ -20,11 +20,11 @@ def played(player: RecordingPlayer, segments: Sequence[Segment]) -> tuple[Record
     player.file = at_hand(player.file, player.parameters.file, player.notice)
     seconds = (player.length_of(one) if one.dwell is None else one.dwell for one in segments)
     rows = min(player.file.about, sum(player.parameters.sample_rate.value * (one or math.inf) for one in seconds))
-    passed = Rows(f"reading {player.parameters.file}", 2 * rows, player.notice)
+    passed = RowsRead(f"reading {player.parameters.file}", 2 * rows, player.notice)
     return tuple(_play(player, segment, passed) for segment in segments)
 
 
-def _play(player: RecordingPlayer, segment: Segment, passed: Rows) -> RecordedSegment:
+def _play(player: RecordingPlayer, segment: Segment, passed: RowsRead) -> RecordedSegment:
     """A segment of the recording. Its blocks are in memory if the recording is; otherwise every pass reads them again."""
     units = dict(player.channels())
     read = partial(player.stream, segment)

@@ -7,14 +7,14 @@ from dataclasses import replace
 from functools import partial
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.base.progress import Notice, Pace
+from planrunner.base.progress import Announce, Pace
 from planrunner.instruments.interfaces import Block
 
 
-class Rows:
-    """Rows that were read of a known number, over several segments."""
+class RowsRead:
+    """RowsRead that were read of a known number, over several segments."""
 
-    def __init__(self, what: str, rows: float, notice: Notice | None):
+    def __init__(self, what: str, rows: float, notice: Announce | None):
         self._pace = Pace(what, rows, notice)
         self._done = 0
 
@@ -26,7 +26,7 @@ class Rows:
             self._pace.reached(self._done)
 
 
-def announced(recording: Sequence[RecordedSegment], what: str, notice: Notice | None) -> tuple[RecordedSegment, ...]:
+def announced(recording: Sequence[RecordedSegment], what: str, notice: Announce | None) -> tuple[RecordedSegment, ...]:
     """The same segments. Passes over their samples that take long are announced to `notice` as `what`, with the part of all rows that was
     read at least once; when all have been read, a further pass begins anew."""
     if notice is None:
@@ -41,7 +41,7 @@ def announced(recording: Sequence[RecordedSegment], what: str, notice: Notice | 
 class _Passes:
     """rows: of each segment."""
 
-    def __init__(self, rows: Sequence[int], what: str, notice: Notice):
+    def __init__(self, rows: Sequence[int], what: str, notice: Announce):
         self._rows, self._what, self._notice = rows, what, notice
         self._begin()
 

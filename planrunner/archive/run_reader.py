@@ -11,7 +11,7 @@ from pathlib import Path
 from planrunner.archive.analyses import Basis, StoredAnalysis, add_analysis
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal_state import Acknowledged, JournalState, Rejected
-from planrunner.archive.reading_progress import Rows
+from planrunner.archive.reading_progress import RowsRead
 from planrunner.archive.recording import RecordedSegment, WatcherOf
 from planrunner.archive.segment_file import SegmentData
 from planrunner.archive.statistics import statistics_of
@@ -19,7 +19,7 @@ from planrunner.archive.verifying import BENCH, MENDED, PLAN, Examined, examine,
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding
 from planrunner.base.guarded_folder import GuardedFolder
-from planrunner.base.progress import Notice
+from planrunner.base.progress import Announce
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Schedule
 from planrunner.plan.selection import spelt_alike
@@ -100,7 +100,7 @@ class RunReader:
     # -- samples -------------------------------------------------------------------------------------------------------
 
     def recording(
-        self, schedule: Schedule, watch: WatcherOf | None = None, notice: Notice | None = None
+        self, schedule: Schedule, watch: WatcherOf | None = None, notice: Announce | None = None
     ) -> tuple[RecordedSegment, ...]:
         """The acknowledged segments with statistics, in the order of the schedule. Each file is read once.
 
@@ -109,7 +109,7 @@ class RunReader:
         """
         segments = []
         whole = sum(part.rows for item in self.acknowledged() for part in item.parts)
-        passed = Rows("reading the recording", whole, notice)
+        passed = RowsRead("reading the recording", whole, notice)
         for item in self.acknowledged():
             known = item.index < len(schedule.segments)
             if not (known and spelt_alike(item.label, schedule.segments[item.index].label)):

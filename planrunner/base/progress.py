@@ -26,14 +26,14 @@ class Underway:
     time_left: float
 
 
-Notice = Callable[[Underway], None]
+Announce = Callable[[Underway], None]
 
 
 class Pace:
     """Announces work on a known amount of data, such as rows. A callback that raises is not called again, because a display must not end
     the work."""
 
-    def __init__(self, what: str, amount: float, notice: Notice | None):
+    def __init__(self, what: str, amount: float, notice: Announce | None):
         self._what, self._amount, self._notice = what, amount, notice
         self._began = self._shown = now()
 

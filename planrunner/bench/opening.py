@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from planrunner.base.progress import Notice
+from planrunner.base.progress import Announce
 from planrunner.bench.clock import VirtualClock, WallClock
 from planrunner.bench.lock import bench_lock
 from planrunner.bench.model import (
@@ -167,7 +167,7 @@ def open_bench(
     data_root: Path | None = None,
     seed: int | None = None,
     clock: RunClock | None = None,
-    notice: Notice | None = None,
+    notice: Announce | None = None,
 ) -> OpenBench:
     """Connect the instruments of a bench in the order of its file.
 
@@ -207,7 +207,7 @@ def guarded_bench(
     *,
     data_root: Path | None = None,
     seed: int | None = None,
-    notice: Notice | None = None,
+    notice: Announce | None = None,
 ) -> Iterator[OpenBench]:
     """The connected bench for the duration of a `with` block; safe and closed afterwards.
 

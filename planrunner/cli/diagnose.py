@@ -15,7 +15,7 @@ from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.cli.progress import reading_progress
 
 if TYPE_CHECKING:
-    from planrunner.base.progress import Notice
+    from planrunner.base.progress import Announce
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
     from planrunner.reporting.diagnosis_page import DiagnosisContext
     from planrunner.tasks.diagnose import Diagnosed, Recorded
@@ -137,7 +137,7 @@ def _options(nominal: list[str] | None) -> DiagnosisOptions | None:
     return None if nominal is None else DiagnosisOptions(nominal=tuple(nominal))
 
 
-def _recorded(args: argparse.Namespace, notice: Notice | None) -> Recorded:
+def _recorded(args: argparse.Namespace, notice: Announce | None) -> Recorded:
     """A run folder, or a plan with a recording."""
     from planrunner.tasks.diagnose import recorded_file, recorded_run
 

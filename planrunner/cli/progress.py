@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from planrunner.base.progress import Notice, Underway
+    from planrunner.base.progress import Announce, Underway
     from planrunner.execution.progress import Advanced, ProgressCallback, ProgressEvent, SegmentBegun, SegmentFinished
 
 LINES_EVERY = 10.0
@@ -68,7 +68,7 @@ def _drawn(*, transient: bool) -> Iterator[tuple[ProgressCallback, Progress]]:
 
 
 @contextmanager
-def reading_progress(quiet: bool = False) -> Iterator[Notice | None]:
+def reading_progress(quiet: bool = False) -> Iterator[Announce | None]:
     """A callback for the progress of passes over recorded samples. Nothing is shown before the first call, and a bar disappears at the
     end."""
     if quiet:
@@ -78,7 +78,7 @@ def reading_progress(quiet: bool = False) -> Iterator[Notice | None]:
         yield _Lines().take
         return
     with ExitStack() as stack:
-        drawn: list[Notice] = []
+        drawn: list[Announce] = []
 
         def take(event: Underway) -> None:
             if not drawn:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from planrunner.archive.reading_progress import announced
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.findings import InputError
-from planrunner.base.progress import Notice
+from planrunner.base.progress import Announce
 from planrunner.estimators.foresight import detection_of, patterns_of
 from planrunner.estimators.interface import (
     Estimate,
@@ -44,7 +44,7 @@ def analyse(
     site: Site,
     sensor: SensorModel,
     setup: Setup | None = None,
-    notice: Notice | None = None,
+    notice: Announce | None = None,
 ) -> Results:
     """All estimates and limits of a plan. notice: receives the progress of passes over the samples.
 
@@ -109,7 +109,7 @@ def _estimate(
     made: Mapping[str, Estimate],
     estimates: Mapping[str, EstimateSpec],
     setup: Setup,
-    notice: Notice | None,
+    notice: Announce | None,
 ) -> Estimate:
     for used in spec.uses:
         if used not in made:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
 from planrunner.base.findings import Finding
-from planrunner.base.progress import Notice
+from planrunner.base.progress import Announce
 from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
@@ -97,7 +97,7 @@ class Surroundings:
     seed: int = 0
     real_time: bool = False
     world: object = None
-    notice: Notice | None = None
+    notice: Announce | None = None
     instruments: dict[str, Instrument] = field(default_factory=dict)
 
 

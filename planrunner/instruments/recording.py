@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.documents import Json
 from planrunner.base.findings import Findings, Mark
-from planrunner.base.progress import Notice
+from planrunner.base.progress import Announce
 from planrunner.instruments.interfaces import Block, Clock, InstrumentError, PlaysBack, Surroundings, UnservedError
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.recording_file import RecordingFile, beneath, open_recording
@@ -45,7 +45,7 @@ class RecordingPlayer(PlaysBack):
         clock: Clock,
         piece: float,
         parted: tuple[Span, ...] = (),
-        notice: Notice | None = None,
+        notice: Announce | None = None,
     ):
         self.parameters = parameters
         self.file = file
@@ -88,7 +88,7 @@ class RecordingPlayer(PlaysBack):
         table: Path | None,
         clock: Clock,
         piece: float = math.inf,
-        notice: Notice | None = None,
+        notice: Announce | None = None,
     ) -> RecordingPlayer:
         """A player of the file at `path`. table: file of the segments; piece: s, the longest block; notice: receives the progress where
         the whole file is read. Raises `InstrumentError`."""

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from planrunner.base import arrow_columns
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
-from planrunner.base.progress import Notice, Pace
+from planrunner.base.progress import Announce, Pace
 from planrunner.base.regular_files import RefusedFileError, open_regular
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.span import EVERYTHING, Span
@@ -231,7 +231,7 @@ class HeldRecording:
             yield 1, self.time, dict(self.columns)
 
 
-def at_hand(file: RecordingFile, name: str = "", notice: Notice | None = None) -> RecordingFile:
+def at_hand(file: RecordingFile, name: str = "", notice: Announce | None = None) -> RecordingFile:
     """The same recording in a form from which many stretches can be read quickly: in memory up to `HELD` rows. A longer CSV file becomes a
     temporary Parquet file, because all preceding rows must be read to find a stretch in CSV. name: of the file, for notice, which
     receives the progress. Raises `InstrumentError` like the file."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark
-from planrunner.base.progress import Notice, Pace
+from planrunner.base.progress import Announce, Pace
 from planrunner.instruments.recording_file import RecordingFile
 from planrunner.plan.span import ROUNDING, Span
 
@@ -117,7 +117,7 @@ def scan(
     sample_rate: float,
     wanted: Sequence[Wanted],
     log: Findings,
-    notice: Notice | None = None,
+    notice: Announce | None = None,
 ) -> Span | None:
     """Adds all faults of a recording to `log`. name: of the file, for messages; sample_rate: Hz, as declared; notice:
     receives the progress. Returns the span of the recording, None if its time is wrong. Raises `InstrumentError` if the rest of the file

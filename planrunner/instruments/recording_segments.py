@@ -13,7 +13,7 @@ import numpy as np
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import InputError, closest
-from planrunner.base.progress import Notice, Pace
+from planrunner.base.progress import Announce, Pace
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording_file import RecordingFile
 from planrunner.plan.selection import closest_label
@@ -89,7 +89,7 @@ def _row(
     return label, Span(start, end)
 
 
-def stretches(file: RecordingFile, pause: float, name: str = "", notice: Notice | None = None) -> tuple[Span, ...]:
+def stretches(file: RecordingFile, pause: float, name: str = "", notice: Announce | None = None) -> tuple[Span, ...]:
     """The stretches of a recording within which no two rows are more than `pause` s apart, in one pass over it. Each ends a sample period
     after its last row. name: of the file, for notice, which receives the progress.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from planrunner.archive.played_back import played
 from planrunner.base.findings import Mark
-from planrunner.base.progress import Notice
+from planrunner.base.progress import Announce
 from planrunner.bench.clock import VirtualClock
 from planrunner.estimators.analysis import analyse
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
@@ -19,7 +19,7 @@ from planrunner.instruments.recording_keys import RecordingParameters
 from planrunner.tasks.check import Checked, Sound
 
 
-def check_recording(checked: Checked, data_root: Path, notice: Notice | None = None) -> None:
+def check_recording(checked: Checked, data_root: Path, notice: Announce | None = None) -> None:
     """Adds findings about the recording that a plan's bench plays back; nothing for other benches. notice: receives the
     progress. Never raises because of the content of the files."""
     bench, models, log = checked.bench, checked.models, checked.findings
@@ -42,7 +42,7 @@ def check_recording(checked: Checked, data_root: Path, notice: Notice | None = N
             _try_estimates(checked.sound(), player, notice)
 
 
-def _try_estimates(sound: Sound, player: RecordingPlayer, notice: Notice | None) -> None:
+def _try_estimates(sound: Sound, player: RecordingPlayer, notice: Announce | None) -> None:
     """Tries every estimate of a plan on the recording. An estimate that fails is an error."""
     estimates = {name: replace(spec, validate=None) for name, spec in sound.plan.estimates.items()}
     try:

@@ -22,7 +22,7 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.archive.statistics import statistics_of
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
-from planrunner.base.progress import Notice
+from planrunner.base.progress import Announce
 from planrunner.bench.clock import VirtualClock
 from planrunner.bench.model import Bench, shipped_benches
 from planrunner.instruments.interfaces import Block, InstrumentError, UnservedError
@@ -72,7 +72,7 @@ class Diagnosed:
 
 
 def diagnose_recorded(
-    recorded: Recorded, options: DiagnosisOptions | None = None, jobs: int = 1, notice: Notice | None = None
+    recorded: Recorded, options: DiagnosisOptions | None = None, jobs: int = 1, notice: Announce | None = None
 ) -> Diagnosed:
     """Diagnoses how a recording differs from its simulation. options: by default those of the plan; jobs: threads of the linear algebra;
     with many small systems more than one rarely helps. notice: receives the progress of reading.
@@ -234,7 +234,7 @@ def _unfit(recorded: Recorded, error: Exception) -> InputError:
     )
 
 
-def recorded_run(run: Path, notice: Notice | None = None) -> Recorded:
+def recorded_run(run: Path, notice: Announce | None = None) -> Recorded:
     """A run folder. notice: receives the progress of reading. Raises `InputError` and `IntegrityError`."""
     reader = RunReader.open(run)
     sound = sound_run(reader)
@@ -245,7 +245,7 @@ def recorded_run(run: Path, notice: Notice | None = None) -> Recorded:
 
 
 def recorded_file(
-    plan: Path, bench: str | None, recording: Path, segments: Path | None = None, notice: Notice | None = None
+    plan: Path, bench: str | None, recording: Path, segments: Path | None = None, notice: Announce | None = None
 ) -> Recorded:
     """A recording in a file. bench: maps its columns; by default the bench of the plan. segments: table of labels with beginnings and ends;
     by default the table in the bench file, next to the recording. notice: receives the progress of reading. Raises `InputError`."""
@@ -307,7 +307,7 @@ def _only(units: dict[str, str], dimension: str) -> str | None:
     return found[0] if len(found) == 1 else None
 
 
-def joined(first: Recorded, runs: Sequence[Path], notice: Notice | None = None) -> Recorded:
+def joined(first: Recorded, runs: Sequence[Path], notice: Announce | None = None) -> Recorded:
     """A recording and later runs of the same sensor, which stayed switched on in between.
 
     Times continue: a later run is delayed by the difference of the start times in the run folders, but begins not before the end of the

@@ -23,7 +23,7 @@ from planrunner.archive.verifying import Examined, examine, open_run
 from planrunner.base.documents import Json
 from planrunner.base.findings import Finding, Findings, InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
-from planrunner.base.progress import Notice
+from planrunner.base.progress import Announce
 from planrunner.bench.attendance import check_unattended
 from planrunner.bench.model import locate, runs_on_virtual_clock
 from planrunner.bench.opening import NotSafeError, OpenBench, guarded_bench
@@ -277,7 +277,7 @@ def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
 
 
 @contextmanager
-def _ready(sound: Sound, data_root: Path | None, seed: int | None, notice: Notice | None) -> Iterator[OpenBench]:
+def _ready(sound: Sound, data_root: Path | None, seed: int | None, notice: Announce | None) -> Iterator[OpenBench]:
     """The bench, connected and able to serve the schedule. An unsuitable recording is an `InputError`, because nothing can have moved."""
     bench, file = sound.bench, sound.bench.origin.mark.file
     with ExitStack() as stack:
@@ -312,7 +312,7 @@ def sound_run(reader: RunReader, today: date | None = None, bench: Document | No
 
 
 def analyse_run(
-    run: Path, issue: Issue | None = None, checked: Sound | None = None, notice: Notice | None = None
+    run: Path, issue: Issue | None = None, checked: Sound | None = None, notice: Announce | None = None
 ) -> Analysis:
     """Estimate from a run's recording only; write results and reports as a new analysis.
 
@@ -362,7 +362,7 @@ def _read_results(analysis: StoredAnalysis) -> Json:
         raise IntegrityError(f"{analysis.path / RESULTS}: not JSON: {str(error)[:200]}; estimate again") from None
 
 
-def report_through(run: Path, template: Path, issue: Issue | None = None, notice: Notice | None = None) -> str:
+def report_through(run: Path, template: Path, issue: Issue | None = None, notice: Announce | None = None) -> str:
     """The results of a run, rendered with a user's template; nothing is written to the run folder."""
     made = _analyse(run, issue or Issue(), notice=notice)
     return render_report(made.context, template.name.removesuffix(".j2"), template.parent)
@@ -378,7 +378,7 @@ class _Made:
 
 
 def _analyse(
-    run: Path, issue: Issue, checked: Sound | None = None, notice: Notice | None = None, *, kept: bool = False
+    run: Path, issue: Issue, checked: Sound | None = None, notice: Announce | None = None, *, kept: bool = False
 ) -> _Made:
     """kept: whether it becomes the next analysis of the run; its reports then show this number."""
     reader = RunReader.open(run)
