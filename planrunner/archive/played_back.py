@@ -9,14 +9,19 @@ from functools import partial
 from planrunner.archive.reading_progress import RowsRead
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
+from planrunner.archive.summaries import summarised
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_file import HeldRecording, at_hand
+from planrunner.instruments.recording_summary import SummaryPlayer
 from planrunner.plan.schedule import Segment
 
 
-def played(player: RecordingPlayer, segments: Sequence[Segment]) -> tuple[RecordedSegment, ...]:
+def played(player: RecordingPlayer | SummaryPlayer, segments: Sequence[Segment]) -> tuple[RecordedSegment, ...]:
     """The segments of a player. Its recording can then be read many times. Raises `InstrumentError`."""
+    if isinstance(player, SummaryPlayer):
+        name, units = player.parameters.file, player.channels()
+        return tuple(summarised(one, units, player.summary, player.stream(one), name) for one in segments)
     player.file = at_hand(player.file, player.parameters.file, player.notice)
     seconds = (player.length_of(one) if one.dwell is None else one.dwell for one in segments)
     rows = min(player.file.about, sum(player.parameters.sample_rate.value * (one or math.inf) for one in seconds))

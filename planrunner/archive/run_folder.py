@@ -35,13 +35,14 @@ from planrunner.archive.segment_file import (
     safe_name,
 )
 from planrunner.archive.storage import ASIDE, Durability, Storage, digest
+from planrunner.archive.summaries import METADATA, to_text
 from planrunner.archive.verifying import BENCH, MENDED, PLAN, RUN, Examined, examine, open_run
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 from planrunner.bench.watchdog_report import NAME as REPORT
 from planrunner.bench.watchdog_report import read_report
-from planrunner.instruments.interfaces import Block
+from planrunner.instruments.interfaces import Block, SummaryChannels
 from planrunner.plan.schedule import Segment
 
 
@@ -233,8 +234,11 @@ class RunWriter:
             self.note("rescued", report=report)
             self.folder.remove(REPORT)
 
-    def begin(self, segment: Segment, clock: float, channels: Mapping[str, str]) -> None:
-        """Begin a segment; channels (name → unit) is empty if nothing is recorded."""
+    def begin(
+        self, segment: Segment, clock: float, channels: Mapping[str, str], summary: SummaryChannels | None = None
+    ) -> None:
+        """Begin a segment; channels (name → unit) is empty if nothing is recorded. summary: meaning of the channels, if the segment is
+        recorded as a summary."""
         index = segment.index
         self._attempt = self._point.attempts[index] = self._point.attempts.get(index, 0) + 1
         self._segment, self._parts, self._samples = segment, [], None
@@ -256,7 +260,12 @@ class RunWriter:
                 stem,
                 channels,
                 self._storage,
-                description={"label": segment.label, "segment": str(index), "attempt": str(self._attempt)},
+                description={
+                    "label": segment.label,
+                    "segment": str(index),
+                    "attempt": str(self._attempt),
+                    **({} if summary is None else {METADATA: to_text(summary)}),
+                },
                 part_bytes=self.part_bytes,
                 part_seconds=self.part_seconds,
             )

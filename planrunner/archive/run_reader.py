@@ -15,6 +15,7 @@ from planrunner.archive.reading_progress import RowsRead
 from planrunner.archive.recording import RecordedSegment, WatcherOf
 from planrunner.archive.segment_file import SegmentData
 from planrunner.archive.statistics import statistics_of
+from planrunner.archive.summaries import summarised
 from planrunner.archive.verifying import BENCH, MENDED, PLAN, Examined, examine, open_run
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding
@@ -122,6 +123,9 @@ class RunReader:
             readings = {name: float("nan") if value is None else float(value) for name, value in item.readings.items()}
             segment = schedule.segments[item.index]
             blocks = passed.through(self._blocks(item, first, tuple(units)))
+            if first is not None and first.summary is not None:
+                segments.append(summarised(segment, units, first.summary, blocks, str(self.path), readings))
+                continue
             watcher = None if watch is None else watch(segment, units, rows)
             statistics = statistics_of(blocks, tuple(units), rows, watcher)
             finds = None if watcher is None else watcher.finds()

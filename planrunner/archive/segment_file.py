@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.storage import ASIDE, Storage, digest
+from planrunner.archive.summaries import METADATA, from_text
 from planrunner.base import arrow_columns
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
-from planrunner.instruments.interfaces import Block, InstrumentError
+from planrunner.instruments.interfaces import Block, InstrumentError, SummaryChannels
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 FOLDER = "segments"
 FORMAT = 1
+SUMMARY_FORMAT = 2
+"""Of a segment's summary, which an older version would take for samples."""
 PART_BYTES = 32 * 2**20
 """A part ends before it holds more than this many bytes of samples …"""
 PART_SECONDS = 600.0
@@ -302,7 +305,8 @@ def _schema(
 
     units = {"time": "s", **channels}
     fields = [pa.field(name, pa.float64(), nullable=False, metadata={"unit": unit}) for name, unit in units.items()]
-    return pa.schema(fields, metadata={"planrunner_segment": str(FORMAT), **description})
+    version = SUMMARY_FORMAT if METADATA in description else FORMAT
+    return pa.schema(fields, metadata={"planrunner_segment": str(version), **description})
 
 
 def _joined(arrays: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -329,6 +333,7 @@ class SegmentData:
         import pyarrow.parquet as pq
 
         self.path = folder.path / part.file
+        self.summary: SummaryChannels | None = None
         data = _checked_bytes(folder, part)
         try:
             self._file = pq.ParquetFile(pa.BufferReader(data))
@@ -363,11 +368,16 @@ class SegmentData:
 
     def _check_version(self, schema: pa.Schema) -> None:
         version = (schema.metadata or {}).get(b"planrunner_segment", b"").decode("ascii", "replace")
-        if version != str(FORMAT):
+        if version not in (str(FORMAT), str(SUMMARY_FORMAT)):
             raise IntegrityError(
-                f"{self.path}: segment format {version[:40]!r}; this version of planrunner reads {FORMAT}: use a newer version of "
-                "planrunner"
+                f"{self.path}: segment format {version[:40]!r}; this version of planrunner reads {FORMAT} and {SUMMARY_FORMAT}: use a "
+                "newer version of planrunner"
             )
+        if version == str(SUMMARY_FORMAT):
+            try:
+                self.summary = from_text((schema.metadata or {}).get(METADATA.encode(), b"").decode())
+            except ValueError as error:
+                raise self._foreign(str(error)[:200]) from None
 
     def _check_shape(self, part: Part, schema: pa.Schema) -> None:
         """Checks the footer: number of rows as in the journal, columns of 64-bit floats, and no more of both than a part can have."""

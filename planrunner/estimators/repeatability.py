@@ -7,8 +7,9 @@
 Intervals of standard deviations are χ² intervals. The interval of both together is that of Graybill and Wang (J. Am. Stat. Assoc. 75, 1980,
 869), because χ² with Satterthwaite's degrees of freedom contains the true value in only 91 % instead of 95 % of tests of five days.
 
-Two warnings: repeats that scatter more than their own standard uncertainties allow (χ²), and repeats whose scatter is not random in their
-order (von Neumann, Ann. Math. Stat. 12, 1941, 367), as after a drift, or where several start-ups or days are treated as one group.
+Warnings: repeats that scatter more than their own standard uncertainties allow (χ²); repeats that form groups by their labels, by pauses or
+by thirds of their order (`groups_in_time`), which differ (F test) although the plan names no groups; repeats whose scatter is not random in
+their order (von Neumann, Ann. Math. Stat. 12, 1941, 367), as after a drift; and groups within which the scatter differs (Bartlett).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
+from planrunner.estimators.groups_in_time import groupings
 from planrunner.estimators.interface import (
     Cell,
     Coefficient,
@@ -39,7 +41,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.root_of_square import root_of
-from planrunner.observation.observations import SIGNIFICANCE
+from planrunner.observation.observations import SIGNIFICANCE, recorded_times, variances_differ
 from planrunner.plan.kinds import CHANNEL, ListOf, MapOf, Record, Text, key
 from planrunner.plan.selection import matches
 
@@ -47,6 +49,8 @@ Array = NDArray[np.float64]
 
 PROBABILITY = 0.95
 _ORDERED = 8  # repeats from which their order can say anything
+_NAMED = 4  # groups in a sentence
+_TO_COMPARE = 3  # repeats of a group whose scatter is compared with that of others
 
 
 class RepeatabilityParameters(Record):
@@ -75,7 +79,8 @@ class RepeatabilityParameters(Record):
 @dataclass(frozen=True, slots=True)
 class Repeats:
     """n values of one quantity. group: (n,), number of the group of each value; own: (n,), standard uncertainties of the values, NaN if not
-    known. expected: for expected values, the variance of their scatter from noise alone; NaN for measured values."""
+    known. expected: for expected values, the variance of their scatter from noise alone; NaN for measured values. pauses: (n − 1,), s
+    between the repeats; None if not known."""
 
     name: str
     unit: str
@@ -85,6 +90,7 @@ class Repeats:
     group: NDArray[np.int64]
     period: float = math.inf
     expected: float = math.nan
+    pauses: Array | None = None
 
     def on_circle(self, value: float) -> float:
         """The value reduced to 0 … period, if there is a period."""
@@ -237,7 +243,11 @@ def _channels(request: EstimateRequest[RepeatabilityParameters], group: NDArray[
             raise EstimationError(f"channel '{channel}' is recorded in different units ({', '.join(sorted(units))})")
         labels = tuple(recorded.label for recorded in request.segments)
         noise = float(np.mean(np.square(own))) if all(recorded.expected for recorded in request.segments) else math.nan
-        found.append(Repeats(channel, units.pop(), labels, np.array(values), np.array(own), group, expected=noise))
+        start, end = recorded_times(request.segments)
+        pauses = np.maximum(start[1:] - end[:-1], 0.0) if (np.diff(start) > 0).all() else None
+        found.append(
+            Repeats(channel, units.pop(), labels, np.array(values), np.array(own), group, expected=noise, pauses=pauses)
+        )
     return found
 
 
@@ -491,13 +501,52 @@ def _warnings(one: Repeats, split: Variance) -> list[str]:
                 f"(chance of that: {chance:.2g}). What changes from repeat to repeat is not in those uncertainties: use the standard "
                 "deviation of the repeats."
             )
+    unnamed = _unnamed_groups(one)
     chance = chance_of_order(one.value, one.group)
-    if chance < SIGNIFICANCE:
+    if unnamed:
+        found.append(unnamed)
+    elif chance < SIGNIFICANCE:
         found.append(
             f"{one.name}: values that follow each other are more alike than chance makes them (probability {chance:.2g}): the quantity "
             "drifts, or the repeats consist of groups, such as days or switch-ons. Name them in `groups`."
         )
+    if _scatter_differs(one):
+        found.append(
+            f"{one.name}: the scatter within the groups differs from group to group by more than chance (Bartlett's test): one standard "
+            "deviation does not describe all groups. Look at the groups one by one."
+        )
     return found
+
+
+def _unnamed_groups(one: Repeats) -> str:
+    """The warning about repeats that are treated as one group, but form groups that differ; empty if there are none. With m divisions
+    tried, each is tested at a level m times smaller."""
+    if len(np.unique(one.group)) > 1 or not math.isnan(one.expected):
+        return ""
+    tried = groupings(one.labels, one.pauses)
+    splits = [(analysis_of_variance(one.value, own.group), own) for own in tried]
+    chance, split, own = min(
+        ((split.probability, split, own) for split, own in splits), key=lambda item: item[0], default=(1.0, None, None)
+    )
+    if split is None or own is None or not chance * len(tried) < SIGNIFICANCE:
+        return ""
+    shown = ", ".join(own.names[:_NAMED]) + (f" and {len(own.names) - _NAMED} more" if len(own.names) > _NAMED else "")
+    return (
+        f"{one.name}: the repeats are treated as one group, but differ between these groups: {shown} (variance ratio F = "
+        f"{split.ratio:.3g}, probability of a larger ratio by chance: {chance:.2g}). The uncertainty of their mean is too small. "
+        "Name the groups in `groups`."
+    )
+
+
+def _scatter_differs(one: Repeats) -> bool:
+    """Whether groups of at least three repeats scatter differently within themselves."""
+    held = [one.value[one.group == number] for number in np.unique(one.group)]
+    held = [values for values in held if len(values) >= _TO_COMPARE]
+    variances = np.array([float(np.var(values, ddof=1)) for values in held])
+    if len(held) < 2 or not (variances > 0).all():
+        return False
+    degrees = np.array([len(values) - 1.0 for values in held])
+    return variances_differ(variances, degrees, float(variances @ degrees / degrees.sum()))
 
 
 def _plot(one: Repeats) -> Plot:

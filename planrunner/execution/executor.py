@@ -33,6 +33,7 @@ from planrunner.instruments.interfaces import (
     Readable,
     SelfLimiting,
     StreamsSamples,
+    Summarises,
 )
 from planrunner.plan.schedule import Schedule, Segment
 
@@ -205,7 +206,8 @@ class _Execution:
         retakes = segment.watch.retakes if segment.watch else 0
         for left in range(retakes, -1, -1):
             self._say("writing the run folder")
-            self.writer.begin(segment, self.clock.now(), self.channels)
+            summary = self.streaming.summary if isinstance(self.streaming, Summarises) else None
+            self.writer.begin(segment, self.clock.now(), self.channels, summary)
             self.lookout.begin_segment()
             self.reaching.reach(segment)
             in_mode = self._in_mode(segment)

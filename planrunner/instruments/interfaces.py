@@ -202,6 +202,24 @@ class Block:
     channels: Mapping[str, Array]
 
 
+@dataclass(frozen=True, slots=True)
+class SummaryChannels:
+    """What the channels of a summary mean, in which a segment is one sample that stands for many: every other channel is a mean, and these
+    state its scatter. deviations: channel → channel of the standard deviation of its samples, which count as independent. count: channel of
+    the number of samples; seconds: of the duration."""
+
+    deviations: Mapping[str, str]
+    count: str
+    seconds: str
+
+
+@runtime_checkable
+class Summarises(Protocol):
+    """A sensor whose stream of a segment is one sample: a summary. (`StreamsSamples.channels` contains those of `summary`.)"""
+
+    summary: SummaryChannels
+
+
 @runtime_checkable
 class StreamsSamples(Protocol):
     def channels(self) -> Mapping[str, str]:

@@ -20,9 +20,10 @@ from planrunner.base.progress import Announce
 from planrunner.instruments.interfaces import Block, Clock, InstrumentError, PlaysBack, Surroundings, UnservedError
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.recording_file import RecordingFile, beneath, open_recording
-from planrunner.instruments.recording_keys import SECONDS, RecordingParameters
+from planrunner.instruments.recording_keys import SECONDS, RecordingParameters, TimeColumn
 from planrunner.instruments.recording_scan import Wanted, scan
 from planrunner.instruments.recording_segments import SegmentTable, read_segment_table, stretches
+from planrunner.instruments.recording_summary import SummaryPlayer
 from planrunner.plan.schedule import Segment
 from planrunner.plan.span import Span
 
@@ -53,7 +54,7 @@ class RecordingPlayer(PlaysBack):
         self.parted = parted
         self.clock = clock
         self.piece = piece
-        power_on = parameters.time.power_on
+        power_on = _time(parameters).power_on
         self.origin = file.origin if power_on is None else power_on.value
         self.notice = notice
         self._served: str | None = None
@@ -74,7 +75,10 @@ class RecordingPlayer(PlaysBack):
         return SensorModel(parameters.kind, outputs, rate, one_rate=True)
 
     @classmethod
-    def connect(cls, parameters: RecordingParameters, surroundings: Surroundings) -> RecordingPlayer:
+    def connect(cls, parameters: RecordingParameters, surroundings: Surroundings) -> RecordingPlayer | SummaryPlayer:
+        if parameters.summary is not None:
+            path = beneath(surroundings.data_root, parameters.file)
+            return SummaryPlayer.open(parameters, path, surroundings.clock)
         table = None if parameters.segments is None else beneath(surroundings.data_root, parameters.segments.table)
         piece = 1.0 if surroundings.real_time else math.inf
         path = beneath(surroundings.data_root, parameters.file)
@@ -93,7 +97,8 @@ class RecordingPlayer(PlaysBack):
         """A player of the file at `path`. table: file of the segments; piece: s, the longest block; notice: receives the progress where
         the whole file is read. Raises `InstrumentError`."""
         columns = {name: channel.column for name, channel in parameters.channels.items()}
-        file = open_recording(path, parameters.file, parameters.time.column, SECONDS[parameters.time.unit], columns)
+        time = _time(parameters)
+        file = open_recording(path, parameters.file, time.column, SECONDS[time.unit], columns)
         _check_time(file, parameters)
         spans = None
         stated = parameters.segments
@@ -244,6 +249,16 @@ class RecordingPlayer(PlaysBack):
         )
 
 
+def _time(parameters: RecordingParameters) -> TimeColumn:
+    """Raises `InstrumentError` if the bench file does not describe the time."""
+    if parameters.time is None:
+        raise InstrumentError(
+            f"the bench file does not say which column of {parameters.file} is the time: write `time: {{column: …}}`, or `summary` for a "
+            "table with one row per segment"
+        )
+    return parameters.time
+
+
 def _check_time(file: RecordingFile, parameters: RecordingParameters) -> None:
     """Findings about a declared rate that contradicts the time column, usually because of a wrong unit of time, and about a power-on after
     the first row."""
@@ -251,10 +266,10 @@ def _check_time(file: RecordingFile, parameters: RecordingParameters) -> None:
     if not math.isnan(file.interval) and abs(math.log(file.interval * declared)) > RATE_TOLERANCE:
         message = (
             f"{parameters.file} is declared at {declared:g} Hz, but its rows are {file.interval:.4g} s apart "
-            f"({1 / file.interval:.4g} Hz): correct `sample_rate`, or the unit of the column '{parameters.time.column}'"
+            f"({1 / file.interval:.4g} Hz): correct `sample_rate`, or the unit of the column '{_time(parameters).column}'"
         )
         raise InstrumentError(message)
-    power_on = parameters.time.power_on
+    power_on = _time(parameters).power_on
     if power_on is not None and power_on.value > file.origin:
         message = f"{parameters.file} begins at {file.origin:g} s, before the power-on at {power_on.value:g} s"
         raise InstrumentError(f"{message}: correct `time: {{power_on: …}}` in the bench file")

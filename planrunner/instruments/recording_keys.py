@@ -93,6 +93,19 @@ class ChannelColumn(Record):
         QuantityOf(None, "positive"), "Full scale, for both signs.", "2000 deg/s", default=None
     )
 
+    standard_deviation: str | None = key(
+        Text(COLUMN, "a column's name"),
+        "With `summary`: column of the standard deviation of the samples, in the unit of the column.",
+        "gyro_y_sd",
+        default=None,
+    )
+    standard_error: str | None = key(
+        Text(COLUMN, "a column's name"),
+        "With `summary`, instead: column of the standard error of the mean.",
+        "gyro_y_u",
+        default=None,
+    )
+
     def white(self, sample_rate: float) -> float:
         """The random-walk coefficient N, in output units times √s; 0 if no noise is declared. sample_rate: Hz."""
         factor = unit(self.unit).factor
@@ -166,6 +179,20 @@ class SegmentColumns(Record):
         return cls(table=table)
 
 
+class RowColumns(Record):
+    """The columns of a table that has a row for each segment."""
+
+    label: str = key(Text(COLUMN, "a column's name"), "Column of the labels.", "state", default="label")
+    count: str = key(Text(COLUMN, "a column's name"), "Column of the number of samples.", "n", default="count")
+    start: str | None = key(
+        Text(COLUMN, "a column's name"),
+        "Column of the start times; by default the rows follow each other without pauses.",
+        "start_s",
+        default=None,
+    )
+    unit: str = key(Choice(TIME_UNITS), "Unit of the start times.", "s", default="s")
+
+
 class RecordingParameters(Record):
     """A recording that is played back."""
 
@@ -175,7 +202,19 @@ class RecordingParameters(Record):
         "jig/staircase.parquet",
     )
     kind: str = key(Text(NAME, "a sensor kind"), "Kind of sensor that was recorded.", "imu")
-    time: TimeColumn = key(RecordOf(TimeColumn), "The time column.", {"column": "time_s", "unit": "s"})
+    time: TimeColumn | None = key(
+        RecordOf(TimeColumn),
+        "The time column, unless there is `summary`.",
+        {"column": "time_s", "unit": "s"},
+        default=None,
+    )
+    summary: RowColumns | None = key(
+        RecordOf(RowColumns),
+        "The file is a table with one row per segment instead of samples: the mean of every channel, its standard deviation, and the "
+        "number of samples.",
+        {"label": "state", "count": "n"},
+        default=None,
+    )
     channels: dict[str, ChannelColumn] = key(
         MapOf(ChannelKind(), pattern=NAME),
         "Channel name → column of the file.",

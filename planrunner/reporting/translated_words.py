@@ -236,6 +236,18 @@ WARNINGS = (
     _("Without the gimbal-angle method: the table has %(axes)s axes, but `rings` names %(rings)s channels."),
     _("%(name)s: the highest order that was tried is chosen; raise `highest_order` or add temperatures."),
     _(
+        "%(name)s: rising and falling temperature were each recorded once, so that it is not known how much the hysteresis "
+        "differs from cycle to cycle; the uncertainties do not include this. Record a second cycle."
+    ),
+    _(
+        "%(name)s: the repeats are treated as one group, but differ between these groups: %(groups)s (variance ratio F = %(ratio)s, "
+        "probability of a larger ratio by chance: %(chance)s). The uncertainty of their mean is too small. Name the groups in `groups`."
+    ),
+    _(
+        "%(name)s: the scatter within the groups differs from group to group by more than chance (Bartlett's test): one standard "
+        "deviation does not describe all groups. Look at the groups one by one."
+    ),
+    _(
         "Monte Carlo does not validate the stated interval of %(names)s: its ends differ by more than δ. The table "
         "gives both; "
         "use the Monte Carlo interval."

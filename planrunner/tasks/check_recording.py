@@ -16,6 +16,7 @@ from planrunner.estimators.analysis import analyse
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_keys import RecordingParameters
+from planrunner.instruments.recording_summary import SummaryPlayer
 from planrunner.tasks.check import Checked, Sound
 
 
@@ -42,7 +43,7 @@ def check_recording(checked: Checked, data_root: Path, notice: Announce | None =
             _try_estimates(checked.sound(), player, notice)
 
 
-def _try_estimates(sound: Sound, player: RecordingPlayer, notice: Announce | None) -> None:
+def _try_estimates(sound: Sound, player: RecordingPlayer | SummaryPlayer, notice: Announce | None) -> None:
     """Tries every estimate of a plan on the recording. An estimate that fails is an error."""
     estimates = {name: replace(spec, validate=None) for name, spec in sound.plan.estimates.items()}
     try:

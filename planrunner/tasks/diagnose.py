@@ -284,10 +284,10 @@ def _bench_for_others(bench: str, plan: Path | None) -> str:
 
 def _parameters(bench: Bench, plan: str) -> RecordingParameters:
     for entry in bench.instruments.values():
-        if isinstance(entry.parameters, RecordingParameters):
+        if isinstance(entry.parameters, RecordingParameters) and entry.parameters.summary is None:
             return entry.parameters
     message = (
-        f"the bench '{bench.name}' has no sensor with `driver: recording`, so it cannot assign the columns of "
+        f"the bench '{bench.name}' has no sensor with `driver: recording` and samples, so it cannot assign the columns of "
         "a file to channels"
     )
     hint = "use --bench to name a bench that maps the columns of the recording to channels"

@@ -21,7 +21,7 @@ from planrunner.estimators.analysis import combined
 from planrunner.estimators.imu.imu_multi_position import ImuMultiPosition, ImuMultiPositionParameters
 from planrunner.estimators.interface import EstimateRequest, Setup
 from planrunner.estimators.outputs_fit import BASES
-from planrunner.estimators.temperature.curve import fit_curve, groups_of
+from planrunner.estimators.temperature.curve import OverTemperature, fit_curve, groups_of
 from planrunner.plan.quantity import parse_quantity
 from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.influences import InputQuantity, Inputs
@@ -90,9 +90,9 @@ def curve_coverage(
     group, hits = groups_of(t, 1.0), np.zeros(grid.size)
     for _ in range(runs):
         y = exact + scatter * draw.standard_normal(temperatures)
-        fit = fit_curve("polynomial", order, 4, 25.0, t, y, sigma, group, 0, "one_standard_error", True, alone)
-        value, u = fit.predict(grid)
-        hits += np.abs(value - wanted) <= expanded_uncertainty(1.0, fit.degrees_of_freedom) * u
+        values = OverTemperature(t, y, sigma, group, alone, alone, np.zeros_like(alone), np.zeros((temperatures, 0)))
+        value, u, freedom = fit_curve("polynomial", order, 4, 25.0, values, 0, "one_standard_error", True).predict(grid)
+        hits += np.abs(value - wanted) <= expanded_uncertainty(1.0, float(freedom[0])) * u
     return float(hits.min() / runs), float(hits.max() / runs)
 
 

@@ -240,6 +240,63 @@ def test_blocks_that_differ_and_a_drift_are_named() -> None:
     assert not [text for text in found.warnings if "`groups`" in text]
 
 
+@pytest.mark.parametrize("labels", ["start{0:02d}", "{1}/r{0}", "s{1}{0:02d}"])
+def test_three_blocks_of_twenty_start_ups_that_differ_are_named(labels: str) -> None:
+    """Blocks whose means differ by a third of the scatter each way, F = 6.9, p 0.002: too little for the order of the single values."""
+    noise = np.random.default_rng(0).standard_normal((3, 20))
+    noise = (noise - noise.mean(axis=1, keepdims=True)) / noise.std(axis=1, ddof=1, keepdims=True)
+    values = (noise + np.array([[-0.59], [0.0], [0.59]])).ravel()
+    split = analysis_of_variance(values, np.repeat(np.arange(3), 20))
+    assert 0.001 < split.probability < 0.003
+    found = of_values({labels.format(k, "abc"[k // 20]): 1000 + float(value) for k, value in enumerate(values)})
+    (said,) = [text for text in found.warnings if "`groups`" in text]
+    assert f"{split.ratio:.3g}" in said and "differ between these groups" in said
+
+
+def test_pauses_divide_repeats() -> None:
+    """Five segments, a night, and four more."""
+    shift = [0, 0, 0, 0, 0, 8, 8, 8, 8]
+    noise = np.random.default_rng(2).standard_normal(9)
+    recorded = tuple(
+        from_means(
+            segment(f"turn-on {chr(97 + k)}"),
+            {"gyro": 50 + shift[k] + noise[k]},
+            "deg/h",
+            2.0,
+            start=300.0 * k + 5e4 * (k > 4),
+        )
+        for k in range(9)
+    )
+    request = EstimateRequest("again", recorded, RepeatabilityParameters(channels=("gyro",)), SITE, sensor("gyro"))
+    assert any(
+        "turn-on a … turn-on e, turn-on f … turn-on i" in text for text in Repeatability().estimate(request).warnings
+    )
+
+
+def test_one_group_is_divided_as_rarely_as_stated() -> None:
+    draw, tries = np.random.default_rng(5), 200
+    labels = [f"{'ab'[k % 2]}{k}" for k in range(24)]
+    found = (
+        of_values(dict(zip(labels, draw.standard_normal(24).tolist(), strict=True))).warnings for _ in range(tries)
+    )
+    doubted = sum(any("differ between these groups" in text for text in warnings) for warnings in found)
+    assert doubted <= 0.01 * tries + 4 * math.sqrt(0.01 * tries)
+
+
+def test_groups_that_scatter_differently_are_named() -> None:
+    draw = np.random.default_rng(1)
+    values = {
+        f"{day}{k}": float(size * draw.standard_normal()) for day, size in (("a", 1.0), ("b", 10.0)) for k in range(8)
+    }
+    found = of_values(values, groups={"a": ("a*",), "b": ("b*",)})
+    assert any("scatter within the groups differs" in text for text in found.warnings)
+    alike = of_values(
+        {name: value / (10 if name[0] == "b" else 1) for name, value in values.items()},
+        groups={"a": ("a*",), "b": ("b*",)},
+    )
+    assert not any("scatter within the groups differs" in text for text in alike.warnings)
+
+
 def test_repeats_that_scatter_more_than_their_uncertainties_are_named() -> None:
     """Nine repeats of u = 0.1 that scatter by 2: the uncertainty of each is twenty times too small for the next."""
     values = {f"r{k}": 5 + 2 * float(value) for k, value in enumerate(np.random.default_rng(8).standard_normal(9))}

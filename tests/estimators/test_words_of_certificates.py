@@ -255,6 +255,20 @@ WARNED: dict[str, Callable[[], Sequence[str]]] = {
     "a line at short averaging times": lambda: (
         allan.run(allan.record(allan.white(2**14) + 20 * np.sin(np.arange(2**14) * 2.5))).warnings
     ),
+    "a single cycle of temperature": lambda: (
+        temperatures.model(
+            recorded=temperatures.cycle(1, 1, True)[1:], channels=("gyro",), temperature_channel="inside", order=1
+        ).warnings
+    ),
+    "start-ups in blocks": lambda: (
+        repeats.of_values({f"r{k:02d}": 9.0 * (k // 20) + (-1) ** k for k in range(60)}).warnings
+    ),
+    "groups that scatter differently": lambda: (
+        repeats.of_values(
+            {f"{day}{k}": size * (-1.0) ** k for day, size in (("a", 1.0), ("b", 50.0)) for k in range(8)},
+            groups={"a": ("a*",), "b": ("b*",)},
+        ).warnings
+    ),
     "repeats that scatter and drift": lambda: repeats.of_values({f"r{k}": float(k) for k in range(9)}).warnings,
     "samples lost": lambda: lost(1),
     "samples lost in many segments": lambda: lost(5),

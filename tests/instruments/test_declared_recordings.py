@@ -75,7 +75,9 @@ def test_noise_that_does_not_fit_is_found(said, code):
 def connect(folder: Path, time: str) -> RecordingPlayer:
     (folder / "r.csv").write_text("t,x\n12,1\n12.02,2\n12.04,3\n", encoding="utf-8")
     made, _ = read("unit: deg/s", time=time)
-    return RecordingPlayer.connect(made, Surroundings(VirtualClock(), Site(0.7), data_root=folder))
+    player = RecordingPlayer.connect(made, Surroundings(VirtualClock(), Site(0.7), data_root=folder))
+    assert isinstance(player, RecordingPlayer)
+    return player
 
 
 @pytest.mark.parametrize(("time", "first"), [("{column: t}", 0.0), ("{column: t, power_on: 2 s}", 10.0)])

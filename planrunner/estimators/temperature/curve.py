@@ -11,12 +11,18 @@ No more coefficients are tried than half of the temperatures: with few temperatu
 If the data select the order, the usual interval is too narrow, because terms of about one standard deviation that were not selected are
 missing. The uncertainty of a selected curve is therefore that of the highest order tried, which does not depend on the selection; its
 distance from that curve is added as an uncorrected systematic error (JCGM 100:2008, F.2.4.5).
+
+Beside the curve, further columns may be fitted, such as those of the difference between rising and falling temperature (`branches`).
+Ramps differ from one another by more than noise: each has an offset and a slope of random size, whose variances come from the reduction of
+the sum of squares by separate ones (Henderson's method 3: Searle, Casella and McCulloch, Variance Components, 5.5) and are part of all
+uncertainties.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +37,12 @@ Integers = NDArray[np.int64]
 FORMS = ("polynomial", "spline")
 FEWEST = 3  # temperatures from which an order can be chosen
 RULES = ("one_standard_error", "smallest_error")
+_FREE = 1e-6  # of the size of columns: less is rounding
+_RESIDUALS = 2  # at least, beside all coefficients and ramps
+_EXACT, _TINY = (
+    1e-24,
+    1e-300,
+)  # of the mean square of the values: a variance of noise below this is rounding; and above zero
 
 
 @dataclass(frozen=True)
@@ -91,9 +103,18 @@ class HeldOut:
 
 
 def held_out(
-    form: str, orders: Sequence[int], reference: float, temperature: Array, value: Array, sigma: Array, fold: Integers
+    form: str,
+    orders: Sequence[int],
+    reference: float,
+    temperature: Array,
+    value: Array,
+    sigma: Array,
+    fold: Integers,
+    beside: Array | None = None,
 ) -> tuple[HeldOut, ...]:
-    """Held-out errors of each order. sigma: (n,), for weights; fold: (n,), the fold with which each value is held out."""
+    """Held-out errors of each order. sigma: (n,), for weights; fold: (n,), the fold with which each value is held out; beside: (n, q),
+    columns that are fitted with each curve."""
+    further = np.zeros((len(value), 0)) if beside is None else beside
     weight = 1 / sigma**2
     found = []
     for order in orders:
@@ -101,8 +122,9 @@ def held_out(
         for one in np.unique(fold):
             out = fold == one
             made = curve(form, order, reference, temperature[~out])
-            fit = least_squares.fit(made.columns(temperature[~out]), value[~out], sigma[~out])
-            missed = value[out] - made.columns(temperature[out]) @ fit.coefficients
+            columns = np.column_stack([made.columns(temperature), further])
+            fit = least_squares.fit(columns[~out], value[~out], sigma[~out])
+            missed = value[out] - columns[out] @ fit.coefficients
             errors.append(float(np.sum(weight[out] * missed**2) / np.sum(weight[out])))
         spread = float(np.std(errors, ddof=1) / np.sqrt(len(errors))) if len(errors) > 1 else 0.0
         found.append(HeldOut(order, float(np.mean(errors)), spread))
@@ -152,28 +174,76 @@ def groups_of(temperature: Array, width: float) -> Integers:
 
 
 @dataclass(frozen=True, slots=True)
+class RampScatter:
+    """A way in which ramps differ from one another at random. size: its standard deviation, in the value's unit; zero if noise explains it;
+    degrees_of_freedom: of it; ratio: its mean square over that from noise, F; probability: of a larger ratio by chance."""
+
+    size: float
+    degrees_of_freedom: int
+    ratio: float
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
+class SummedCovariance:
+    """Covariance of m coefficients as a sum of independent mean squares, each with its degrees of freedom: noise, and the scatter of ramps.
+    parts: (m, m) each; the first may be negative in part."""
+
+    parts: tuple[tuple[Array, float], ...]
+
+    @property
+    def covariance(self) -> Array:
+        return np.asarray(sum(own for own, _ in self.parts))
+
+    def of(self, rows: Array) -> tuple[Array, Array]:
+        """Standard uncertainties and effective degrees of freedom (Welch and Satterthwaite), both (k,), of linear functions (k, m)."""
+        shares = np.array([np.einsum("ki,ij,kj->k", rows, own, rows) for own, _ in self.parts])
+        freedom = np.array([own for _, own in self.parts])
+        variance = np.maximum(shares.sum(axis=0), 0.0)
+        squares = (shares**2 / freedom[:, None]).sum(axis=0)
+        known = (squares > 0) & (variance > 0)
+        return np.sqrt(variance), np.where(known, variance**2 / np.where(known, squares, 1.0), freedom[0])
+
+    def through(self, rows: Array, away: Array | None = None) -> SummedCovariance:
+        """Of linear functions (k, m). away: (k,), uncorrected errors of these."""
+        (noise, freedom), *others = [(rows @ own @ rows.T, own_freedom) for own, own_freedom in self.parts]
+        return SummedCovariance(((noise if away is None else noise + np.outer(away, away), freedom), *others))
+
+
+@dataclass(frozen=True, slots=True)
 class CurveFit:
-    """A fitted curve. covariance: (p, p) of its coefficients, degrees_of_freedom: of the covariance; correlation: factor by which it was
-    widened because consecutive residuals are correlated. fullest: for a chosen curve, the curve of the highest order tried, if it is a
+    """A fitted curve. spread: uncertainty of its coefficients (p,). correlation: factor by which the variance of noise was widened because
+    consecutive residuals are correlated. beside, beside_spread: coefficients (q,) of the columns fitted with it. ramps: how their offsets
+    and slopes differ; empty for fewer ramps than show it. fullest: for a chosen curve, the curve of the highest order tried, if it is a
     different one."""
 
     curve: Curve
     coefficients: Array
-    covariance: Array
-    degrees_of_freedom: float
+    spread: SummedCovariance
     errors: tuple[HeldOut, ...] = ()
     correlation: float = 1.0
+    beside: Array = field(default_factory=partial(np.zeros, 0))
+    beside_spread: SummedCovariance | None = None
+    ramps: tuple[RampScatter, ...] = ()
     fullest: CurveFit | None = None
 
-    def predict(self, temperature: Array) -> tuple[Array, Array]:
-        """The curve and its standard uncertainty at temperatures [degC], both (n,)."""
+    @property
+    def covariance(self) -> Array:
+        """(p, p), of the coefficients."""
+        return self.spread.covariance
+
+    def uncertainties(self) -> tuple[Array, Array]:
+        """Standard uncertainties of the coefficients and their degrees of freedom, both (p,)."""
+        return self.spread.of(np.eye(len(self.coefficients)))
+
+    def predict(self, temperature: Array) -> tuple[Array, Array, Array]:
+        """The curve, its standard uncertainty and its degrees of freedom at temperatures [degC], all (n,)."""
         columns = self.curve.columns(temperature)
         value = columns @ self.coefficients
         if self.fullest is None:
-            variance = np.einsum("ni,ij,nj->n", columns, self.covariance, columns)
-            return value, np.sqrt(variance.clip(min=0.0))
-        full, u = self.fullest.predict(temperature)
-        return value, np.hypot(u, value - full)
+            return value, *self.spread.of(columns)
+        full, u, freedom = self.fullest.predict(temperature)
+        return value, np.hypot(u, value - full), freedom
 
     def warmer(self, by: float) -> Array:
         """Coefficients (p,) of the curve at T + by: those of a run whose true temperatures are higher by this amount [K]."""
@@ -183,25 +253,37 @@ class CurveFit:
         return np.pad(moved, (0, len(self.coefficients) - len(moved)))
 
 
+@dataclass(frozen=True)
+class OverTemperature:
+    """n values over temperature. temperature: degC; sigma: for weights; group: number of the temperature; series: number of the ramp along
+    which a value lies, in order, −1 for a single value; ramp: number of the ramp or sweep whose offset it has in common, −1 for none;
+    direction: of the ramp; all (n,). beside: (n, q), columns that are fitted with the curve."""
+
+    temperature: Array
+    value: Array
+    sigma: Array
+    group: Integers
+    series: Integers
+    ramp: Integers
+    direction: Integers
+    beside: Array
+
+
 def fit_curve(
     form: str,
     order: int | None,
     highest: int,
     reference: float,
-    temperature: Array,
-    value: Array,
-    sigma: Array,
-    group: Integers,
+    values: OverTemperature,
     folds: int,
     rule: str,
     scatter: bool,
-    series: Integers,
 ) -> CurveFit:
     """Fit a curve of the given order, or of the order up to `highest` that held-out errors select.
 
-    scatter: whether the covariance is based on the scatter of the residuals, otherwise on `sigma`. series: (n,), number of the ramp of each
-    value, in order; −1 for a single value. Raises `EstimationError`.
+    scatter: whether the covariance is based on the scatter of the residuals, otherwise on sigma. Raises `EstimationError`.
     """
+    temperature, group = values.temperature, values.group
     distinct = int(group.max()) + 1
 
     def fitted(one: int) -> CurveFit:
@@ -209,7 +291,7 @@ def fit_curve(
             raise EstimationError(
                 f"{distinct} temperatures cannot determine a {form} of order {one}: lower `order` or add temperatures"
             )
-        return _fitted(curve(form, one, reference, temperature), temperature, value, sigma, scatter, series)
+        return _fitted(curve(form, one, reference, temperature), values, scatter)
 
     if order is not None:
         return fitted(order)
@@ -221,33 +303,135 @@ def fit_curve(
         raise EstimationError(
             f"{distinct} temperatures are too few to choose an order: give `order` or add temperatures"
         )
-    errors = held_out(form, orders, reference, temperature, value, sigma, fold)
+    errors = held_out(form, orders, reference, temperature, values.value, values.sigma, fold, values.beside)
     simple = replace(fitted(chosen(errors, rule).order), errors=errors)
     return simple if simple.curve.order == most else _as_chosen(simple, fitted(most))
 
 
-def _fitted(made: Curve, temperature: Array, value: Array, sigma: Array, scatter: bool, series: Integers) -> CurveFit:
+def _fitted(made: Curve, values: OverTemperature, scatter: bool) -> CurveFit:
     """A curve through all values. Raises `EstimationError` if there is no basis for its uncertainty."""
-    fit = least_squares.fit(made.columns(temperature), value, sigma)
+    columns = np.column_stack([made.columns(values.temperature), values.beside])
+    fit = least_squares.fit(columns, values.value, values.sigma)
+    p = made.order + 1
     if not scatter:
-        return CurveFit(made, fit.coefficients, fit.cofactor, np.inf)
+        return _parted(CurveFit(made, fit.coefficients, SummedCovariance(((fit.cofactor, np.inf),))), p)
     if not fit.degrees_of_freedom:
         raise EstimationError(
-            f"{len(value)} values for {made.order + 1} coefficients leave no residuals from which an uncertainty could be estimated: "
-            "lower `order`, add "
-            "temperatures or write `uncertainty: propagated`"
+            f"{len(values.value)} values for {columns.shape[1]} coefficients leave no residuals from which an uncertainty could be "
+            "estimated: lower `order`, add temperatures or write `uncertainty: propagated`"
         )
-    weighted = fit.residuals / sigma
-    time = correlation_time([weighted[series == one] for one in np.unique(series[series >= 0])])
-    freedom = max(1.0, len(value) / time - (made.order + 1))
-    factor = fit.chi_squared / fit.degrees_of_freedom * time
-    return CurveFit(
-        made,
-        fit.coefficients,
-        fit.cofactor * factor,
-        freedom if time > 1 else float(fit.degrees_of_freedom),
-        correlation=time,
+    ways = _ways(columns, values)
+    if ways:
+        return _parted(_with_ramps(made, columns, values, ways), p)
+    time = _correlation(fit.residuals / values.sigma, values.series)
+    freedom = max(1.0, len(values.value) / time - columns.shape[1]) if time > 1 else float(fit.degrees_of_freedom)
+    covariance = fit.cofactor * (fit.chi_squared / fit.degrees_of_freedom * time)
+    return _parted(CurveFit(made, fit.coefficients, SummedCovariance(((covariance, freedom),)), correlation=time), p)
+
+
+def _correlation(weighted: Array, series: Integers) -> float:
+    """Of weighted residuals (n,)."""
+    return correlation_time([weighted[series == one] for one in np.unique(series[series >= 0])])
+
+
+def _parted(whole: CurveFit, p: int) -> CurveFit:
+    """The curve with its p coefficients, and the others beside it."""
+    if len(whole.coefficients) == p:
+        return whole
+    pick = np.eye(len(whole.coefficients))
+    return replace(
+        whole,
+        coefficients=whole.coefficients[:p],
+        spread=whole.spread.through(pick[:p]),
+        beside=whole.coefficients[p:],
+        beside_spread=whole.spread.through(pick[p:]),
     )
+
+
+@dataclass(frozen=True)
+class _Way:
+    """How ramps may differ. columns: (n, r), weighted, one for each of r ramps; by_direction: (n, d), their sums in each direction."""
+
+    columns: Array
+    by_direction: Array
+
+
+def _ways(columns: Array, values: OverTemperature) -> list[_Way]:
+    """The ways in which ramps in the same direction may differ: by an offset, and along ramps by a slope. Only those that the values show
+    beside the fitted columns and with two residuals left."""
+    numbers, first = np.unique(values.ramp[values.ramp >= 0], return_index=True)
+    senses = values.direction[values.ramp >= 0][first]
+    own = (values.ramp[:, None] == numbers) / values.sigma[:, None]
+    away = values.temperature - values.temperature.mean()
+    slopes = own * (away / max(float(np.std(away)), _TINY))[:, None]
+    alike = (senses[:, None] == np.unique(senses)).astype(float)  # ramps to directions
+    fitted = columns / values.sigma[:, None]
+    found: list[_Way] = []
+    for way in (own, slopes) if (values.series >= 0).any() else (own,):
+        together = [fitted, way @ alike, *(one.columns for one in found)]
+        k = _free(np.column_stack(together), way).shape[1]
+        taken = columns.shape[1] + k + alike.shape[1] + sum(one.columns.shape[1] for one in found)
+        if k and len(values.value) - taken >= _RESIDUALS:
+            found.append(_Way(way, way @ alike))
+    return found
+
+
+def _free(fitted: Array, further: Array) -> Array:
+    """Orthonormal columns (n, k): what `further` (n, r) adds to the space of `fitted` (n, m)."""
+    if not further.size:
+        return np.zeros((len(fitted), 0))
+    base = _space(fitted)
+    free, size, _ = np.linalg.svd(further - base @ (base.T @ further), full_matrices=False)
+    return np.asarray(free[:, size > _FREE * np.linalg.norm(further)])
+
+
+def _space(columns: Array) -> Array:
+    """An orthonormal basis of the space of columns (n, m), which may depend on one another."""
+    size = np.linalg.norm(columns, axis=0)
+    base, found, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+    return np.asarray(base[:, found > _FREE * found[0]])
+
+
+def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequence[_Way]) -> CurveFit:
+    """The fit in which the ramps differ at random. ways: `_ways`.
+
+    With weighted values y, columns A, a way Z, and M the projector off A, the mean of Z in each direction and the other ways: the reduction
+    of the sum of squares by Z has the expectation k·φ + τ²·tr(ZᵀMZ), with φ the variance of noise and τ the standard deviation of the way.
+    V = φ·I + Σ τ²·Z·Zᵀ.
+    """
+    from scipy.special import fdtrc
+
+    y, A = values.value / values.sigma, columns / values.sigma[:, None]
+    everything = _space(np.column_stack([A, *(one.columns for one in ways)]))
+    rest = y - everything @ (everything.T @ y)
+    left = len(y) - everything.shape[1]
+    time = _correlation(rest, values.series)
+    freedom = max(1.0, len(y) / time - everything.shape[1]) if time > 1 else float(left)
+    phi = max(float(rest @ rest) / left * time, _EXACT * float(y @ y) / len(y), _TINY)
+    squares, traces, counts = [], [], []
+    for own in ways:
+        others = [one.columns for one in ways if one is not own]
+        free = _free(np.column_stack([A, own.by_direction, *others]), own.columns)
+        counts.append(max(1, free.shape[1]))
+        squares.append(float(np.sum((free.T @ y) ** 2)) / counts[-1])
+        traces.append(max(float(np.sum((free.T @ own.columns) ** 2)), _TINY))
+    tau2 = [max(0.0, (s - phi) * k / tr) for s, k, tr in zip(squares, counts, traces, strict=True)]
+    roots = np.column_stack([np.sqrt(one) * way.columns for one, way in zip(tau2, ways, strict=True)])
+    scale = np.sqrt(np.mean(A**2, axis=0))
+    scaled = A / np.where(scale > 0, scale, 1.0)
+    inner = phi * np.eye(roots.shape[1]) + roots.T @ roots
+    weighted = scaled - roots @ np.linalg.solve(inner, roots.T @ scaled)  # φ·V⁻¹·A, by Woodbury's formula
+    gain = np.linalg.solve(weighted.T @ scaled, weighted.T) / np.where(scale > 0, scale, 1.0)[:, None]
+    noise = phi * gain @ gain.T
+    parts, seen = [], []
+    for s, k, tr, variance, way in zip(squares, counts, traces, tau2, ways, strict=True):
+        if variance:
+            through = gain @ way.columns
+            common = through @ through.T * (k / tr)
+            noise = noise - phi * common
+            parts.append((s * common, float(k)))
+        seen.append(RampScatter(float(np.sqrt(variance)), k, s / phi, float(fdtrc(k, freedom, s / phi))))
+    return CurveFit(made, gain @ y, SummedCovariance(((noise, freedom), *parts)), correlation=time, ramps=tuple(seen))
 
 
 def _as_chosen(simple: CurveFit, full: CurveFit) -> CurveFit:
@@ -259,8 +443,10 @@ def _as_chosen(simple: CurveFit, full: CurveFit) -> CurveFit:
     away = simple.coefficients - reads @ full.coefficients
     return replace(
         simple,
-        covariance=reads @ full.covariance @ reads.T + np.outer(away, away),
-        degrees_of_freedom=full.degrees_of_freedom,
+        spread=full.spread.through(reads, away),
         correlation=full.correlation,
+        beside=full.beside,
+        beside_spread=full.beside_spread,
+        ramps=full.ramps,
         fullest=full,
     )

@@ -10,37 +10,43 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.recording import RecordedSegment, in_time_order
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.estimators.interface import Estimate, EstimationError
+from planrunner.estimators.temperature.branches import approached, branches
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, UnknownUnitError, unit
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 _LEAST_IN_BIN = 3  # samples that a scatter about a line can be taken from
+_PIECES = 4096  # of a segment, whose mean temperatures show where it turns
+_IN_PIECE = 4  # samples at least
 
 
 @dataclass(frozen=True)
 class Points:
-    """One quantity at n temperatures. temperature: (n,), degC. uncertainty: (n,), standard, NaN if not known. direction: (n,), +1 on a
-    rising ramp, −1 on a falling one, 0 at a held temperature. labels: source of each value. expected: whether the values come from a
-    schedule, without scatter."""
+    """One quantity at n temperatures. temperature: (n,), degC. uncertainty: (n,), standard, NaN if not known. direction: (n,), +1 at rising
+    temperature or at one reached from below, −1 at falling temperature or at one reached from above, 0 if neither is known. ramp: (n,),
+    number of the ramp, or of the sweep of held temperatures; −1 without a direction. labels: source of each value. along: whether the
+    values follow each other along ramps. expected: whether the values come from a schedule, without scatter."""
 
     name: str
     unit: str
     temperature: Array
     value: Array
     uncertainty: Array
-    direction: NDArray[np.int64]
+    direction: Integers
+    ramp: Integers
     labels: tuple[str, ...]
+    along: bool = False
     expected: bool = False
 
     @property
-    def series(self) -> NDArray[np.int64]:
-        """(n,): number of the ramp of each value, −1 at a held temperature."""
-        names = list(dict.fromkeys(self.labels))
-        return np.where(self.direction != 0, [names.index(label) for label in self.labels], -1)
+    def series(self) -> Integers:
+        """(n,): number of the ramp along which the value lies, −1 at a held temperature."""
+        return self.ramp if self.along else np.full(len(self.value), -1, dtype=np.int64)
 
     @property
     def sigma(self) -> Array:
@@ -96,9 +102,8 @@ def _joined(name: str, data: Sequence[tuple[str, Mapping[str, object]]]) -> Poin
     temperature, value = put("temperature_degC"), put("value")
     if not (np.isfinite(temperature).all() and np.isfinite(value).all()):
         raise EstimationError(f"'{name}' is not a finite number at every temperature")
-    return Points(
-        name, units[0], temperature, value, put("standard_uncertainty"), np.zeros(len(value), dtype=np.int64), labels
-    )
+    none = np.zeros(len(value), dtype=np.int64)
+    return Points(name, units[0], temperature, value, put("standard_uncertainty"), none, none - 1, labels)
 
 
 def from_channels(
@@ -117,40 +122,47 @@ def from_channels(
 
 
 def _channel(segments: Sequence[RecordedSegment], channel: str, thermometer: str | None, width: float) -> Points:
-    rows: list[
-        tuple[float, float, float, float, int, str]
-    ] = []  # degC, value, samples, sum of squares, direction, label
-    freedom, squares = 0.0, 0.0
     units = sorted({recorded.units[channel] for recorded in segments})
     if len(units) > 1:
         raise EstimationError(f"channel '{channel}' is recorded in different units ({', '.join(units)})")
-    for recorded in segments:
-        if thermometer is None:
-            rows.append(_planned(recorded, channel))
-            continue
-        bins, direction = _binned(recorded, channel, thermometer, width)
-        for count, celsius, mean, left in bins:
-            rows.append((celsius, mean, count, left, direction, recorded.label))
-            if count >= _LEAST_IN_BIN:
-                freedom, squares = freedom + count - 2, squares + left
-    if not rows:
+    if thermometer is None:
+        return _at_held(segments, channel, units[0], width)
+    held = in_time_order(segments)
+    labelled = [(ramp, recorded.label) for recorded in held for ramp in _ramps(recorded, channel, thermometer, width)]
+    if not labelled:
         raise EstimationError(f"channel '{channel}' has no usable samples in the chosen segments")
-    scatter = math.sqrt(squares / freedom) if freedom > 0 else math.nan
-    temperature, value, size, spread = (np.array([row[k] for row in rows], dtype=float) for k in range(4))
-    uncertainty: Array = spread if thermometer is None else scatter / np.sqrt(size)
+    ramps = [ramp for ramp, _ in labelled]
+    sizes = [len(ramp.count) for ramp in ramps]
+    count = np.concatenate([ramp.count for ramp in ramps])
+    squares = np.concatenate([ramp.squares for ramp in ramps])
+    enough = count >= _LEAST_IN_BIN
+    freedom = float(np.sum(count[enough] - 2))
+    scatter = math.sqrt(float(np.sum(squares[enough])) / freedom) if freedom > 0 else math.nan
     return Points(
         channel,
         units[0],
-        temperature,
-        value,
-        uncertainty,
-        np.array([row[4] for row in rows], dtype=np.int64),
-        tuple(row[5] for row in rows),
+        np.concatenate([ramp.celsius for ramp in ramps]),
+        np.concatenate([ramp.mean for ramp in ramps]),
+        scatter / np.sqrt(count),
+        np.repeat([ramp.direction for ramp in ramps], sizes),
+        np.repeat(_numbers(ramps, width), sizes),
+        tuple(label for (_, label), size in zip(labelled, sizes, strict=True) for _ in range(size)),
+        along=True,
     )
 
 
-def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, float, float, int, str]:
-    """A segment's mean at its planned temperature, with its standard error in place of the sum of squares."""
+def _at_held(segments: Sequence[RecordedSegment], channel: str, text: str, width: float) -> Points:
+    """The segments' means at their planned temperatures; the order of time shows from where each temperature was reached."""
+    found = np.array([_planned(recorded, channel) for recorded in segments])
+    order = np.argsort([recorded.segment.start for recorded in segments], kind="stable")
+    direction, sweep = np.empty(len(order), dtype=np.int64), np.empty(len(order), dtype=np.int64)
+    direction[order], sweep[order] = approached(found[order, 0].tolist(), width)
+    labels = tuple(recorded.label for recorded in segments)
+    return Points(channel, text, found[:, 0], found[:, 1], found[:, 2], direction, sweep, labels)
+
+
+def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, float]:
+    """A segment's planned temperature [degC], its mean and the standard error of that."""
     segment, statistics = recorded.segment, recorded.statistics
     if segment.temperature is None or segment.ramp_to is not None:
         raise EstimationError(
@@ -159,14 +171,25 @@ def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, flo
     if not statistics.count:
         raise EstimationError(f"segment '{recorded.label}' has no usable samples: leave it out of `segments`")
     k = statistics.of(channel)
-    own = float(statistics.standard_error[k])
-    return segment.temperature - ZERO_CELSIUS, float(statistics.mean[k]), 1.0, own, 0, recorded.label
+    return segment.temperature - ZERO_CELSIUS, float(statistics.mean[k]), float(statistics.standard_error[k])
 
 
-def _binned(
-    recorded: RecordedSegment, channel: str, thermometer: str, width: float
-) -> tuple[list[tuple[int, float, float, float]], int]:
-    """(samples, mean degC, mean value, sum of squares about a straight line) of each bin, ascending; and the sense of the ramp."""
+@dataclass(frozen=True, slots=True)
+class _Ramp:
+    """A branch of a segment's temperature in bins, ascending. direction: sense, 0 if the temperature hardly changes. ends: first and last
+    temperature, degC. count: samples; celsius, mean: of the bin; squares: about a straight line within the bin; all (b,)."""
+
+    direction: int
+    ends: tuple[float, float]
+    count: Array
+    celsius: Array
+    mean: Array
+    squares: Array
+
+
+def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: float) -> list[_Ramp]:
+    """The branches of a segment, in one pass over its samples: sums are kept by bin and by piece of the segment, and the pieces' mean
+    temperatures show the branches."""
     try:
         scale = unit(recorded.units[thermometer])
     except UnknownUnitError as error:
@@ -175,30 +198,71 @@ def _binned(
         raise EstimationError(
             f"channel '{thermometer}' is recorded in {scale.text}, which is not a unit of temperature"
         )
-    sums: dict[int, Array] = {}  # bin → n, ΣT, ΣT², Σy, Σy², ΣTy about the first sample
+    rows = recorded.statistics.count + recorded.statistics.rejected
+    pieces, row = min(_PIECES, max(1, rows // _IN_PIECE)), 0
+    keys: list[Integers] = []  # of a bin within a piece: piece, bin
+    sums: list[Array] = []  # n, ΣT, ΣT², Σy, Σy², ΣTy about the first sample
     first: tuple[float, float] | None = None
-    last = 0.0
     for block in recorded.blocks([channel, thermometer]):
         celsius = block.channels[thermometer] * scale.factor + scale.offset - ZERO_CELSIUS
         value = block.channels[channel]
+        piece = (row + np.arange(len(value))) * pieces // max(rows, 1)
+        row += len(value)
         good = np.isfinite(celsius) & np.isfinite(value)
-        celsius, value = celsius[good], value[good]
+        celsius, value, piece = celsius[good], value[good], piece[good]
         if not celsius.size:
             continue
         first = first or (float(celsius[0]), float(value[0]))
-        last = float(celsius[-1])
-        place = np.floor(celsius / width).astype(np.int64)
         t, y = celsius - first[0], value - first[1]
-        for one in np.unique(place):
-            at = place == one
-            own = np.array([at.sum(), t[at].sum(), t[at] @ t[at], y[at].sum(), y[at] @ y[at], t[at] @ y[at]])
-            sums[int(one)] = sums.get(int(one), np.zeros(6)) + own
+        both = np.column_stack([piece, np.floor(celsius / width).astype(np.int64)])
+        own, inverse = _distinct(both)
+        keys.append(own)
+        parts = (None, t, t * t, y, y * y, t * y)
+        sums.append(np.column_stack([np.bincount(inverse, part, minlength=len(own)) for part in parts]))
+    if first is None:
+        return []
+    key, total = np.concatenate(keys), np.concatenate(sums)
+    _, place = np.unique(key[:, 0], return_inverse=True)
+    course = np.bincount(place, total[:, 1]) / np.bincount(place, total[:, 0])
+    number = branches(course, width)
+    turning = np.diff(number) != 0
+    clear = ~(np.append(turning, False) | np.append(False, turning))[
+        place
+    ]  # a piece at a turning point belongs to both branches
+    own, inverse = _distinct(np.column_stack([number[place], key[:, 1]])[clear])
+    n, t1, t2, y1, y2, ty = (np.bincount(inverse, column, minlength=len(own)) for column in total[clear].T)
+    tt, cross = t2 - t1**2 / n, ty - t1 * y1 / n
+    left = y2 - y1**2 / n - np.where(tt > 0, cross**2 / np.where(tt > 0, tt, 1.0), 0.0)
     found = []
-    for one in sorted(sums):
-        n, t1, t2, y1, y2, ty = sums[one]
-        assert first is not None
-        tt, yy, cross = t2 - t1**2 / n, y2 - y1**2 / n, ty - t1 * y1 / n
-        left = max(0.0, yy - (cross**2 / tt if tt > 0 else 0.0))
-        found.append((int(n), first[0] + t1 / n, first[1] + y1 / n, float(left)))
-    change = last - first[0] if first else 0.0
-    return found, int(np.sign(change)) if abs(change) > width else 0
+    for one in range(int(number[-1]) + 1):
+        at, here = own[:, 0] == one, course[number == one]
+        # A branch begins at the extreme with which the one before it ends.
+        begin = float(course[number < one][-1] if one else here[0])
+        direction = int(np.sign(here[-1] - begin)) if abs(here[-1] - begin) > width else 0
+        squares = np.maximum(left[at], 0.0)
+        ends = (first[0] + begin, first[0] + float(here[-1]))
+        found.append(_Ramp(direction, ends, n[at], first[0] + t1[at] / n[at], first[1] + y1[at] / n[at], squares))
+    return found
+
+
+def _numbers(ramps: Sequence[_Ramp], width: float) -> list[int]:
+    """The number of each ramp, in order of time; −1 where the temperature hardly changes. A ramp that goes on where one in the same
+    direction has ended is the same ramp in several segments."""
+    found: list[int] = []
+    last: _Ramp | None = None
+    for ramp in ramps:
+        if not ramp.direction:
+            found.append(-1)
+            continue
+        same = last is not None and last.direction == ramp.direction and abs(last.ends[1] - ramp.ends[0]) <= width
+        found.append(max(found, default=-1) + (not same))
+        last = ramp
+    return found
+
+
+def _distinct(pairs: Integers) -> tuple[Integers, Integers]:
+    """The distinct rows of pairs (n, 2), ascending, and the place of each row among them."""
+    low = pairs[:, 1].min()
+    span = int(pairs[:, 1].max() - low) + 1
+    code, inverse = np.unique(pairs[:, 0] * span + (pairs[:, 1] - low), return_inverse=True)
+    return np.column_stack([code // span, code % span + low]), inverse

@@ -1,6 +1,7 @@
 """Coefficients or outputs over temperature: a polynomial or a spline whose order is chosen by held-out error.
 
-Values come from `points`, curves and the choice of their order from `curve`.
+Values come from `points`, curves and the choice of their order from `curve`. If rising and falling temperature are both recorded, the curve
+is their common part, and the difference of the two is fitted beside it (`branches`).
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from planrunner.estimators.interface import (
     Unpredicted,
 )
 from planrunner.estimators.method import Foresight, Method, Quantities, Words, by_expectation
-from planrunner.estimators.temperature.curve import CurveFit, fit_curve, groups_of
+from planrunner.estimators.temperature.branches import Difference, difference_of
+from planrunner.estimators.temperature.curve import CurveFit, OverTemperature, fit_curve, groups_of
 from planrunner.estimators.temperature.parameters import TemperatureModelParameters
 from planrunner.estimators.temperature.planning import remarks
 from planrunner.estimators.temperature.points import Points, from_channels, from_estimates, given_by_temperature
@@ -40,16 +42,56 @@ Array = NDArray[np.float64]
 
 _SHOWN = 9  # temperatures of the table of predictions
 _DRAWN = 61
+_RESIDUALS = 2  # at least, beside the coefficients of a difference between rising and falling temperature
+_SENSES = {1: "rising", -1: "falling", 0: ""}
 _WIDEST = 150.0  # K; a width written in degC comes out larger
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Differences between rising and falling temperature. celsius: (n,), degC; width, uncertainty, freedom: (n,), rising minus falling,
+    in the value's unit."""
+
+    celsius: Array
+    width: Array
+    uncertainty: Array
+    freedom: Array
+
+    @property
+    def largest(self) -> int:
+        """Place of the largest difference."""
+        return int(np.argmax(np.abs(self.width)))
 
 
 @dataclass(frozen=True, slots=True)
 class Modelled:
-    """One quantity with its curve. loop: result of `hysteresis`."""
+    """One quantity with its curve, and the loop between the two directions of temperature if both are recorded."""
 
     points: Points
     fit: CurveFit
-    loop: tuple[float, float, float] | None
+    difference: Difference | None
+
+    def loop(self, celsius: Array) -> Loop | None:
+        """The hysteresis at temperatures [degC] (n,)."""
+        if self.difference is None or self.fit.beside_spread is None:
+            return None
+        rows = self.difference.width(celsius)
+        return Loop(celsius, rows @ self.fit.beside, *self.fit.beside_spread.of(rows))
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Lowest and highest temperature that rising and falling branches have in common, degC."""
+        assert self.difference is not None
+        return self.difference.low, self.difference.high
+
+    @property
+    def widest(self) -> tuple[float, float, float, float] | None:
+        """The largest difference, its standard uncertainty, degrees of freedom, and temperature [degC]."""
+        loop = None if self.difference is None else self.loop(np.linspace(*self.ends, _DRAWN))
+        if loop is None:
+            return None
+        k = loop.largest
+        return abs(float(loop.width[k])), float(loop.uncertainty[k]), float(loop.freedom[k]), float(loop.celsius[k])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,24 +222,44 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
     scatter = parameters.uncertainty == "residual" and not points.expected
     if not scatter and not points.known:
         raise EstimationError(f"'{points.name}' does not have an uncertainty everywhere: write `uncertainty: residual`")
+    group = groups_of(points.temperature, parameters.bin.value)
+    highest = parameters.highest_order if parameters.order is None else parameters.order
+    difference = _difference(points, parameters, min(highest, int(group.max())))
+    apart = difference is not None or points.along
+    values = OverTemperature(
+        points.temperature,
+        points.value,
+        points.sigma,
+        group,
+        points.series,
+        points.ramp if apart else np.full_like(points.ramp, -1),
+        points.direction,
+        np.zeros((len(points.value), 0))
+        if difference is None
+        else difference.columns(points.temperature, points.direction),
+    )
     try:
         fit = fit_curve(
             parameters.form,
             parameters.order,
             parameters.highest_order,
             parameters.reference.value - ZERO_CELSIUS,
-            points.temperature,
-            points.value,
-            points.sigma,
-            groups_of(points.temperature, parameters.bin.value),
+            values,
             parameters.folds,
             parameters.rule,
             scatter,
-            points.series,
         )
     except EstimationError as error:
         raise EstimationError(f"'{points.name}': {error}") from None
-    return Modelled(points, fit, hysteresis(points))
+    return Modelled(points, fit, difference)
+
+
+def _difference(points: Points, parameters: TemperatureModelParameters, highest: int) -> Difference | None:
+    """The form of the hysteresis, with as many coefficients as leave two residuals beside a curve of order `highest` and the ramps."""
+    ramps = len(np.unique(points.ramp[points.ramp >= 0]))
+    left = len(points.value) - (highest + 1) - max(0, ramps - 2) - _RESIDUALS
+    width = parameters.bin.value
+    return difference_of(points.temperature, points.direction, parameters.highest_order, width, left)
 
 
 def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], Array]:
@@ -207,8 +269,7 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
     blocks: list[Array] = []
     for one in models:
         made, name, text = one.fit.curve, one.points.name, one.points.unit
-        spread = np.sqrt(np.diag(one.fit.covariance))
-        for k, (value, u) in enumerate(zip(one.fit.coefficients, spread, strict=True)):
+        for k, (value, u, freedom) in enumerate(zip(one.fit.coefficients, *one.fit.uncertainties(), strict=True)):
             label, own = _label(made.form, name, text, k)
             if made.form == "spline":
                 words = f"{name} at {made.knots[k]:.6g} degC"
@@ -218,13 +279,13 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
                     if k == 0
                     else f"{name}: coefficient of (T − {made.reference:.6g} degC)^{k}"
                 )
-            rows.append(Coefficient(label, float(value), own, float(u), one.fit.degrees_of_freedom, words))
+            rows.append(Coefficient(label, float(value), own, float(u), float(freedom), words))
         blocks.append(one.fit.covariance)
-        if one.loop is not None:
-            largest, u, celsius = one.loop
+        if one.widest is not None:
+            largest, u, freedom, celsius = one.widest
             words = f"{name}: largest difference between rising and falling temperature, at {celsius:.4g} degC"
             rows.append(
-                Coefficient(f"hysteresis_{name}", largest, text, u, description=words, role=CoefficientRole.MAXIMUM)
+                Coefficient(f"hysteresis_{name}", largest, text, u, freedom, words, role=CoefficientRole.MAXIMUM)
             )
             blocks.append(np.array([[u**2]]))
     return tuple(rows), independent(blocks)
@@ -240,7 +301,9 @@ def _influences(
         return ()
 
     def coefficients(warmer: float) -> Array:
-        return np.concatenate([np.append(one.fit.warmer(warmer), [0.0] * (one.loop is not None)) for one in models])
+        return np.concatenate(
+            [np.append(one.fit.warmer(warmer), [0.0] * (one.difference is not None)) for one in models]
+        )
 
     return influences_on(coefficients, [StatedCondition.single(stated, lambda by: by)])
 
@@ -252,24 +315,6 @@ def _label(form: str, name: str, text: str, k: int) -> tuple[str, str]:
 
 def _per_kelvin(text: str, power: int) -> str:
     return text if power == 0 else f"{text}/K" if power == 1 else f"{text}/K^{power}"
-
-
-def hysteresis(points: Points) -> tuple[float, float, float] | None:
-    """Largest difference between a rising and a falling ramp at one temperature, its standard uncertainty and the temperature [degC]; None
-    without both ramps. The falling ramp is interpolated linearly, within the range that both cover."""
-    rising, falling = points.direction > 0, points.direction < 0
-    if rising.sum() < 2 or falling.sum() < 2:
-        return None
-    order = np.argsort(points.temperature[falling])
-    t, y, u = (values[falling][order] for values in (points.temperature, points.value, points.uncertainty))
-    at = points.temperature[rising]
-    inside = (at >= t[0]) & (at <= t[-1])
-    if not inside.any():
-        return None
-    difference = points.value[rising][inside] - np.interp(at[inside], t, y)
-    largest = int(np.argmax(np.abs(difference)))
-    own = np.hypot(points.uncertainty[rising][inside], np.interp(at[inside], t, u))[largest]
-    return float(abs(difference[largest])), float(own) if np.isfinite(own) else 0.0, float(at[inside][largest])
 
 
 def _tables(one: Modelled) -> list[Table]:
@@ -294,22 +339,32 @@ def _tables(one: Modelled) -> list[Table]:
             for item in fit.errors
         )
         found.append(Table(f"Held-out error of {name}", titles, rows))
-    fitted, _ = fit.predict(points.temperature)
+    fitted = _fitted(one)
     columns = (
         TableColumn("from"),
         TableColumn("temperature", Role.NUMBER, "degC"),
+        TableColumn("sense"),
         TableColumn(name, Role.VALUE, text),
         TableColumn("u", Role.STANDARD_UNCERTAINTY, text),
         TableColumn("residual", Role.VALUE, text),
     )
-    rows_ = zip(points.labels, points.temperature, points.value, points.uncertainty, points.value - fitted, strict=True)
+    rows_ = zip(
+        points.labels,
+        points.temperature,
+        points.direction.tolist(),
+        points.value,
+        points.uncertainty,
+        points.value - fitted,
+        strict=True,
+    )
     cells = tuple(
-        (label, float(t), float(y), float(u) if np.isfinite(u) else None, float(r)) for label, t, y, u, r in rows_
+        (label, float(t), _SENSES[sense], float(y), float(u) if np.isfinite(u) else None, float(r))
+        for label, t, sense, y, u, r in rows_
     )
     found.append(Table(f"{name} over temperature", columns, cells))
     grid = np.linspace(points.temperature.min(), points.temperature.max(), _SHOWN)
-    values, u = fit.predict(grid)
-    wide = [expanded_uncertainty(float(own), fit.degrees_of_freedom) for own in u]
+    values, u, freedom = fit.predict(grid)
+    wide = _expanded(u, freedom).tolist()
     heads = (
         TableColumn("temperature", Role.NUMBER, "degC"),
         TableColumn("curve", Role.VALUE, text),
@@ -319,17 +374,55 @@ def _tables(one: Modelled) -> list[Table]:
     found.append(
         Table(f"Curve of {name}", heads, tuple(zip(grid.tolist(), values.tolist(), u.tolist(), wide, strict=True)))
     )
-    return found
+    return [*found, *_loop_table(one)]
+
+
+def _loop_table(one: Modelled) -> list[Table]:
+    """Both branches over temperature, and their difference."""
+    loop = None if one.difference is None else one.loop(np.linspace(*one.ends, _SHOWN))
+    if loop is None:
+        return []
+    name, text = one.points.name, one.points.unit
+    columns = (
+        TableColumn("temperature", Role.NUMBER, "degC"),
+        TableColumn("rising", Role.VALUE, text),
+        TableColumn("falling", Role.VALUE, text),
+        TableColumn("difference", Role.VALUE, text),
+        TableColumn("u", Role.STANDARD_UNCERTAINTY, text),
+        TableColumn("U 95 %", Role.EXPANDED_UNCERTAINTY, text),
+        TableColumn("degrees of freedom", Role.DEGREES_OF_FREEDOM),
+    )
+    middle, half = one.fit.predict(loop.celsius)[0], loop.width / 2
+    wide = _expanded(loop.uncertainty, loop.freedom)
+    parts = (loop.celsius, middle + half, middle - half, loop.width, loop.uncertainty, wide, loop.freedom)
+    rows = tuple(zip(*(part.tolist() for part in parts), strict=True))
+    return [Table(f"Hysteresis of {name}", columns, rows)]
+
+
+def _fitted(one: Modelled) -> Array:
+    """The fitted values (n,) at the points, on their branches."""
+    curve = one.fit.predict(one.points.temperature)[0]
+    if one.difference is None:
+        return curve
+    return np.asarray(curve + one.difference.columns(one.points.temperature, one.points.direction) @ one.fit.beside)
+
+
+def _expanded(u: Array, freedom: Array) -> Array:
+    """U at 95 % from standard uncertainties and degrees of freedom, both (n,)."""
+    return np.array([expanded_uncertainty(float(own), float(nu)) for own, nu in zip(u, freedom, strict=True)])
 
 
 def _plots(one: Modelled) -> list[Plot]:
     name, text, points, fit = one.points.name, one.points.unit, one.points, one.fit
     order = np.argsort(points.temperature, kind="stable")
-    residual = points.value - fit.predict(points.temperature)[0]
+    residual = points.value - _fitted(one)
     grid = np.linspace(points.temperature.min(), points.temperature.max(), _DRAWN)
-    values, u = fit.predict(grid)
-    wide = np.array([expanded_uncertainty(float(own), fit.degrees_of_freedom) for own in u])
+    values, u, freedom = fit.predict(grid)
+    wide = _expanded(u, freedom)
     courses = {"curve": values, "curve − U 95 %": values - wide, "curve + U 95 %": values + wide}
+    loop = one.loop(grid)
+    if loop is not None:
+        courses |= {"rising": values + loop.width / 2, "falling": values - loop.width / 2}
     spread = {"residual": tuple(points.uncertainty[order].tolist())} if points.known else {}
     return [
         Plot(
@@ -382,8 +475,19 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[str]:
         )
     if parameters.uncertainty == "residual":
         found.append(
-            f"{name}: the uncertainty is based on the scatter about the curve, with {fit.degrees_of_freedom:.0f} "
+            f"{name}: the uncertainty is based on the scatter about the curve, with {fit.uncertainties()[1].min():.0f} "
             "degrees of freedom."
+        )
+    if one.widest is not None:
+        found.append(
+            f"{name}: the curve is the mean of rising and falling temperature. Either branch lies up to {one.widest[0] / 2:.3g} "
+            f"{one.points.unit} from it; the curve's uncertainty does not contain this distance."
+        )
+    for way, ramps in zip(("offsets", "slopes"), fit.ramps, strict=False):
+        found.append(
+            f"{name}: ramps in the same direction differ by {way} with a standard deviation of {ramps.size:.3g} {one.points.unit} "
+            f"({ramps.degrees_of_freedom} degrees of freedom; variance ratio F = {ramps.ratio:.3g} to noise, probability of a larger "
+            f"ratio by chance {ramps.probability:.2g}). All uncertainties of the curve include this."
         )
     if fit.correlation > 1:
         found.append(
@@ -396,11 +500,17 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[str]:
 
 def _warnings(one: Modelled) -> list[str]:
     fit, points = one.fit, one.points
+    found = []
     if fit.errors and fit.curve.order == fit.errors[-1].order and len(fit.errors) > 1:
-        return [
+        found.append(
             f"{points.name}: the highest order that was tried is chosen; raise `highest_order` or add temperatures."
-        ]
-    return []
+        )
+    if one.difference is not None and not fit.ramps and not points.expected:
+        found.append(
+            f"{points.name}: rising and falling temperature were each recorded once, so that it is not known how much the hysteresis "
+            "differs from cycle to cycle; the uncertainties do not include this. Record a second cycle."
+        )
+    return found
 
 
 def _plain(one: Modelled) -> Mapping[str, object]:

@@ -1,0 +1,59 @@
+"""Groups that repeats form by themselves, where a plan names none: by their labels, by long pauses, and by thirds of their order.
+
+Repeats of one group have more in common than repeats of different groups if a day, a switch-on or a mounting changed in between.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+_PAUSE = 3.0  # times the median pause between repeats, that separates groups
+_LEAST = 4  # repeats in each third
+
+
+@dataclass(frozen=True, slots=True)
+class Grouping:
+    """A division of n repeats. group: (n,), number of the group of each; names: of the groups, for messages."""
+
+    group: Integers
+    names: tuple[str, ...]
+
+
+def groupings(labels: Sequence[str], pauses: Array | None) -> list[Grouping]:
+    """The divisions of repeats, in order of time, that can be tested: two groups at least, and more repeats than twice the groups.
+
+    labels: such as day1/r2 or startup-b-07; the number at the end counts within a group. pauses: (n − 1,), s between repeats; None if
+    not known.
+    """
+    stems = [re.sub(r"\d+$", "", label) for label in labels]
+    found = [
+        Grouping(
+            np.array([list(dict.fromkeys(stems)).index(stem) for stem in stems]),
+            tuple(f"{one}*" for one in dict.fromkeys(stems)),
+        )
+    ]
+    if pauses is not None and len(pauses):
+        found.append(
+            _ranges(labels, np.concatenate([[0], np.cumsum(pauses > _PAUSE * np.median(pauses))]).astype(np.int64))
+        )
+    if len(labels) >= 3 * _LEAST:
+        found.append(_ranges(labels, np.arange(len(labels)) * 3 // len(labels)))
+    distinct = {one.group.tobytes(): one for one in reversed(found)}
+    return [one for one in reversed(distinct.values()) if 1 < len(one.names) < len(labels) / 2]
+
+
+def _ranges(labels: Sequence[str], group: Integers) -> Grouping:
+    """Groups of neighbours, named by their first and last repeat."""
+    held = [
+        [label for label, own in zip(labels, group, strict=True) if own == one] for one in range(int(group[-1]) + 1)
+    ]
+    return Grouping(group, tuple(one[0] if len(one) == 1 else f"{one[0]} … {one[-1]}" for one in held))

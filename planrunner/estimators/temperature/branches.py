@@ -1,0 +1,95 @@
+"""Rising and falling temperature: the branches of a course, and the part in which the two directions differ.
+
+A value on a rising ramp is C(T) + D(T)/2, on a falling one C(T) − D(T)/2: C is the common part, D the width of the hysteresis loop.
+Branches come from the turning points of the temperature, not from the division into segments: a cycle gives the same branches as one
+segment and as several.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.estimators.temperature.curve import Curve, curve, groups_of
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+_BACK = 0.1  # of the range of temperatures: less is the ripple of a chamber's control
+
+
+def branches(temperature: Array, least: float) -> Integers:
+    """The number of the branch of each of n successive temperatures [degC] (n,), ascending from 0.
+
+    A branch ends at an extreme from which the temperature goes back by more than `least` [K] and a tenth of its whole range.
+    """
+    number = np.zeros(len(temperature), dtype=np.int64)
+    if not len(temperature):
+        return number
+    back = max(least, _BACK * float(np.ptp(temperature)))
+    low = high = 0  # places of the extremes since the last turning point
+    rising: bool | None = None
+    for place, celsius in enumerate(temperature.tolist()):
+        low = place if celsius < temperature[low] else low
+        high = place if celsius > temperature[high] else high
+        if rising is not False and temperature[high] - celsius > back:
+            turned, rising = rising is not None, False
+            number[high + 1 :] += turned
+            low = place
+        elif rising is not True and celsius - temperature[low] > back:
+            turned, rising = rising is not None, True
+            number[low + 1 :] += turned
+            high = place
+    return number
+
+
+def approached(temperature: Sequence[float], least: float) -> tuple[Integers, Integers]:
+    """For held temperatures (n,) in order of time: whether each was reached from below (+1) or from above (−1), and the number of its
+    sweep. The temperatures before the first change begin the first sweep; 0 and −1 if there is no change. A change of less than `least`
+    [K] is none."""
+    direction = np.zeros(len(temperature), dtype=np.int64)
+    for place in range(1, len(temperature)):
+        change = temperature[place] - temperature[place - 1]
+        direction[place] = direction[place - 1] if abs(change) <= least else int(np.sign(change))
+    if not direction.any():
+        return direction, direction - 1
+    first = int(np.flatnonzero(direction)[0])
+    direction[:first] = direction[first]
+    return direction, np.cumsum(np.diff(direction, prepend=direction[0]) != 0).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The part in which rising and falling temperature differ. curve: of D; low, high: degC, the range that both cover, beyond which D is
+    taken for its value at the end."""
+
+    curve: Curve
+    low: float
+    high: float
+
+    def width(self, temperature: Array) -> Array:
+        """Columns (n, q) of D at temperatures [degC] (n,)."""
+        return self.curve.columns(np.clip(temperature, self.low, self.high))
+
+    def columns(self, temperature: Array, direction: Integers) -> Array:
+        """Columns (n, q) of the values' part ±D/2, zero at values without a direction."""
+        return self.width(temperature) * (direction / 2)[:, None]
+
+
+def difference_of(temperature: Array, direction: Integers, highest: int, width: float, left: int) -> Difference | None:
+    """The form of D: a polynomial of the order `highest`, lower for few temperatures; None without temperatures at which there are both
+    directions. It is not chosen by the values, so that its uncertainty needs no allowance for a choice.
+
+    width: K, temperatures that belong together; left: the most coefficients that the number of values allows.
+    """
+    group = groups_of(temperature, width)
+    both = np.intersect1d(group[direction > 0], group[direction < 0])
+    if len(both) < 2 or left < 1:
+        return None
+    inside = temperature[np.isin(group, both) & (direction != 0)]
+    order = max(0, min(highest, (len(both) + 1) // 2 - 1, left - 1))
+    low, high = float(inside.min()), float(inside.max())
+    return Difference(curve("polynomial", order, (low + high) / 2, inside), low, high)

@@ -1,0 +1,212 @@
+"""A table in place of a recording: one row per segment, with the mean, the standard deviation and the number of its samples.
+
+Published calibrations often give no more. The rows are observations like the means of recorded samples; what needs samples is refused. The
+samples of a segment count as independent: the standard error of a mean is s/√n, unless the table gives it.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import Json
+from planrunner.base.findings import Findings, InputError, Mark, closest
+from planrunner.instruments.interfaces import Block, Clock, InstrumentError, PlaysBack, SummaryChannels, UnservedError
+from planrunner.instruments.recording_keys import SECONDS, RecordingParameters, RowColumns
+from planrunner.plan.schedule import Segment
+from planrunner.plan.selection import closest_label
+from planrunner.plan.source import read_text
+
+_DURATION = "seconds"
+
+
+@dataclass(frozen=True, slots=True)
+class SummaryRow:
+    """A segment in the table. line: in the file; start: s; count: samples; means, deviations: by channel, in its unit. A stated standard
+    error becomes the deviation of as many independent samples."""
+
+    line: int
+    start: float
+    count: int
+    means: Mapping[str, float]
+    deviations: Mapping[str, float]
+
+
+class SummaryPlayer(PlaysBack):
+    """A sensor that plays back a table of means."""
+
+    def __init__(self, parameters: RecordingParameters, rows: Mapping[str, SummaryRow], clock: Clock):
+        self.parameters = parameters
+        self.rows = rows
+        self.clock = clock
+        self.summary = SummaryChannels(
+            {name: f"{name} standard deviation" for name in parameters.channels},
+            "samples",
+            _DURATION,
+        )
+
+    @classmethod
+    def open(cls, parameters: RecordingParameters, path: Path, clock: Clock) -> SummaryPlayer:
+        """A player of the table at `path`. Raises `InstrumentError` with the line of the fault."""
+        columns = parameters.summary
+        assert columns is not None
+        for key, stated in (
+            ("time", parameters.time), ("segments", parameters.segments), ("pauses", parameters.pauses)
+        ):  # fmt: skip
+            if stated is not None:
+                raise InstrumentError(
+                    f"`{key}` belongs to a recording of samples, `summary` to a table of means: keep one of them"
+                )
+        return cls(parameters, read_rows(path, parameters, columns), clock)
+
+    # -- capabilities --------------------------------------------------------------------------------------------------
+
+    def channels(self) -> Mapping[str, str]:
+        units = {name: channel.unit for name, channel in self.parameters.channels.items()}
+        scatter = {own: units[name] for name, own in self.summary.deviations.items()}
+        return {**units, **scatter, self.summary.count: "1", self.summary.seconds: "s"}
+
+    def foresee(self, segments: Sequence[Segment]) -> None:
+        """Checks that the table has every segment. Raises `UnservedError`."""
+        found = Findings()
+        self.look_over(segments, found)
+        if found.errors:
+            raise UnservedError(found.errors)
+
+    def look_over(self, segments: Sequence[Segment], log: Findings) -> None:
+        """Adds all findings about the rows of these segments to `log`."""
+        for segment in segments:
+            try:
+                self._row(segment)
+            except InstrumentError as error:
+                mark = Mark(self.parameters.file, self.rows[segment.label].line if segment.label in self.rows else 1)
+                code = "recording-unfit" if segment.label in self.rows else "recording-labels"
+                log.error(
+                    code, mark, str(error), "check the table, its columns in the bench file, and the plan's labels"
+                )
+
+    def stream(self, segment: Segment) -> Iterator[Block]:
+        """The row of a segment, as one sample of each channel and of its scatter (`summary`)."""
+        row = self._row(segment)
+        seconds = row.count / self.parameters.sample_rate.value
+        self.clock.sleep(seconds)
+        values = {self.summary.count: float(row.count), self.summary.seconds: seconds}
+        for name in self.parameters.channels:
+            values[name] = row.means[name]
+            values[self.summary.deviations[name]] = row.deviations[name]
+        yield Block(np.array([row.start]), {name: np.array([values[name]]) for name in self.channels()})
+
+    def identify(self) -> Mapping[str, str]:
+        return {"manufacturer": "recording", "model": self.parameters.kind, "file": self.parameters.file}
+
+    def make_safe(self) -> None:
+        """Does nothing: a file is always safe."""
+
+    def close(self) -> None:
+        """Does nothing: the file has been read."""
+
+    def checkpoint(self) -> Mapping[str, Json]:
+        return {}
+
+    def restore(self, state: Mapping[str, Json]) -> None:
+        """Does nothing: the table has no state."""
+
+    def _row(self, segment: Segment) -> SummaryRow:
+        name = self.parameters.file
+        row = self.rows.get(segment.label)
+        if row is None:
+            raise InstrumentError(f"{name} has no row '{segment.label}'; {closest_label(segment.label, self.rows)}")
+        interval = 1 / self.parameters.sample_rate.value
+        seconds = row.count * interval
+        if segment.dwell is not None and abs(segment.dwell - seconds) > 0.5 * interval + 1e-9 * seconds:
+            raise InstrumentError(
+                f"{name}, line {row.line}: the row of '{segment.label}' describes {row.count} samples ({seconds:g} s), but the plan dwells "
+                f"{segment.dwell:g} s, and a mean cannot be divided; write `dwell: recorded`"
+            )
+        return row
+
+
+def read_rows(path: Path, parameters: RecordingParameters, columns: RowColumns) -> dict[str, SummaryRow]:
+    """The rows of a table by label. Raises `InstrumentError` with the line of the fault."""
+    name = parameters.file
+    try:
+        text = read_text(path, name)
+    except InputError as error:
+        raise InstrumentError(f"{name}: {error.findings[0].message}") from None
+    reader = csv.DictReader(text.splitlines(), strict=True)
+    rows: dict[str, SummaryRow] = {}
+    begin = 0.0
+    try:
+        _check_columns(reader.fieldnames or (), parameters, columns)
+        for cells in reader:
+            where = f"{name}, line {reader.line_num}"
+            label = (cells[columns.label] or "").strip()
+            if not label:
+                raise InstrumentError(f"{where}: the label is empty")
+            if label in rows:
+                raise InstrumentError(f"{where}: the label '{label}' appears twice")
+            rows[label] = _row_of(cells, where, reader.line_num, begin, parameters, columns)
+            begin = rows[label].start + rows[label].count / parameters.sample_rate.value
+    except csv.Error as error:
+        raise InstrumentError(f"{name}, line {reader.line_num}: not readable as CSV: {error}") from None
+    if not rows:
+        raise InstrumentError(f"{name} contains no rows")
+    return rows
+
+
+def _check_columns(present: Sequence[str], parameters: RecordingParameters, columns: RowColumns) -> None:
+    wanted = [columns.label, columns.count, *([] if columns.start is None else [columns.start])]
+    for name, channel in parameters.channels.items():
+        stated = [key for key in (channel.standard_deviation, channel.standard_error) if key is not None]
+        if len(stated) != 1:
+            raise InstrumentError(
+                f"the channel '{name}' of a table of means needs one column of its scatter: write `standard_deviation` (of the samples) or "
+                "`standard_error` (of the mean) in the bench file"
+            )
+        wanted += [channel.column, *stated]
+    for column in wanted:
+        if column not in present:
+            raise InstrumentError(
+                f"{parameters.file} has no column '{column}'; {closest(column, [one for one in present if one])}"
+            )
+
+
+def _row_of(
+    cells: Mapping[str, str | None],
+    where: str,
+    line: int,
+    begin: float,
+    parameters: RecordingParameters,
+    columns: RowColumns,
+) -> SummaryRow:
+    count = _number(cells, columns.count, where)
+    if count < 1 or count != round(count):
+        raise InstrumentError(f"{where}: {count:g} in column '{columns.count}' is not a number of samples")
+    start = begin if columns.start is None else _number(cells, columns.start, where) * SECONDS[columns.unit]
+    means, deviations = {}, {}
+    for name, channel in parameters.channels.items():
+        means[name] = channel.sign * (_number(cells, channel.column, where) - channel.zero) / channel.per_unit
+        column = channel.standard_deviation or channel.standard_error
+        assert column is not None
+        scatter = _number(cells, column, where)
+        if scatter < 0:
+            raise InstrumentError(f"{where}: {scatter:g} in column '{column}' is negative, which no scatter is")
+        independent = 1.0 if channel.standard_deviation else math.sqrt(count)
+        deviations[name] = scatter / abs(channel.per_unit) * independent
+    return SummaryRow(line, start, int(count), means, deviations)
+
+
+def _number(cells: Mapping[str, str | None], column: str, where: str) -> float:
+    text = (cells[column] or "").strip()
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InstrumentError(f"{where}: '{text[:40]}' in column '{column}' is not a number")
+    return value
