@@ -34,6 +34,8 @@ from planrunner.plan.units import DIMENSIONS, unit
 
 Array = NDArray[np.float64]
 RowNumbers = NDArray[np.int64]
+Numbered = RowNumbers | range
+"""Numbers of rows; a range where none is missing, which costs nothing to make."""
 
 CHANCE = 1e-12
 """Probability that a sample of white Gaussian noise is found to be an outlier: none among 10⁸ samples, except with a chance of 10⁻⁴."""
@@ -50,7 +52,7 @@ _NEAR_SCALE, _FAR_SCALE = (
 _NEAR_WIDER, _FAR_WIDER = 1.10, 1.02  # standard deviation of an independent sample from such a median, σ
 _LARGE = 6.2  # mean changes: a larger change between neighbours, 7σ in white noise, has the piece examined
 _APART = 4.7  # mean changes: 5.3σ in white noise; of two samples with a large change between them one lies so far from its surroundings
-_SPARSE = 16  # of so many changes one is looked at where the noise of a piece is estimated at little cost
+_SPARSE, _STRETCH = 16, 64  # of so many stretches of so many samples one shows the noise of a piece, at little cost
 _FEW = 50  # large changes that are looked at one by one
 _SAMPLED = 4096  # distances from which the scale is taken
 _JERK = 1.5  # mean changes around a sample, in a segment that may move freely: less is no outlier
@@ -202,7 +204,7 @@ class _Runs:
         self.bend += float(np.abs(np.diff(values, 2)).sum())
         self.bends += max(len(values) - 2, 0)
 
-    def add_changing(self, values: Array, rows: RowNumbers, times: Array, last: _Last | None) -> None:
+    def add_changing(self, values: Array, rows: Numbered, times: Array, last: _Last | None) -> None:
         """The next samples, without the last one before them, where every sample differs from the one before."""
         if last is not None:
             if self.length >= RUN:
@@ -262,6 +264,7 @@ class Screening:
         # A piece that is not complete yet, and the samples before what is looked at next.
         self.values, self.time, self.rows = np.empty((k, room)), np.empty(room), np.empty(room, dtype=np.int64)
         self.filled = 0
+        self.low, self.high = np.full(k, math.inf), np.full(k, -math.inf)  # of the blocks that it comes from
         self.before, self.times_before = np.empty((k, 0)), np.empty(0)
         self.rows_before = np.empty(0, dtype=np.int64)
         self.waiting: list[tuple[int, _Window]] = []
@@ -279,12 +282,13 @@ class Screening:
         self.in_time: list[Find] = []
         self.pauses = 0
         self.interval, self.begin = math.nan, math.nan
+        self.work = np.empty(room)  # differences of time
 
     def add(self, block: Block, ranges: Ranges | None = None) -> None:
         """The next samples; rows with a missing number are passed over. ranges: smallest and largest number of each channel in them, NaN
         if one is missing; found here by default."""
         count = len(block.time)
-        rows = np.arange(self.row, self.row + count)
+        rows: Numbered = range(self.row, self.row + count)
         self.row += count
         if not self.channels or not count:
             return
@@ -295,7 +299,7 @@ class Screening:
         low, high = np.array(known).T
         if not (low.min() > -_LARGEST and high.max() < _LARGEST):  # true for NaN and infinity as well
             good = np.all([np.abs(column) < _LARGEST for column in columns], axis=0)
-            time, rows, columns = time[good], rows[good], [column[good] for column in columns]
+            time, rows, columns = time[good], _numbers(rows)[good], [column[good] for column in columns]
             if not len(time):
                 return
             low, high = np.array([(one.min(), one.max()) for one in columns]).T
@@ -311,8 +315,10 @@ class Screening:
             place, part = slice(self.filled, self.filled + step), slice(at, at + step)
             for row, one in zip(self.values, columns, strict=True):
                 row[place] = one[part]
-            self.time[place], self.rows[place] = time[part], rows[part]
+            self.time[place], self.rows[place] = time[part], _numbers(rows[part])
             self.filled, at = self.filled + step, at + step
+            np.minimum(self.low, low, out=self.low)
+            np.maximum(self.high, high, out=self.high)
             if self.filled == room:
                 self._look_at_filled()
 
@@ -327,19 +333,21 @@ class Screening:
         return tuple(sorted((*out, *self._of_time()), key=lambda item: item.first))
 
     def _look_at_filled(self) -> None:
-        values = self.values[:, : self.filled]
-        self._look(
-            self.time[: self.filled], self.rows[: self.filled], list(values), values.min(axis=1), values.max(axis=1)
-        )
+        place = slice(0, self.filled)
+        self._look(self.time[place], self.rows[place], list(self.values[:, place]), self.low, self.high)
         self.filled = 0
+        self.low.fill(math.inf)
+        self.high.fill(-math.inf)
 
-    def _look(self, time: Array, rows: RowNumbers, columns: list[Array], low: Array, high: Array) -> None:
+    def _look(self, time: Array, rows: Numbered, columns: list[Array], low: Array, high: Array) -> None:
         """Whole pieces, or the last one, which is shorter. low, high: no channel has values beyond them here."""
         for k, window in self.waiting:
-            window.extended(columns[k], rows, time)
+            window.extended(columns[k][:_BESIDE], _numbers(rows[:_BESIDE]), time[:_BESIDE])
         self._examine_waiting()
         if not self.done:
             self.begin = float(time[0])
+        if len(time) > len(self.work):
+            self.work = np.empty(len(time))
         self._times(time, rows, columns)
         whole = len(time) - len(time) % self.bin
         if whole and self.steady:
@@ -351,12 +359,12 @@ class Screening:
             self._channel(k, values, rows, time, means, float(low[k]), float(high[k]))
         values = np.array([one[-_BESIDE:] for one in columns])
         self.before = np.concatenate([self.before, values], axis=1)[:, -_BESIDE:]
-        self.rows_before = np.concatenate([self.rows_before, rows[-_BESIDE:]])[-_BESIDE:]
+        self.rows_before = np.concatenate([self.rows_before, _numbers(rows[-_BESIDE:])])[-_BESIDE:]
         self.times_before = np.concatenate([self.times_before, time[-_BESIDE:]])[-_BESIDE:]
         self.done += len(time)
 
     def _channel(
-        self, k: int, values: Array, rows: RowNumbers, times: Array, means: Array | None, low: float, high: float
+        self, k: int, values: Array, rows: Numbered, times: Array, means: Array | None, low: float, high: float
     ) -> None:
         """Whole pieces of one channel, or the last one. A piece in which no sample is far from the mean, and each differs from the one
         before, has no find. This costs little to see, and is seen for several pieces together."""
@@ -367,8 +375,11 @@ class Screening:
             self._piece(k, values, rows, times, 0, size, last)
             return
         shaped = values.reshape(pieces, size)
-        levels = np.abs(shaped[:, 1::_SPARSE] - shaped[:, : size - 1 : _SPARSE]).mean(axis=1)
-        centres = shaped.mean(axis=1) if means is None or size % self.bin else means.reshape(pieces, -1).mean(axis=1)
+        seen = shaped[:, : size - size % (_SPARSE * _STRETCH)].reshape(pieces, -1, _STRETCH)[:, ::_SPARSE]
+        changes = seen[:, :, 1:] - seen[:, :, :-1]
+        levels = np.add.reduce(np.abs(changes, out=changes), axis=(1, 2)) / (changes.shape[1] * changes.shape[2])
+        sums = shaped if means is None or size % self.bin else means.reshape(pieces, -1)
+        centres = np.add.reduce(sums, axis=1) / sums.shape[1]
         changing = not (values[1:] == values[:-1]).any() and (last is None or last.value != values[0])
         if changing and max(high - centres.min(), centres.max() - low) <= _APART * levels.min():
             self.runs[k].add_changing(values, rows, times, last)
@@ -403,10 +414,10 @@ class Screening:
             self.usual[k] = float(np.median(self.levels[k]))
 
     def _piece(
-        self, k: int, values: Array, rows: RowNumbers, times: Array, begin: int, end: int, last: _Last | None
+        self, k: int, values: Array, rows: Numbered, times: Array, begin: int, end: int, last: _Last | None
     ) -> None:
         """One piece of a channel, from `begin` to `end` of some samples."""
-        own, own_rows, own_times = values[begin:end], rows[begin:end], times[begin:end]
+        own, own_rows, own_times = values[begin:end], _numbers(rows[begin:end]), times[begin:end]
         if last is not None:
             own = np.concatenate([[last.value], own])
             own_rows, own_times = np.concatenate([[last.row], own_rows]), np.concatenate([[last.time], own_times])
@@ -428,7 +439,7 @@ class Screening:
                 low = _BESIDE if begin else len(self.rows_before)
                 places = np.flatnonzero(changes > large) + low - (last is not None)
                 window = _Window(
-                    values[around], rows[around], times[around], low, low + end - begin, usual, count, places
+                    values[around], _numbers(rows[around]), times[around], low, low + end - begin, usual, count, places
                 )
                 if not begin:
                     window.preceded(self.before[k], self.rows_before, self.times_before)
@@ -606,10 +617,13 @@ class Screening:
                     out.append(Find(FindKind.STEP, name, row, 0, time, 0.0, float(rise[at]), scale, bad=False))
         return out
 
-    def _times(self, time: Array, rows: RowNumbers, columns: Sequence[Array]) -> None:
+    def _times(self, time: Array, rows: Numbered, columns: Sequence[Array]) -> None:
         """Lost and repeated samples."""
-        steps = np.diff(time, prepend=self.times_before[-1:])
-        first = len(time) - len(steps)  # 1 if there is no sample before
+        first = 0 if self.done else 1
+        steps = self.work[: len(time) - first]
+        np.subtract(time[1:], time[:-1], out=steps[1 - first :])
+        if self.done:
+            steps[0] = time[0] - self.times_before[-1]
         if not len(steps):
             return
         if math.isnan(self.interval):
@@ -654,6 +668,10 @@ def _stands_out(window: _Window) -> bool:
         if off.max() > _APART * window.usual:
             return True
     return False
+
+
+def _numbers(rows: Numbered) -> RowNumbers:
+    return np.arange(rows.start, rows.stop) if isinstance(rows, range) else rows
 
 
 def _as_one(finds: Sequence[Find]) -> list[Find]:
