@@ -69,6 +69,18 @@ def test_short_gaps_are_bridged_on_a_line() -> None:
     assert np.diff(phase.runs[0])[100:103] == pytest.approx(filled, abs=1e-10)
 
 
+def test_single_bridged_samples_raise_n_squared_by_one_and_a_half_times_their_share() -> None:
+    """A filled sample is the mean of its neighbours, which then count 1.5 times in a sum: 2·1.5² instead of 3 in its variance."""
+    raised = []
+    for seed in range(3):
+        values = white(20_000, seed)
+        holed = values.copy()
+        holed[10 + 20 * np.random.default_rng(50 + seed).choice(999, 400, replace=False)] = np.nan
+        whole, bridged = run(record(values, rows=4096)), run(record(holed, rows=4096), bridge=parse_quantity("1 s"))
+        raised.append((bridged["N_gyro"].value / whole["N_gyro"].value) ** 2 - 1)
+    assert np.mean(raised) == pytest.approx(1.5 * 0.02, abs=0.01)
+
+
 def test_no_difference_spans_a_gap() -> None:
     """A step at a gap does not show: the sum is over the differences within the two stretches alone."""
     first, second = white(400, 1), white(300, 2) + 1e6
