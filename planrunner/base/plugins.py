@@ -2,15 +2,25 @@
 
 Built-in and third-party plug-ins are found in the same way; another distribution cannot take the name of a built-in one. Names are known
 without importing anything; the module of a plug-in is imported when its name is used.
+
+The project's own entry points are read from the file in which its installation lists them. `importlib.metadata`, which reads those of all
+distributions, imports thirty modules and takes longer than checking a plan; it is used for other names.
 """
 
 from __future__ import annotations
 
-from functools import cache, lru_cache
-from importlib.metadata import EntryPoint, EntryPoints, PackageNotFoundError, distribution, entry_points
-from typing import Any, Protocol
+import os
+import re
+import sys
+from collections.abc import Iterable, Iterator
+from functools import cache, lru_cache, reduce
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Protocol
 
 from planrunner.base.findings import InputError, Mark, closest
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoints
 
 INSTRUMENTS = "planrunner.instruments"
 ESTIMATORS = "planrunner.estimators"
@@ -28,23 +38,60 @@ class _Selectable(Protocol):
 @cache
 def _installed() -> _Selectable:
     """The entry points of all installed distributions; finding them reads files of every distribution."""
+    from importlib.metadata import entry_points
+
     return entry_points()
 
 
 @lru_cache(maxsize=8)
-def _own(group: str) -> dict[str, EntryPoint]:
-    """The project's own, from one file."""
+def _own(group: str) -> dict[str, str]:
+    """Name → place (`module:attribute`) of the project's own, from one file."""
+    return {name: place for where, name, place in _entries() if where == group}
+
+
+@cache
+def _entries() -> tuple[tuple[str, str, str], ...]:
+    """Group, name and place of each of the project's own; empty if it is not installed."""
+    for folder in sys.path:
+        try:
+            named = [one for one in os.listdir(folder or ".") if one.startswith("planrunner") and _INFO.fullmatch(one)]
+            for name in named:
+                with open(os.path.join(folder, name, "entry_points.txt"), encoding="utf-8") as file:
+                    return tuple(_read(file))
+        except OSError:  # an archive, or not an installation
+            continue
+    from importlib.metadata import PackageNotFoundError, distribution
+
     try:
         found = distribution("planrunner").entry_points
     except PackageNotFoundError:
-        return {}
-    return {entry.name: entry for entry in found.select(group=group)}
+        return ()
+    return tuple((entry.group, entry.name, entry.value) for entry in found)
+
+
+_INFO = re.compile(r"planrunner(-[^-]+\.dist-info|(-.*)?\.egg-info)")
+
+
+def _read(lines: Iterable[str]) -> Iterator[tuple[str, str, str]]:
+    group = ""
+    for line in map(str.strip, lines):
+        if line.startswith("["):
+            group = line.strip("[]")
+        elif "=" in line and line[0] not in "#;":
+            name, _, place = line.partition("=")
+            yield group, name.strip(), place.strip()
 
 
 @lru_cache(maxsize=8)
-def _table(group: str) -> dict[str, EntryPoint]:
-    found = {entry.name: entry for entry in _installed().select(group=group)} | _own(group)
+def _table(group: str) -> dict[str, str]:
+    found = {entry.name: entry.value for entry in _installed().select(group=group)} | _own(group)
     return dict(sorted(found.items()))
+
+
+def _found(place: str) -> Any:
+    """What stands at `module:attribute`; extras in brackets after it have no meaning here."""
+    module, _, attribute = place.partition("[")[0].strip().partition(":")
+    return reduce(getattr, attribute.split("."), import_module(module))
 
 
 def names(group: str) -> tuple[str, ...]:
@@ -55,19 +102,19 @@ def names(group: str) -> tuple[str, ...]:
 @lru_cache(maxsize=256)
 def load(group: str, name: str) -> Any:
     """The plug-in of a name. Raises `InputError` if it is unknown, cannot be imported, or lacks what its group requires."""
-    entry = _own(group).get(name) or _table(group).get(name)
-    if entry is None:
+    place = _own(group).get(name) or _table(group).get(name)
+    if place is None:
         raise InputError.at(
             Mark("<plug-ins>"), "plugin-unknown", f"no '{name}' in {group}", closest(name, names(group))
         )
     try:
-        found = entry.load()
+        found = _found(place)
     except Exception as error:
         hint = "reinstall the package that provides it"
-        message = f"the plug-in '{name}' ({entry.value}) cannot be loaded: {type(error).__name__}: {error}"
+        message = f"the plug-in '{name}' ({place}) cannot be loaded: {type(error).__name__}: {error}"
         raise InputError.at(Mark("<plug-ins>"), "plugin-broken", message, hint) from error
     if missing := [attribute for attribute in REQUIRED.get(group, ()) if not hasattr(found, attribute)]:
-        message = f"the plug-in '{name}' ({entry.value}) lacks {', '.join(missing)}"
+        message = f"the plug-in '{name}' ({place}) lacks {', '.join(missing)}"
         hint = "its author must add them; the documentation of drivers and estimators lists what a plug-in needs"
         raise InputError.at(Mark("<plug-ins>"), "plugin-broken", message, hint)
     return found

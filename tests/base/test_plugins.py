@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib.metadata import EntryPoint, EntryPoints
+from importlib.metadata import EntryPoint, EntryPoints, distribution
 
 import pytest
 
@@ -56,3 +56,21 @@ def test_what_cannot_be_loaded_is_a_finding(name: str, code: str, monkeypatch: p
     with pytest.raises(InputError) as raised:
         plugins.load(plugins.ESTIMATORS, name)
     assert [finding.code for finding in raised.value.findings] == [code]
+
+
+def test_the_projects_entry_points_are_those_of_its_installation() -> None:
+    listed = distribution("planrunner").entry_points
+    assert set(plugins._entries()) == {(entry.group, entry.name, entry.value) for entry in listed}
+
+
+def test_a_list_of_entry_points_may_have_comments_and_blank_lines() -> None:
+    lines = [
+        "# made by a tool\n",
+        "\n",
+        "[planrunner.effects]\n",
+        "one = a.b:C.d\n",
+        "; two = x:y\n",
+        "[other]\n",
+        "three=m:n\n",
+    ]
+    assert list(plugins._read(lines)) == [("planrunner.effects", "one", "a.b:C.d"), ("other", "three", "m:n")]
