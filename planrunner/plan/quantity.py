@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from functools import lru_cache
+from functools import cache, lru_cache
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark, closest
@@ -40,7 +40,7 @@ SYMMETRIC = rf"{_SPACE}{_SIGN}{_SPACE}{_VALUE}"
 _SPACE_NEEDED = _SPACE.replace("*", "+")
 _MAX_TEXT, _MAX_SWEEP = 200, 4000
 
-_PARTS = re.compile(
+_PARTS = (
     rf"{_SPACE}({_NUMBER}){_SPACE}(?:({_UNIT}){_SPACE})?(?:{_SIGN}{_SPACE}({_NUMBER}){_SPACE}(?:({_UNIT}){_SPACE})?)?"
 )
 _SIGNED = re.compile(rf"{_SPACE}({_SIGN})(.*)", re.DOTALL)
@@ -137,13 +137,13 @@ def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
         )
     pieces = text.split(",")
     signed = _SIGNED.fullmatch(pieces[-1])
-    last = _PARTS.fullmatch(signed[2] if signed else pieces[-1])
+    last = _parts(signed[2] if signed else pieces[-1])
     shared = (last[2] or last[4] or "") if last else ""
     ending = parse_signed(pieces[-1], dimension)
     values: list[Quantity] = []
     for piece in pieces[:-1]:
         signed = _SIGNED.fullmatch(piece)
-        found = _PARTS.fullmatch(signed[2] if signed else piece)
+        found = _parts(signed[2] if signed else piece)
         values.extend(parse_signed(f"{piece} {shared}" if found and not _has_unit(found) else piece, dimension))
     return values + ending
 
@@ -163,7 +163,7 @@ def parse_signed(text: str, dimension: str | None) -> list[Quantity]:
 def is_symmetric(text: str) -> bool:
     """Whether a text is of the form `SYMMETRIC`, whatever its unit means."""
     signed = _SIGNED.fullmatch(text)
-    parts = _PARTS.fullmatch(signed[2]) if signed else None
+    parts = _parts(signed[2]) if signed else None
     return parts is not None and parts[3] is None
 
 
@@ -180,7 +180,13 @@ def parse_symmetric(text: str) -> Quantity | None:
 
 def _parts(text: str) -> re.Match[str] | None:
     """Number, unit, uncertainty and its unit, as far as they are written; None for a text that is no quantity."""
-    return _PARTS.fullmatch(text) if len(text) <= _MAX_TEXT else None
+    return _grammar(max(text, default="") <= "\xff").fullmatch(text) if len(text) <= _MAX_TEXT else None
+
+
+@cache
+def _grammar(latin: bool) -> re.Pattern[str]:
+    """The grammar of `_parts`; latin: for texts of Latin-1 characters, which most are: compiling the others takes milliseconds."""
+    return re.compile(re.sub(r"\\u(?!00)[0-9a-f]{4}|[^\x00-\xff]", "", _PARTS) if latin else _PARTS)
 
 
 def _has_unit(parts: re.Match[str]) -> bool:
