@@ -62,7 +62,9 @@ def read_regular(path: Path | str, limit: int, *, folder: int | None = None, lin
 def read_bounded(file: BinaryIO, limit: int) -> bytes:
     """The rest of an open file, at most `limit` bytes even if the file grows while it is read. Raises `RefusedFileError`."""
     try:
-        data = file.read(limit + 1)
+        data = file.read(min(limit, _USUAL) + 1)  # a larger buffer is costly, and most files need none
+        if data is not None and _USUAL < len(data) <= limit:
+            data += file.read(limit + 1 - len(data)) or b""
     except OSError as error:
         raise _unreadable(error) from None
     if data is None:  # a system file that would make the read wait
@@ -72,6 +74,7 @@ def read_bounded(file: BinaryIO, limit: int) -> bytes:
     return data
 
 
+_USUAL = 65_536  # bytes
 _SAVE = "save its content to a file, and give that file"
 
 

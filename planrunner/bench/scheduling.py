@@ -18,7 +18,7 @@ from planrunner.base.findings import Findings, Mark, closest, elsewhere
 from planrunner.bench.model import BenchModels
 from planrunner.bench.motion_checks import Hold, TableState, no_table, start_motion
 from planrunner.bench.temperature_checks import Temperatures
-from planrunner.physics.kinematics import Array, Unreachable, joint_angles, transition_time
+from planrunner.physics.kinematics import Array, Unreachable, joint_angles, quickest_move
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan import model
 from planrunner.plan import state as holding_spec
@@ -27,7 +27,7 @@ from planrunner.plan.model import Ramp, Turns
 from planrunner.plan.motion import motion_of
 from planrunner.plan.orientation import Orientation
 from planrunner.plan.quantity import Quantity
-from planrunner.plan.schedule import Cycle, Motion, Schedule, Segment, Spin, Stability, Watch
+from planrunner.plan.schedule import Cycle, Motion, Rest, Schedule, Segment, Spin, Stability, Watch
 from planrunner.plan.segments import State
 
 Add = Callable[[str, Mark, str, str], None]
@@ -316,9 +316,8 @@ class _Planner:
                 no_table(f"turn the sensor from '{self._mounted.text}' to '{orientation.text}'", mark, self.log)
         if table is None or attitude is None:
             return 0.0
-        joints = self.state.joints
         try:
-            target = joint_angles(table.axes, attitude, near=joints, azimuth=self.models.site.azimuth)
+            target, seconds = quickest_move(table.axes, attitude, self.state.joints, self.models.site.azimuth)
         except Unreachable as error:
             self.log.error(
                 "physics-orientation",
@@ -327,7 +326,7 @@ class _Planner:
                 "choose another orientation or bench",
             )
             return 0.0
-        seconds = self.state.stopping + transition_time(table.axes, joints.tolist(), target.tolist())
+        seconds += self.state.stopping
         self.state = TableState(target, roughly=self._still_roughly(attitude, target))
         return seconds
 
@@ -346,6 +345,10 @@ class _Planner:
         return joint if followed else None
 
     def _start(self, motion: Motion, hold: Hold, attitude: Array | None, item: StatedSegment) -> float:
+        stopping, before = self.state.stopping, TableState(self.state.joints, roughly=self.state.roughly)
+        if isinstance(motion, Rest):
+            self.state = before
+            return stopping
         stated = item.state.motion
         whole = item.marks.get("motion") or item.marks.get("rate") or item.mark
 
@@ -353,7 +356,6 @@ class _Planner:
             return stated.at(key) if key and isinstance(stated, model.MotionSpec) else whole
 
         seen = None if attitude is None else self.input_axes @ attitude
-        stopping, before = self.state.stopping, TableState(self.state.joints, roughly=self.state.roughly)
         seconds, self.state = start_motion(motion, hold, seen, before, self.models, at, self.log)
         return stopping + seconds
 

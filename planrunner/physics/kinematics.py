@@ -88,13 +88,21 @@ def joint_angles(
     A limited axis keeps its absolute angle, so that cables unwind where they must. A continuous axis turns the shorter way. Raises
     `Unreachable` with the reason.
     """
+    return quickest_move(axes, target, near, azimuth)[0]
+
+
+def quickest_move(
+    axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
+) -> tuple[Array, float]:
+    """The joint angles as `joint_angles` gives them, and the seconds of the move. Raises `Unreachable` with the reason."""
     start = np.asarray(near, dtype=float).tobytes()
-    return np.array(_joint_angles(tuple(axes), np.asarray(target, dtype=float).tobytes(), start, azimuth))
+    angles, seconds = _quickest_move(tuple(axes), np.asarray(target, dtype=float).tobytes(), start, azimuth)
+    return np.array(angles), seconds
 
 
 # Plans repeat their orientations, so solutions are cached. The key is bytes, because the sign of a zero decides between equivalent angles.
 @lru_cache(maxsize=4096)
-def _joint_angles(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azimuth: float) -> Angles:
+def _quickest_move(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azimuth: float) -> tuple[Angles, float]:
     near: Angles = tuple(np.frombuffer(start).tolist())
     wanted = rotation_about((0.0, 0.0, 1.0), azimuth) @ np.frombuffer(target).reshape(3, 3).T
     candidates = {1: _one_axis, 2: _two_axes, 3: _three_axes}[len(axes)](axes, wanted, near)
@@ -119,7 +127,7 @@ def _joint_angles(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azim
         best = choice if best is None or choice[:2] < best[:2] else best
     if best is None:
         raise Unreachable(min(reasons)[1])
-    return best[2]
+    return best[2], transition_time(axes, near, best[2])
 
 
 def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:

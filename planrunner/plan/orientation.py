@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.base.findings import Findings, closest
+from planrunner.base.findings import Findings, Mark, closest
 from planrunner.plan.directions import DIRECTIONS, Direction, perpendicular, word_of
 from planrunner.plan.quantity import PLAIN, QuantityError, anchored, parse_quantity
 from planrunner.plan.source import Mapping, Node, Scalar, Sequence
@@ -36,7 +36,15 @@ class Orientation:
 
     @property
     def attitude(self) -> Matrix | None:
-        return None if self.matrix is None else np.array(self.matrix, dtype=float)
+        """Read-only, because segments share it."""
+        return None if self.matrix is None else _array(self.matrix)
+
+
+@lru_cache(maxsize=4096)
+def _array(matrix: tuple[tuple[float, ...], ...]) -> Matrix:
+    array = np.array(matrix, dtype=float)
+    array.flags.writeable = False
+    return array
 
 
 UNKNOWN = Orientation("unknown", None)
@@ -90,6 +98,9 @@ class OrientationKind:
                 "form-type", node.mark, "an orientation is a mapping, not a list", "write {x: up, y: north, z: west}"
             )
             return None
+        words = [(key.text, item.value) for key, item in node.entries if isinstance(item, Scalar)]
+        if len(words) == len(node.entries) and (sound := _sound(tuple(words))) is not None:
+            return sound
         names = {key.text for key, _ in node.entries}
         known = (*AXES, *_TURNED, "quaternion")
         unknown = [key for key, _ in node.entries if key.text not in known]
@@ -164,6 +175,14 @@ class OrientationKind:
 
 
 _TURNED = ("from", "rotate")
+
+
+@lru_cache(maxsize=1024)
+def _sound(words: tuple[tuple[str, object], ...]) -> Orientation | None:
+    """The orientation that these words give; None if something is wrong with them."""
+    nowhere = Mark("")
+    entries = [(Scalar(nowhere, key, key), Scalar(nowhere, str(word), str(word))) for key, word in words]
+    return _read_words(Mapping(nowhere, tuple(entries)), Findings())
 
 
 def _read_words(node: Mapping, log: Findings) -> Orientation | None:

@@ -7,9 +7,10 @@ recursion, within limits on size, depth, nodes and aliases, so that no file can 
 from __future__ import annotations
 
 import re
-from dataclasses import field
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
+from typing import TypeGuard
 
 import yaml
 
@@ -129,8 +130,7 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
     try:
         loader = _Loader(text)
         try:
-            for event in iter(loader.get_event, None):
-                builder.take(event)
+            builder.take(iter(loader.get_event, None))
         finally:
             loader.dispose()
     except yaml.MarkedYAMLError as error:
@@ -210,68 +210,77 @@ def _syntax_error(error: yaml.MarkedYAMLError, text: str, file: str) -> InputErr
 
 @dataclass(slots=True)
 class _Open:
-    """A sequence or mapping that is not complete yet."""
+    """A sequence or mapping that is not complete yet. around: the nodes before it in what it stands in; before: number of all nodes before
+    it, with aliases written out."""
 
     mark: Mark
     anchor: str | None
-    items: list[Node] = field(default_factory=list)
-    size: int = 1
+    around: list[Node]
+    before: int
 
 
 class _Builder:
-    """Takes parser events, one by one, and builds nodes on an explicit stack."""
+    """Builds nodes from parser events on an explicit stack."""
 
     def __init__(self, file: str, text: str):
         self.file = file
         self.text = text
         self.findings = Findings()
-        self.root: Node | None = None
         self._stack: list[_Open] = []
+        self._items: list[Node] = []  # of the innermost open sequence or mapping; outside, the root
         self._anchors: dict[str, tuple[Node, int]] = {}
         self._nodes = 0
+        self._written_out = 0  # nodes, with aliases written out
         self._aliased = 0
         self._documents = 0
 
-    def take(self, event: yaml.Event) -> None:
-        match event:
-            case yaml.ScalarEvent():  # most events are
-                mark = self._mark(event)
-                if event.tag:
-                    self._reject_tag(event, mark)
-                if len(event.value) > MAX_SCALAR:
-                    message = f"a text longer than {MAX_SCALAR} characters"
-                    raise InputError.at(mark, "limit-text", message, "shorten it")
-                # The text itself has none (see `parse`), but an escape may stand for one.
-                if event.style == '"' and (hidden := MISLEADING.search(event.value)):
-                    raise _not_allowed(hidden[0], mark)
-                plain = not event.style and event.tag != "!"
-                value = _resolve(event.value) if plain else event.value
-                self._put(Scalar(mark, event.value, value), event.anchor, 1)
-            case yaml.SequenceStartEvent() | yaml.MappingStartEvent():
+    @property
+    def root(self) -> Node | None:
+        return self._items[0] if self._items else None
+
+    def take(self, events: Iterable[yaml.Event]) -> None:
+        for event in events:
+            if isinstance(event, yaml.ScalarEvent):  # most events are
+                self._put(self._scalar(event), event.anchor, 1)
+            elif isinstance(event, yaml.CollectionEndEvent):
+                done, items = self._stack.pop(), self._items
+                self._items = done.around
+                whole = self._mark(event, done.mark)
+                node = (
+                    self._mapping(whole, items)
+                    if isinstance(event, yaml.MappingEndEvent)
+                    else Sequence(whole, tuple(items))
+                )
+                self._put(node, done.anchor, 1, self._written_out - done.before)
+            elif isinstance(event, yaml.CollectionStartEvent):
                 mark = self._mark(event)
                 self._reject_tag(event, mark)
                 if len(self._stack) >= MAX_DEPTH:
                     raise InputError.at(
                         mark, "limit-depth", f"nested more than {MAX_DEPTH} levels deep", "flatten the structure"
                     )
-                self._stack.append(_Open(mark, event.anchor))
-            case yaml.SequenceEndEvent():
-                done = self._stack.pop()
-                whole = self._mark(event, done.mark)
-                self._put(Sequence(whole, tuple(done.items)), done.anchor, done.size)
-            case yaml.MappingEndEvent():
-                done = self._stack.pop()
-                whole = self._mark(event, done.mark)
-                self._put(self._mapping(whole, done.items), done.anchor, done.size)
-            case yaml.AliasEvent():
+                self._stack.append(_Open(mark, event.anchor, self._items, self._written_out))
+                self._items = []
+            elif isinstance(event, yaml.AliasEvent):
                 self._alias(str(event.anchor), self._mark(event))
-            case yaml.DocumentStartEvent():
+            elif isinstance(event, yaml.DocumentStartEvent):
                 self._documents += 1
                 if self._documents > 1:
                     mark = self._mark(event)
                     raise InputError.at(
                         mark, "form-documents", "a second document begins here", "write one document per file"
                     )
+
+    def _scalar(self, event: yaml.ScalarEvent) -> Scalar:
+        mark, text, style = self._mark(event), event.value, event.style
+        if event.tag:
+            self._reject_tag(event, mark)
+        if len(text) > MAX_SCALAR:
+            raise InputError.at(mark, "limit-text", f"a text longer than {MAX_SCALAR} characters", "shorten it")
+        # The text itself has none (see `parse`), but an escape may stand for one.
+        if style == '"' and (hidden := MISLEADING.search(text)):
+            raise _not_allowed(hidden[0], mark)
+        return Scalar(mark, text, text if style or event.tag == "!" else _resolve(text))
 
     def _mark(self, event: yaml.Event, opened: Mark | None = None) -> Mark:
         """Where an event stands; with `opened`, from there to the end of the event."""
@@ -297,25 +306,25 @@ class _Builder:
             raise InputError.at(mark, "limit-aliases", message, "use for_each instead of aliases")
         self._put(node, None, size)
 
-    def _put(self, node: Node, anchor: str | None, size: int) -> None:
-        """size: number of nodes in an alias of this node."""
+    def _put(self, node: Node, anchor: str | None, size: int, inside: int = 0) -> None:
+        """size: number of nodes that it adds, with aliases written out; inside: number of nodes in it that are already counted."""
         self._nodes += 1
+        self._written_out += size
         if self._nodes > MAX_NODES:
             raise InputError.at(
                 node.mark, "limit-nodes", f"more than {MAX_NODES} values", "use for_each for repetition"
             )
         if anchor:
-            self._anchors[anchor] = (node, size)
-        if self._stack:
-            self._stack[-1].items.append(node)
-            self._stack[-1].size += size
-        else:
-            self.root = node
+            self._anchors[anchor] = node, size + inside
+        self._items.append(node)
 
     def _mapping(self, mark: Mark, items: list[Node]) -> Mapping:
+        pairs = tuple(zip(items[::2], items[1::2], strict=True))
+        if _sound(pairs):
+            return Mapping(mark, pairs)
         entries: list[tuple[Scalar, Node]] = []
         first: dict[str, Mark] = {}
-        for key, value in zip(items[::2], items[1::2], strict=True):
+        for key, value in pairs:
             if not isinstance(key, Scalar):
                 self.findings.error(
                     "form-key", key.mark, "a key must be a word, not a list or a mapping", "write `key: value`"
@@ -338,6 +347,12 @@ class _Builder:
             first[key.text] = key.mark
             entries.append((key, value))
         return Mapping(mark, tuple(entries))
+
+
+def _sound(pairs: tuple[tuple[Node, Node], ...]) -> TypeGuard[tuple[tuple[Scalar, Node], ...]]:
+    """Whether the keys of a mapping are different texts, and none is a merge key."""
+    names = {key.text for key, _ in pairs if type(key) is Scalar}
+    return len(names) == len(pairs) and "<<" not in names
 
 
 @lru_cache(maxsize=4096)
