@@ -141,6 +141,7 @@ class ErrorsAtSegments:
     site: Site
     states: SegmentStates
     stimulus: Stimulus
+    of_motion: bool = False
 
     def columns(self, stimulus: Stimulus) -> Array:
         """(k·n, P), output after output: its own input, then its amplitudes. stimulus: the planned one with small changes, once or k times

@@ -17,21 +17,23 @@ from numpy.typing import NDArray
 
 from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
-from planrunner.physics.earth import EARTH_RATE
-from planrunner.physics.stimulus import Stimulus, StimulusError
+from planrunner.base.kept import kept
+from planrunner.physics.earth import EARTH_RATE, Site
+from planrunner.physics.stimulus import Poses, Stimulus, StimulusError
 from planrunner.plan.kinds import Choice
 from planrunner.plan.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Term:
     """One term, linear in its coefficient.
 
     of: the column for a stimulus of n rows, shape (n,), SI. magnitude: the declared size of that column, by which columns are
     divided before rank and condition are judged. unit: of the column. degree: in the components of the stimulus; a term of degree
-    two or more cannot be taken from means over a moving attitude.
+    two or more cannot be taken from means over a moving attitude. of_motion: whether the column depends on angular rate and specific force
+    alone; plans with the same orientations then share it at all temperatures and times.
     """
 
     name: str
@@ -40,6 +42,7 @@ class Term:
     unit: str
     of: Callable[[Stimulus], Array] = field(repr=False)
     degree: int = 1
+    of_motion: bool = False
 
     def column(self, stimulus: Stimulus) -> Array:
         """The column, shape (n,). Raises `StimulusError` for a product over a moving attitude."""
@@ -63,18 +66,24 @@ def _product(first: int, second: int) -> Callable[[Stimulus], Array]:
 
 
 _G2 = STANDARD_GRAVITY**2
-BIAS = Term("bias", "Constant output.", 1.0, "1", lambda stimulus: np.ones(len(stimulus)), 0)
-RATE_X = Term("rate_x", "Angular rate about the sensor's x axis.", EARTH_RATE, "rad/s", _rate(0))
-RATE_Y = Term("rate_y", "Angular rate about the sensor's y axis.", EARTH_RATE, "rad/s", _rate(1))
-RATE_Z = Term("rate_z", "Angular rate about the sensor's z axis.", EARTH_RATE, "rad/s", _rate(2))
-ACCEL_X = Term("accel_x", "Specific force along the sensor's x axis.", STANDARD_GRAVITY, "m/s^2", _accel(0))
-ACCEL_Y = Term("accel_y", "Specific force along the sensor's y axis.", STANDARD_GRAVITY, "m/s^2", _accel(1))
-ACCEL_Z = Term("accel_z", "Specific force along the sensor's z axis.", STANDARD_GRAVITY, "m/s^2", _accel(2))
+BIAS = Term("bias", "Constant output.", 1.0, "1", lambda stimulus: np.ones(len(stimulus)), 0, True)
+RATE_X = Term("rate_x", "Angular rate about the sensor's x axis.", EARTH_RATE, "rad/s", _rate(0), of_motion=True)
+RATE_Y = Term("rate_y", "Angular rate about the sensor's y axis.", EARTH_RATE, "rad/s", _rate(1), of_motion=True)
+RATE_Z = Term("rate_z", "Angular rate about the sensor's z axis.", EARTH_RATE, "rad/s", _rate(2), of_motion=True)
+ACCEL_X = Term(
+    "accel_x", "Specific force along the sensor's x axis.", STANDARD_GRAVITY, "m/s^2", _accel(0), of_motion=True
+)
+ACCEL_Y = Term(
+    "accel_y", "Specific force along the sensor's y axis.", STANDARD_GRAVITY, "m/s^2", _accel(1), of_motion=True
+)
+ACCEL_Z = Term(
+    "accel_z", "Specific force along the sensor's z axis.", STANDARD_GRAVITY, "m/s^2", _accel(2), of_motion=True
+)
 ACCEL_X_ACCEL_Z = Term(
-    "accel_x_accel_z", "Product of the specific forces along x and z.", _G2, "(m/s^2)^2", _product(0, 2), 2
+    "accel_x_accel_z", "Product of the specific forces along x and z.", _G2, "(m/s^2)^2", _product(0, 2), 2, True
 )
 ACCEL_Y_ACCEL_Z = Term(
-    "accel_y_accel_z", "Product of the specific forces along y and z.", _G2, "(m/s^2)^2", _product(1, 2), 2
+    "accel_y_accel_z", "Product of the specific forces along y and z.", _G2, "(m/s^2)^2", _product(1, 2), 2, True
 )
 
 
@@ -87,10 +96,25 @@ def design_matrix(terms: Sequence[Term], stimulus: Stimulus) -> Array:
 
 
 class LinearModel(Protocol):
-    """A model of outputs that is linear in its coefficients."""
+    """A model of outputs that is linear in its coefficients. of_motion: as for `Term`."""
+
+    @property
+    def of_motion(self) -> bool: ...
 
     def columns(self, stimulus: Stimulus) -> Array:
         """The design matrix, shape (n, p), SI."""
+
+
+def columns_of(model: LinearModel, poses: Poses, site: Site) -> Array:
+    """The design matrix of segments, shape (n, p), SI. Raises `StimulusError`."""
+    if model.of_motion:
+        return _columns_of_motion(model, poses.timeless.arrays, site)
+    return model.columns(poses.felt(site))
+
+
+@kept(256)
+def _columns_of_motion(model: LinearModel, poses: tuple[Array, ...], site: Site) -> Array:
+    return model.columns(Poses(*poses).felt(site))
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +131,10 @@ class ErrorModel:
     def magnitudes(self) -> Array:
         """Declared sizes of the columns, shape (p,), SI."""
         return np.array([term.magnitude for term in self.terms])
+
+    @property
+    def of_motion(self) -> bool:
+        return all(term.of_motion for term in self.terms)
 
     def columns(self, stimulus: Stimulus) -> Array:
         """The design matrix, shape (n, p), SI."""

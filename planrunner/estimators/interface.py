@@ -15,7 +15,7 @@ an `Estimate` are in the field's units, each named.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import field
 from enum import StrEnum
 from typing import Generic, Protocol, TypeVar, runtime_checkable
@@ -258,21 +258,51 @@ class Remark:
 
 
 @dataclass(frozen=True, slots=True)
+class Foresight:
+    """Prediction of a run: `predicted` coefficients at nominal values with expected uncertainties, `unpredicted` ones without. Both are
+    empty if the coefficients of a run are not known. expected: estimates of the expected observations, one for each set of assumed values,
+    for estimates that use this one. notes: remarks on the prediction."""
+
+    predicted: tuple[Coefficient, ...] = ()
+    unpredicted: tuple[Unpredicted, ...] = ()
+    expected: tuple[Estimate, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def known(self) -> bool:
+        """Whether it is known which coefficients a run will give."""
+        return bool(self.predicted or self.unpredicted)
+
+
+@dataclass(frozen=True, slots=True)
 class Design:
-    """blocks: one per output; none without a linear model. predicted: coefficients at their nominal values with their expected standard
-    uncertainties; unpredicted: the other coefficients of a run. Both are empty if the coefficients of a run are not known. extra: plain
-    data for the designs of estimates that use this one. An estimator that gives coefficients by temperature puts their `temperatures` [K]
-    there (an empty list if there are none), and `names_by_temperature` if they are known. expected: estimates of the expected observations,
-    for the designs of estimates that use this one.
+    """blocks: one per output; none without a linear model. notes: on the planned segments. extra: plain data for the designs of estimates
+    that use this one. An estimator that gives coefficients by temperature puts their `temperatures` [K] there (an empty list if there are
+    none), and `names_by_temperature` if they are known. foresight: gives the prediction of a run. It takes longer than the rest of a
+    design, so it is computed when it is first needed: by a limit, an estimate that uses this one, or a reader.
     """
 
     blocks: tuple[DesignBlock, ...]
-    predicted: tuple[Coefficient, ...] = ()
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Json] = field(default_factory=dict)
     remarks: tuple[Remark, ...] = ()
-    unpredicted: tuple[Unpredicted, ...] = ()
-    expected: tuple[Estimate, ...] = ()
+    foresight: Callable[[], Foresight] = Foresight
+
+    @property
+    def predicted(self) -> tuple[Coefficient, ...]:
+        return self.foresight().predicted
+
+    @property
+    def unpredicted(self) -> tuple[Unpredicted, ...]:
+        return self.foresight().unpredicted
+
+    @property
+    def expected(self) -> tuple[Estimate, ...]:
+        return self.foresight().expected
+
+    @property
+    def known(self) -> bool:
+        return self.foresight().known
 
     @property
     def foreseen(self) -> Mapping[str, Coefficient | Unpredicted]:
@@ -281,9 +311,9 @@ class Design:
         return predicted | {item.name: item for item in self.unpredicted}
 
     @property
-    def known(self) -> bool:
-        """Whether it is known which coefficients a run will give."""
-        return bool(self.predicted or self.unpredicted)
+    def all_notes(self) -> tuple[str, ...]:
+        """Notes on the planned segments and on the prediction."""
+        return (*self.notes, *self.foresight().notes)
 
 
 @runtime_checkable

@@ -50,8 +50,9 @@ def fit(
     covariance: Array | None = None,
 ) -> LinearFit:
     """Least-squares coefficients for `matrix` (n, p) and `observed` (n,); see `fit_each`, of one output."""
-    one, spread = None if covariance is None else covariance[None], None if sigma is None else np.asarray(sigma)[None]
-    return fit_each(matrix, observed[None], spread, magnitudes, names, one)[0]
+    spread = None if sigma is None else np.asarray(sigma)[None]
+    whitening = None if covariance is None else whitener(covariance[None])
+    return fit_each(matrix, observed[None], spread, magnitudes, names, whitening)[0]
 
 
 def fit_each(
@@ -60,12 +61,12 @@ def fit_each(
     sigma: Array | None = None,
     magnitudes: Array | None = None,
     names: Sequence[str] = (),
-    covariance: Array | None = None,
+    whitening: Array | None = None,
 ) -> tuple[LinearFit, ...]:
     """Least-squares coefficients of m outputs for `matrix` (n, p) and `observed` (m, n), each output separately.
 
     sigma: (m, n) standard uncertainties, by default all 1. magnitudes: (p,) declared column sizes, by default the root mean squares of the
-    columns. covariance: (m, n, n), positive definite, of the observations, instead of `sigma`. Raises `EstimationError` for too few
+    columns. whitening: (m, n, n), of correlated observations (`whitener`), instead of `sigma`. Raises `EstimationError` for too few
     observations, values that are not finite, and terms that cannot be identified, which are named by `names`.
     """
     n, p = matrix.shape
@@ -80,8 +81,8 @@ def fit_each(
         else np.asarray(magnitudes, dtype=float)
     )
     scale = np.where(scale > 0, scale, 1.0)
-    weight = None if sigma is None or covariance is not None else 1.0 / _positive(sigma)
-    triangles = _triangles(matrix, observed, weight, covariance, 1.0 / scale)
+    weight = None if sigma is None or whitening is not None else 1.0 / _positive(sigma)
+    triangles = _triangles(matrix, observed, weight, whitening, 1.0 / scale)
     if not np.isfinite(triangles).all():
         raise UnfitDataError(
             "an observation or a planned value is not a finite number: check the segments for missing data"
@@ -101,20 +102,21 @@ def fit_each(
     return tuple(LinearFit(*one) for one in each)
 
 
-def whitened(rows: Array, covariance: Array) -> Array:
-    """Linear combinations of the rows (…, n, k) that are uncorrelated and have variance one. covariance: (…, n, n)."""
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))
+def whitener(covariance: Array) -> Array:
+    """W (…, n, n) with W·V·Wᵀ = 1: linear combinations of observations of the covariance V (…, n, n) that are uncorrelated and have
+    variance one."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
-def _triangles(matrix: Array, observed: Array, weight: Array | None, covariance: Array | None, scale: Array) -> Array:
+def _triangles(matrix: Array, observed: Array, weight: Array | None, whitening: Array | None, scale: Array) -> Array:
     """R of the QR factorisations of the weighted [matrix·scale | observed] of m outputs, shape (m, p + 1, p + 1) or fewer rows."""
-    if covariance is None and len(matrix) >= 2 * _CHUNK:
+    if whitening is None and len(matrix) >= 2 * _CHUNK:
         weights = [None] * len(observed) if weight is None else list(weight)
         return np.array([_triangle(matrix, one, own, scale) for one, own in zip(observed, weights, strict=True)])
     rows = np.empty((len(observed), len(matrix), len(scale) + 1))
     rows[..., :-1], rows[..., -1] = matrix * scale, observed
-    if covariance is not None:
-        rows = whitened(rows, covariance)
+    if whitening is not None:
+        rows = whitening @ rows
     elif weight is not None:
         rows *= weight[..., None]
     return _r(rows)

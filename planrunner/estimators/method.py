@@ -3,9 +3,9 @@
     found = method.quantities(request) the formula: coefficients, their covariance and what they depend on words = method.words(request,
     found) tables, plots and notes for readers
 
-`estimate` calls both. `foresight` calls only the first, on the observations expected from the schedule. A check of a plan therefore gives
-every coefficient of the run and its uncertainty, computed with the same formula. If this takes too long, or if the samples themselves are
-needed, an estimator has a separate prediction (`ForeseesResults`), which tests compare with a run.
+`estimate` calls both. The prediction of a run calls only the first, on the observations expected from the schedule. A check of a plan
+therefore gives every coefficient of the run and its uncertainty, computed with the same formula. If this takes too long, or if the samples
+themselves are needed, an estimator has a separate prediction (`ForeseesResults`), which tests compare with a run.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
+from functools import cache
 from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -31,6 +32,7 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     Estimator,
+    Foresight,
     Plot,
     Table,
     Unpredicted,
@@ -91,7 +93,8 @@ class Method(ABC, Generic[P, Q]):
         """Explanations for readers."""
 
     def known(self, request: DesignRequest[P]) -> Known:
-        """What this method knows about the outputs; the rest follows from their names and units."""
+        """What this method knows about the outputs; the rest follows from their names and units. `design` refuses unsuitable segments, not
+        this."""
         return Known()
 
     def estimate(self, request: EstimateRequest[P]) -> Estimate:
@@ -115,23 +118,6 @@ class Method(ABC, Generic[P, Q]):
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Foresight:
-    """Prediction of a run: `predicted` coefficients at nominal values with expected uncertainties, `unpredicted` ones without. expected:
-    estimates of the expected observations, one for each set of assumed values, for estimates that use this one. notes: remarks on the
-    prediction."""
-
-    predicted: tuple[Coefficient, ...] = ()
-    unpredicted: tuple[Unpredicted, ...] = ()
-    expected: tuple[Estimate, ...] = ()
-    notes: tuple[str, ...] = ()
-
-    @property
-    def known(self) -> bool:
-        """Whether it is known which coefficients a run will give."""
-        return bool(self.predicted or self.unpredicted)
-
-
 F = TypeVar("F", bound=Record, contravariant=True)
 
 
@@ -143,26 +129,23 @@ class ForeseesResults(Protocol[F]):
 
 
 def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
-    """The design of an estimator for planned segments, with the predicted results of a run. Raises `EstimationError` if the segments are
+    """The design of an estimator for planned segments, with the prediction of a run. Raises `EstimationError` if the segments are
     unsuitable."""
     design = estimator.design(request) or Design(())
-    if design.known or any(remark.error for remark in design.remarks):
+    if any(remark.error for remark in design.remarks):
         return design
-    seen = foresight(estimator, request)
-    return replace(
-        design,
-        predicted=seen.predicted,
-        unpredicted=seen.unpredicted,
-        expected=seen.expected,
-        notes=(*design.notes, *seen.notes),
-    )
+    if isinstance(estimator, ForeseesResults):  # it may refuse the segments
+        seen = estimator.foresee(request)
+        return replace(design, foresight=lambda: seen)
 
+    @cache
+    def foresight() -> Foresight:
+        try:
+            return by_expectation(estimator, request)
+        except (EstimationError, InputError):
+            return Foresight()
 
-def foresight(estimator: Estimator[P], request: DesignRequest[P]) -> Foresight:
-    """Prediction of a run of the planned segments; empty if the estimator cannot evaluate the expected recording."""
-    if isinstance(estimator, ForeseesResults):
-        return estimator.foresee(request)
-    return by_expectation(estimator, request)
+    return replace(design, foresight=foresight)
 
 
 def by_expectation(estimator: Estimator[P], request: DesignRequest[P]) -> Foresight:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.kept import kept
 from planrunner.estimators import least_squares
 from planrunner.estimators.least_squares import LinearFit
 from planrunner.observation.correlated_errors import CorrelatedError, explained, functionals_of, mixed, stacked_roots
@@ -115,9 +116,16 @@ class OutputsFit:
 
 def coefficients_by_noise(matrix: Array, observations: Observations, magnitudes: Array, names: Sequence[str]) -> Array:
     """The coefficients (m, p) of every observed channel, weighted only by the noise within the segments. Raises `EstimationError`."""
-    sigma = [within_segment_noise(observations, k).sigma for k in range(len(observations.channels))]
-    fits = least_squares.fit_each(matrix, observations.mean.T, np.array(sigma), magnitudes, names)
-    return np.array([fit.coefficients for fit in fits])
+    sigma = np.array([within_segment_noise(observations, k).sigma for k in range(len(observations.channels))])
+    return _coefficients(
+        matrix, observations.mean.T, sigma / sigma.max(axis=1, keepdims=True), magnitudes, tuple(names)
+    )
+
+
+@kept(64)
+def _coefficients(matrix: Array, observed: Array, weights: Array, magnitudes: Array, names: tuple[str, ...]) -> Array:
+    """Coefficients (m, p) of outputs (m, n) whose noise has the proportions `weights`, (m, n)."""
+    return np.array([one.coefficients for one in least_squares.fit_each(matrix, observed, weights, magnitudes, names)])
 
 
 def fit_outputs(
@@ -160,19 +168,20 @@ def fit_outputs(
         _cofactors(found, noises, observations.correlation, roots),
         found.gains,
         pooled,
-        _pooled_freedom(matrix, found, observations.correlation, roots) if pooled else 0.0,
+        weighting.pooled_freedom(found, observations.correlation) if pooled else 0.0,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _Fitted:
-    """The m fitted outputs; see `OutputsFit`."""
+    """The m fitted outputs; see `OutputsFit`. whitening: of their observations, (m, n, n); None for noise alone."""
 
     fits: tuple[LinearFit, ...]
     gains: Array
     spreads: Array
     between: Array
     ratios: Array
+    whitening: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,36 +199,61 @@ class _Weighting:
     def known(self, noises: Sequence[WithinSegmentNoise], residual: bool) -> _Fitted:
         """Fit weighted by noise and effects; residual: with a part between segments if the residuals require it."""
         spreads, between = np.array([noise.sigma for noise in noises]), np.zeros(len(noises))
-        found = self._fits(spreads)
+        whitening = self._whitening(spreads)
+        found = self._fits(spreads, whitening)
         ratios = _factors(found)
         for k, noise in enumerate(noises):
-            if residual and (noise.unequal or self.roots[k].any()) and exceeds_noise(found[k], noise):
+            if residual and exceeds_noise(found[k], noise) and (noise.unequal or self.roots[k].any()):
                 between[k] = between_segments(partial(self._fit_of, k), spreads[k])
                 spreads[k] = np.hypot(spreads[k], between[k])
                 found[k] = self._fit_of(k, spreads[k])
+        if between.any():
+            whitening = self._whitening(spreads)
         weighted = self.matrix / spreads[..., None] ** 2
-        if self.roots.size:
-            weighted = np.linalg.solve(mixed(spreads, self.roots), self.matrix)
-        return _Fitted(tuple(found), _gains(found, weighted), spreads, between, ratios)
+        if whitening is not None:
+            weighted = whitening.swapaxes(1, 2) @ (whitening @ self.matrix)
+        return _Fitted(tuple(found), _gains(found, weighted), spreads, between, ratios, whitening)
 
     def equal(self, noises: Sequence[WithinSegmentNoise]) -> _Fitted:
         """Fit with equal weights. Residuals are compared with the known noise in a fit that is weighted by it; in this fit a few large
         residuals would decide."""
         sigma = np.array([noise.sigma for noise in noises])
         spreads = np.broadcast_to(np.sqrt(np.mean(sigma**2, axis=1, keepdims=True)), sigma.shape)
-        found = least_squares.fit_each(self.matrix, self.observed, spreads, self.magnitudes, self.names)
-        judged = zip(found, self._fits(spreads), strict=True)
+        found = self._fits(spreads, None)
+        judged = zip(found, self._weighted(spreads), strict=True)
         fits = tuple(replace(one, chi_squared=by.chi_squared) for one, by in judged)
         gains = _gains(fits, self.matrix / spreads[..., None] ** 2)
-        return _Fitted(fits, gains, spreads, np.zeros(len(noises)), _factors(self._fits(sigma)))
+        ratios = _factors(self._weighted(sigma))
+        return _Fitted(fits, gains, spreads, np.zeros(len(noises)), ratios, self._whitening(spreads))
+
+    def pooled_freedom(self, found: _Fitted, correlation: Array) -> float:
+        """Degrees of freedom of the mean of the outputs' variance factors: those of a chi-squared variable with the same mean and variance
+        (Satterthwaite)."""
+        m, p, n = found.gains.shape
+        if found.whitening is None:
+            return float((n - p) * m**2 / np.sum(correlation**2))
+        # Residuals of weight one of each output: what two outputs' have in common decides how much the second adds.
+        white = found.whitening @ (np.eye(n) - self.matrix @ found.gains)
+        noise, moved = white * found.spreads[:, None], white @ self.roots
+        joint = correlation[..., None, None] * (noise[:, None] @ noise.swapaxes(1, 2))
+        joint = joint + moved[:, None] @ moved.swapaxes(1, 2)
+        common = float(np.sum(joint**2))
+        return (m * (n - p)) ** 2 / common if common else 0.0
+
+    def _whitening(self, spreads: Array, outputs: slice = slice(None)) -> Array | None:
+        """Of noise and effects, (m, n, n); None without effects."""
+        return least_squares.whitener(mixed(spreads, self.roots[outputs])) if self.roots.size else None
+
+    def _weighted(self, spreads: Array, outputs: slice = slice(None)) -> list[LinearFit]:
+        """Fits weighted by noise and effects."""
+        return self._fits(spreads, self._whitening(spreads, outputs), outputs)
 
     def _fit_of(self, output: int, spread: Array) -> LinearFit:
-        return self._fits(spread[None], slice(output, output + 1))[0]
+        return self._weighted(spread[None], slice(output, output + 1))[0]
 
-    def _fits(self, spreads: Array, outputs: slice = slice(None)) -> list[LinearFit]:
-        covariance = mixed(spreads, self.roots[outputs]) if self.roots.size else None
+    def _fits(self, spreads: Array, whitening: Array | None, outputs: slice = slice(None)) -> list[LinearFit]:
         observed = self.observed[outputs]
-        found = least_squares.fit_each(self.matrix, observed, spreads, self.magnitudes, self.names, covariance)
+        found = least_squares.fit_each(self.matrix, observed, spreads, self.magnitudes, self.names, whitening)
         return [replace(one, chi_squared=float(one.degrees_of_freedom)) if self.expected else one for one in found]
 
 
@@ -249,23 +283,6 @@ def _cofactors(
         "residual": products(found.gains * found.spreads[:, None]) * between + products(found.gains @ effects),
         "within_segment": products(found.gains * within[:, None]) * between,
     }
-
-
-def _pooled_freedom(matrix: Array, found: _Fitted, correlation: Array, roots: Array) -> float:
-    """Degrees of freedom of the mean of the outputs' variance factors: those of a chi-squared variable with the same mean and variance
-    (Satterthwaite). roots: (m, n, r), of the effects."""
-    m, p, n = found.gains.shape
-    if not roots.size:
-        return float((n - p) * m**2 / np.sum(correlation**2))
-    # Residuals of weight one of each output: what two outputs' have in common decides how much the second adds.
-    white = least_squares.whitened(np.eye(n) - matrix @ found.gains, mixed(found.spreads, roots))
-    noise = white * found.spreads[:, None]
-    moved = white @ roots
-    joint = correlation[..., None, None] * (noise[:, None] @ noise.swapaxes(1, 2)) + moved[:, None] @ moved.swapaxes(
-        1, 2
-    )
-    common = float(np.sum(joint**2))
-    return (m * (n - p)) ** 2 / common if common else 0.0
 
 
 def exceeds_noise(found: LinearFit, noise: WithinSegmentNoise) -> bool:

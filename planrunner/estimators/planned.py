@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.findings import closest
-from planrunner.error_model.terms import ErrorModel
+from planrunner.error_model.terms import ErrorModel, columns_of
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError
 from planrunner.instruments.models import NoiseModel
 from planrunner.physics.earth import Site
-from planrunner.physics.stimulus import StimulusError, segment_means
+from planrunner.physics.stimulus import Poses, StimulusError
 from planrunner.plan.schedule import Rest, Segment
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ def matrix_at_rest(
     if moving:
         raise EstimationError(f"segment '{moving[0]}' moves: {needed}; leave it out of `segments`")
     try:
-        return model.columns(segment_means(segments, site))
+        return columns_of(model, Poses.of(segments), site)
     except StimulusError as error:
         raise EstimationError(f"{error}{otherwise}") from None
 

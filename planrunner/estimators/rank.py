@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.kept import kept
 
 Array = NDArray[np.float64]
 
@@ -41,6 +42,7 @@ class MatrixRank:
         return float(self.singular[0] / self.singular[-1])
 
 
+@kept(256)
 def look(scaled: Array, tolerance: float = TOLERANCE) -> MatrixRank:
     """Rank and null space of a matrix (n, p) whose columns are already scaled; n may be smaller than p."""
     p = scaled.shape[1]

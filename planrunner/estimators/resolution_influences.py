@@ -32,14 +32,16 @@ def resolution_influences(
         quantity = request.setup.inputs.of_output(Aspect.RESOLUTION, name)
         if quantity is None:
             continue
-        left = [_left(one, name, request.sensor) for one in request.segments]
+        left = _left(request.segments, name, request.sensor)
         found.append(Influence(quantity, functionals[:, k] * left, True, tuple(one.label for one in request.segments)))
     return tuple(found)
 
 
-def _left(recorded: RecordedSegment, name: str, sensor: SensorModel) -> float:
-    """The share of the rounding error of one count that remains in the mean."""
-    statistics = recorded.statistics
-    place = statistics.of(name)
-    scattered = statistics.count > 1 and dithered(sensor, name, float(statistics.covariance[place, place]))
-    return 1 / float(np.sqrt(statistics.count)) if scattered else 1.0
+def _left(segments: Sequence[RecordedSegment], name: str, sensor: SensorModel) -> Array:
+    """The share of the rounding error of one count that remains in each mean, (n,)."""
+    held = [one.statistics for one in segments]
+    places = [one.of(name) for one in held]
+    counts = np.array([one.count for one in held])
+    variances = np.array([one.covariance[place, place] for one, place in zip(held, places, strict=True)])
+    scattered = (counts > 1) & dithered(sensor, name, variances)
+    return np.where(scattered, 1 / np.sqrt(np.maximum(counts, 1)), 1.0)

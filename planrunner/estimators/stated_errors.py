@@ -16,6 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.kept import kept
 from planrunner.error_model.terms import LinearModel
 from planrunner.estimators.interface import Setup
 from planrunner.instruments.models import TableModel
@@ -60,17 +61,29 @@ def site_errors(
 ) -> tuple[CorrelatedError, ...]:
     """Influences of latitude and gravity, if they are stated with an uncertainty. The outputs do not change: if the model expects more, the
     effect is the same as if the outputs had read less. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
-    poses = mean_poses(segments)
-
-    def felt(at: Site) -> Array:
-        return np.array((poses.mean @ at.earth_rate_enu, poses.mean @ at.specific_force_enu))
-
-    stated = list(stated_site(inputs, site))
+    stated = [one for one in (inputs.get("latitude"), inputs.get("gravity")) if one]
     if not stated:
         return ()
-    moves = np.array([one.answers(felt) for one in stated])[:, 0].swapaxes(0, 1)
-    moved = -_followed(model, poses.felt(site), moves, coefficients)
-    return tuple(_error(one.quantity, moved[:, :, k : k + 1]) for k, one in enumerate(stated))
+    poses = mean_poses(segments)
+    found = _site_slopes_of_motion if model.of_motion else _site_slopes
+    slopes = found(model, (poses.timeless if model.of_motion else poses).arrays, site, tuple(stated))
+    moved = -_followed(slopes, coefficients)
+    return tuple(_error(one, moved[:, :, k : k + 1]) for k, one in enumerate(stated))
+
+
+def _site_slopes(model: LinearModel, poses: tuple[Array, ...], site: Site, stated: tuple[InputQuantity, ...]) -> Array:
+    """Change of the columns of the model per unit of each of r stated inputs of the site, (r, n, p)."""
+    held = Poses(*poses)
+
+    def felt(at: Site) -> Array:
+        return np.array((held.mean @ at.earth_rate_enu, held.mean @ at.specific_force_enu))
+
+    conditions = stated_site(Inputs({one.name: one for one in stated}), site)
+    moves = np.array([one.answers(felt) for one in conditions])[:, 0].swapaxes(0, 1)
+    return _slopes(model, held.felt(site), moves)
+
+
+_site_slopes_of_motion = kept(64)(_site_slopes)
 
 
 def table_errors(
@@ -80,37 +93,48 @@ def table_errors(
     position, azimuth = setup.inputs.get("table position"), setup.inputs.get("azimuth")
     orthogonality, rate = setup.inputs.get("table orthogonality"), setup.inputs.get("table rate")
     poses = mean_poses(segments)
-    felt = poses.felt(site)
-    both = np.array((felt.omega, felt.specific_force))
-    tilts = _tilts(setup.table, segments, site) if orthogonality else np.zeros((0, len(segments), 3))
-    directions = np.moveaxis(poses.attitude, 2, 0)  # of the site, in the sensor's axes
-    turned = np.cross(both[:, None], np.concatenate([directions, tilts]))
-    up = np.array(UP)
-    about_up = [[poses.mean @ cross(vector, up)] for vector in (site.earth_rate_enu, site.specific_force_enu)]
-    hastened = np.array([[poses.spin], [np.zeros_like(poses.spin)]])
-    moves = np.concatenate([turned, about_up, hastened], axis=1)
-    table_rate = np.zeros(moves.shape[1:3])
-    table_rate[-1] = poses.table_rate
-    moved = _followed(model, felt, moves, coefficients, table_rate)
+    resting = all(isinstance(segment.motion, Rest) for segment in segments)
+    table = setup.table if orthogonality and resting else None
+    slopes_of = _table_slopes_of_motion if model.of_motion else _table_slopes
+    slopes = slopes_of(model, (poses.timeless if model.of_motion else poses).arrays, site, table)
+    moved = _followed(slopes, coefficients)
     found: list[CorrelatedError] = []
     if position:
-        found.append(_positions(position, segments, moved[:, :, : len(directions)]))
+        found.append(_positions(position, segments, moved[:, :, : len(DIRECTIONS)]))
     if azimuth:
         found.append(_error(azimuth, moved[:, :, -2:-1]))
-    if orthogonality and setup.table is not None and len(tilts):
-        found.append(_error(orthogonality, moved[:, :, len(directions) : -2], pair_parts(setup.table)))
+    leaning = moved[:, :, len(DIRECTIONS) : -2]
+    if orthogonality and setup.table is not None and leaning.size:
+        found.append(_error(orthogonality, leaning, pair_parts(setup.table)))
     if rate:
         found += rate_errors(rate, moved[:, :, -1], poses.table_rate)
     return tuple(found)
 
 
-def _followed(
-    model: LinearModel, felt: Stimulus, moves: Array, coefficients: Array, table_rate: Array | float = 0.0
-) -> Array:
-    """Change of the observations of m outputs per unit of each of r inputs, (m, n, r).
+def _table_slopes(model: LinearModel, poses: tuple[Array, ...], site: Site, table: TableModel | None) -> Array:
+    """Change of the columns of the model per unit of each of r inputs, (r, n, p): a turn about each direction of the site, an angle between
+    each pair of neighbouring axes of a table at rest that reaches the poses, the azimuth, and the rate."""
+    held = Poses(*poses)
+    felt = held.felt(site)
+    both = np.array((felt.omega, felt.specific_force))
+    directions = np.moveaxis(held.attitude, 2, 0)  # of the site, in the sensor's axes
+    turned = np.cross(both[:, None], np.concatenate([directions, _tilts(table, held.attitude, site)]))
+    up = np.array(UP)
+    about_up = [[held.mean @ cross(vector, up)] for vector in (site.earth_rate_enu, site.specific_force_enu)]
+    hastened = np.array([[held.spin], [np.zeros_like(held.spin)]])
+    moves = np.concatenate([turned, about_up, hastened], axis=1)
+    table_rate = np.zeros(moves.shape[1:3])
+    table_rate[-1] = held.table_rate
+    return _slopes(model, felt, moves, table_rate)
+
+
+_table_slopes_of_motion = kept(64)(_table_slopes)
+
+
+def _slopes(model: LinearModel, felt: Stimulus, moves: Array, table_rate: Array | float = 0.0) -> Array:
+    """Change of the columns of the model per unit of each of r inputs, (r, n, p).
 
     moves: (2, r, n, 3), change of angular rate and specific force per unit of each input; table_rate: (r, n), of the table's rate.
-    coefficients: (m, p), SI columns and the outputs' units.
     """
     _, r, n, _ = moves.shape
     sides = np.array([-_STEP, _STEP])[:, None, None]
@@ -126,7 +150,13 @@ def _followed(
         np.tile(felt.moving, 2 * r),
     )
     low, high = model.columns(moved).reshape(2, r, n, -1)
-    return np.asarray(np.einsum("mp,rnp->mnr", coefficients, (high - low) / (2 * _STEP)))
+    return np.asarray((high - low) / (2 * _STEP))
+
+
+def _followed(slopes: Array, coefficients: Array) -> Array:
+    """Change of the observations of m outputs per unit of each of r inputs, (m, n, r), from slopes (r, n, p) and coefficients (m, p), SI
+    columns and the outputs' units."""
+    return np.asarray(np.einsum("mp,rnp->mnr", coefficients, slopes))
 
 
 def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[CorrelatedError, ...]:
@@ -210,13 +240,12 @@ def _positions(position: InputQuantity, segments: Sequence[Segment], moved: Arra
     return _error(position, changes.reshape(m, n, -1), parts)
 
 
-def _tilts(table: TableModel | None, segments: Sequence[Segment], site: Site) -> Array:
-    """Effects of one input for each pair of neighbouring axes, (pairs, n, 3); none if the table cannot reach the orientations, or turns."""
-    if table is not None and len(table.axes) > 1 and all(isinstance(segment.motion, Rest) for segment in segments):
+def _tilts(table: TableModel | None, attitudes: Array, site: Site) -> Array:
+    """Effects of one input for each pair of neighbouring axes, (pairs, n, 3); none if the table cannot reach the attitudes."""
+    if table is not None and len(table.axes) > 1:
         with suppress(Unreachable):
-            attitudes = [segment.attitude for segment in segments]
-            return np.array(orthogonality_tilts(table.axes, attitudes, site.azimuth))
-    return np.zeros((0, len(segments), 3))
+            return np.array(orthogonality_tilts(table.axes, list(attitudes), site.azimuth))
+    return np.zeros((0, len(attitudes), 3))
 
 
 def _error(quantity: InputQuantity, changes: Array, parts: tuple[str, ...] = ()) -> CorrelatedError:

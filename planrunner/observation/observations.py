@@ -173,9 +173,9 @@ def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
     return bool(chdtrc(groups - 1, statistic) < SIGNIFICANCE)
 
 
-def dithered(sensor: SensorModel, channel: str, variance: float) -> bool:
+def dithered(sensor: SensorModel, channel: str, variance: float | Array) -> NDArray[np.bool_]:
     """Whether noise of this variance [unit²] between the samples of a channel dithers its mean (`NoiseModel.dithers`)."""
-    return bool(_noise(sensor, channel).dithers(variance))
+    return _noise(sensor, channel).dithers(variance)
 
 
 def _noise(sensor: SensorModel, channel: str) -> NoiseModel:

@@ -6,6 +6,7 @@ the planned attitude and motion, the Earth's rotation, and gravity at the site.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -77,10 +78,11 @@ class Poses:
         n = len(segments)
         attitude = np.array([_attitude(segment) for segment in segments], dtype=float).reshape(n, 3, 3)
         mean, spin, rate, angle = attitude, np.zeros((n, 3)), np.zeros(n), np.zeros(n)
-        temperature, time = np.full(n, np.nan), np.empty(n)
-        for row, segment in enumerate(segments):
-            seconds = segment.dwell if durations is None else durations[row]
-            motion, kelvin, ramp_to = segment.motion, segment.temperature, segment.ramp_to
+        lasting = [segment.dwell for segment in segments] if durations is None else durations
+        temperature = np.array([_temperature(segment) for segment in segments])
+        time = np.array([segment.start + (own or 0.0) / 2 for segment, own in zip(segments, lasting, strict=True)])
+        for row, (segment, seconds) in enumerate(zip(segments, lasting, strict=True)):
+            motion = segment.motion
             if isinstance(motion, Spin):
                 mean = mean.copy() if mean is attitude else mean
                 turned, axis = None if seconds is None else motion.rate * seconds, _unit(motion.about)
@@ -91,10 +93,18 @@ class Poses:
                 kind = type(motion).__name__.lower()
                 message = f"segment '{segment.label}' moves ({kind}): its mean is not a static observation; choose segments at rest"
                 raise StimulusError(message)
-            if kelvin is not None:
-                temperature[row] = kelvin if ramp_to is None else (kelvin + ramp_to) / 2
-            time[row] = segment.start + (seconds or 0.0) / 2
         return cls(attitude, mean, spin, rate, angle, temperature, time)
+
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """All of it, in the order of the fields."""
+        return self.attitude, self.mean, self.spin, self.table_rate, self.table_angle, self.temperature, self.time
+
+    @property
+    def timeless(self) -> Poses:
+        """Without temperature and time."""
+        unknown = np.full(len(self.time), np.nan)
+        return Poses(self.attitude, self.mean, self.spin, self.table_rate, self.table_angle, unknown, unknown)
 
     def felt(self, site: Site) -> Stimulus:
         """The mean stimulus at a site."""
@@ -133,6 +143,14 @@ def _attitude(segment: Segment) -> Array:
             "give its orientation or use an estimator that does not need it"
         )
     return segment.attitude
+
+
+def _temperature(segment: Segment) -> float:
+    """The mean of a ramp; NaN where not known."""
+    kelvin, ramp_to = segment.temperature, segment.ramp_to
+    if kelvin is None:
+        return math.nan
+    return kelvin if ramp_to is None else (kelvin + ramp_to) / 2
 
 
 def _unit(direction: Sequence[float]) -> Array:

@@ -149,7 +149,7 @@ def notes(found: FoundPositions) -> tuple[str, ...]:
         note
         for name, design in planned.designs.items()
         if name != found.sight.name and not design.blocks
-        for note in design.notes
+        for note in design.all_notes
     ]
     if not planned.merit.sound:
         said.append(

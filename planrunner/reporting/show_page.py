@@ -78,7 +78,7 @@ def show_view(context: ShowContext) -> JsonObject:
             {
                 "name": name,
                 "coefficients": predicted_rows(design.predicted, context.probability),
-                "notes": list(design.notes),
+                "notes": list(design.all_notes),
             }
             for name, design in context.designs.items()
         ],

@@ -18,6 +18,7 @@ from planrunner.estimators.interface import (
     Estimate,
     EstimateRequest,
     EstimationError,
+    Foresight,
 )
 from planrunner.estimators.method import designed
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
@@ -101,7 +102,7 @@ def test_what_is_expected_is_in_the_same_unit() -> None:
             parameters,
             SITE,
             model,
-            uses={"drift": Design((), DRIFT.coefficients)},
+            uses={"drift": Design((), foresight=lambda: Foresight(DRIFT.coefficients))},
         ),
     )
     assert design is not None

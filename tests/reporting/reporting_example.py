@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from planrunner.archive.recording import Statistics
-from planrunner.estimators.interface import Coefficient, Design, Estimate, Plot, Role, Table, TableColumn
+from planrunner.estimators.interface import Coefficient, Design, Estimate, Foresight, Plot, Role, Table, TableColumn
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.physics.earth import Site
 from planrunner.plan.directions import DIRECTIONS
@@ -292,4 +292,5 @@ def context(**changes: Any) -> ReportContext:
 
 
 def design() -> Design:
-    return Design((), tuple(Coefficient(n, v, unit, u, math.inf, text) for n, v, unit, u, text in NAMES))
+    predicted = tuple(Coefficient(n, v, unit, u, math.inf, text) for n, v, unit, u, text in NAMES)
+    return Design((), foresight=lambda: Foresight(predicted))

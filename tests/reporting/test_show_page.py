@@ -64,7 +64,7 @@ def test_idle_columns_are_left_out() -> None:
 
 def test_recorded_dwells_and_unknown_orientations_make_a_page() -> None:
     bare = Schedule((Segment(0, "only", None, "unknown", Rest(), None),), 0.0)
-    page = render_show(ShowContext("t", bare, designs={"d": Design((), (), ("a note",))}))
+    page = render_show(ShowContext("t", bare, designs={"d": Design((), ("a note",))}))
     assert "plus the length of the recordings" in page
     assert "a note" in page
     assert render_show(ShowContext("t", Schedule((), 0.0)))

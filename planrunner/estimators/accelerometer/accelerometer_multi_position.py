@@ -22,8 +22,9 @@ from planrunner.estimators.interface import (
     DesignRequest,
     EstimateRequest,
     EstimationError,
+    Foresight,
 )
-from planrunner.estimators.method import Foresight, Method, Words, by_expectation
+from planrunner.estimators.method import Method, Words, by_expectation
 from planrunner.plan.selection import Detection
 
 Array = NDArray[np.float64]

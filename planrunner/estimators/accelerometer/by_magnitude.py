@@ -25,6 +25,7 @@ from planrunner.estimators.interface import (
     DesignRequest,
     EstimateRequest,
     EstimationError,
+    Foresight,
     Plot,
     Remark,
     Role,
@@ -33,7 +34,7 @@ from planrunner.estimators.interface import (
     UnfitDataError,
     Unpredicted,
 )
-from planrunner.estimators.method import Foresight, Quantities, Words
+from planrunner.estimators.method import Quantities, Words
 from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.flicker import flicker_errors

@@ -34,6 +34,7 @@ from planrunner.estimators.interface import (
     Estimate,
     EstimateRequest,
     EstimationError,
+    Foresight,
     Plot,
     Role,
     Table,
@@ -41,7 +42,6 @@ from planrunner.estimators.interface import (
     UnfitDataError,
     Unpredicted,
 )
-from planrunner.estimators.method import Foresight
 from planrunner.estimators.root_of_square import root_of
 from planrunner.observation.observations import dithered
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, key

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.kept import kept
 
 Array = NDArray[np.float64]
 
@@ -50,6 +51,16 @@ def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[A
 def expected_sum(maps: Array) -> float:
     """Expected sum of squares of `maps` (r, z) times independent inputs of standard deviation one."""
     return float(np.sum(maps**2))
+
+
+@kept(64)
+def expected_sums(verification: Array, sets: tuple[tuple[Array, Array], ...]) -> tuple[float, ...]:
+    """Expected sum of squared residuals of each set, from noise alone: of size 1 at the verification positions, whose design is (v, p), and
+    in the given proportions (2, n) at the positions of each set, whose design is (n, p)."""
+    noise = np.concatenate([np.ones((2, len(verification))), *(sigma for _, sigma in sets)], axis=1)
+    inverses = {str(k): weighted_inverse(matrix, sigma) for k, (matrix, sigma) in enumerate(sets)}
+    maps = noise_maps(verification, inverses, [np.diag(sigma) for sigma in noise])
+    return tuple(map(expected_sum, maps.values()))
 
 
 def predict_residuals(noise: Mapping[str, Array], stated: Mapping[str, Array], trials: int, seed: int) -> Prediction:

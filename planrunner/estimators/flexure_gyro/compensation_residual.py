@@ -21,10 +21,9 @@ from planrunner.estimators.flexure_gyro.compensation_influences import (
 )
 from planrunner.estimators.flexure_gyro.compensation_prediction import (
     Prediction,
-    expected_sum,
+    expected_sums,
     noise_maps,
     predict_residuals,
-    weighted_inverse,
 )
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import static_matrix
 from planrunner.estimators.interface import (
@@ -36,6 +35,7 @@ from planrunner.estimators.interface import (
     Estimate,
     EstimateRequest,
     EstimationError,
+    Foresight,
     Plot,
     Role,
     Table,
@@ -43,7 +43,6 @@ from planrunner.estimators.interface import (
     UnfitDataError,
     Unpredicted,
 )
-from planrunner.estimators.method import Foresight
 from planrunner.observation.correlated_errors import explained
 from planrunner.observation.flicker import flicker_errors, mean_covariance
 from planrunner.observation.observations import Observations, observe, within_segment_noise
@@ -88,18 +87,16 @@ class CompensationResidual:
         """No coefficients are fitted; the predicted ratios are in the notes and in `extra`. Raises `EstimationError`."""
         model = flexure_gyro.static_model()
         matrix = static_matrix(model, request.segments, request.site)
-        sets, noise = {}, [np.ones((2, len(matrix)))]
+        sets: dict[str, tuple[Array, Array]] = {}
         for name, design in request.uses.items():
             if len(design.blocks) != 2 or design.blocks[0].terms != model.names:
                 raise EstimationError(_NO_SET.format(name))
             block = design.blocks[0]
             if rank.look(block.matrix / block.magnitudes).rank < len(model.names):
                 return Design(())
-            noise.append(np.array([_relative(own) for own in design.blocks]))
-            sets[name] = weighted_inverse(block.matrix, noise[-1])
+            sets[name] = block.matrix, np.array([_relative(own) for own in design.blocks])
         _several(sets)
-        maps = noise_maps(matrix, sets, [np.diag(sigma) for sigma in np.concatenate(noise, axis=1)])
-        expected = {name: expected_sum(own) for name, own in maps.items()}
+        expected = dict(zip(sets, expected_sums(matrix, tuple(sets.values())), strict=True))
         first, *others = expected
         ratios = {_ratio(name, first)[0]: expected[name] / expected[first] for name in others}
         notes = [
@@ -107,7 +104,7 @@ class CompensationResidual:
             f"{expected[name] / expected[first]:.3g}, with equal noise."
             for name in others
         ]
-        return Design((), (), (*notes, _CLAIM), {"ratios": ratios})
+        return Design((), (*notes, _CLAIM), {"ratios": ratios})
 
     def foresee(self, request: DesignRequest[CompensationResidualParameters]) -> Foresight:
         """Only the names of the coefficients: sums of a few squared residuals scatter by as much as their size. The notes give their

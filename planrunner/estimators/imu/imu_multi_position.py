@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.error_model.terms import ErrorModel, error_model, term_names
+from planrunner.error_model.terms import ErrorModel, columns_of, error_model, term_names
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.declared_axes import contradictions
 from planrunner.estimators.derived import Derived, derived
@@ -35,7 +35,7 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
 from planrunner.estimators.residual_plot import residual_plot
-from planrunner.estimators.stated_errors import mean_stimulus
+from planrunner.estimators.stated_errors import mean_poses
 from planrunner.observation.flicker import drift_span
 from planrunner.observation.observations import Observations, observe
 from planrunner.physics.earth import Site
@@ -239,7 +239,7 @@ def _design(kind: str, terms: Sequence[str], segments: Sequence[Segment], site: 
     """The design of each output of a triad, at the segments that it can use. Raises `EstimationError`."""
     model, usable = error_model(terms), _usable(kind, segments)
     try:
-        matrix = model.columns(mean_stimulus(usable, site))
+        matrix = columns_of(model, mean_poses(usable), site)
     except StimulusError as error:
         raise EstimationError(str(error)) from None
     return PositionsDesign(model, tuple(usable), matrix, _magnitudes(model, matrix))

@@ -20,6 +20,7 @@ from planrunner.estimators.interface import (
     DesignRequest,
     Estimate,
     EstimateRequest,
+    Foresight,
     Plot,
     Remark,
     Role,
@@ -28,7 +29,6 @@ from planrunner.estimators.interface import (
     UnfitDataError,
     Unpredicted,
 )
-from planrunner.estimators.method import Foresight
 from planrunner.estimators.modulation.fit import PeriodicPart, TooLittleError, periodic_part
 from planrunner.estimators.modulation.navigations import Navigation, compared, rotation
 from planrunner.estimators.modulation.prediction import errors_over_time, horizontal, periodic_amplitudes

@@ -22,10 +22,10 @@ from planrunner.estimators.interface import (
     Estimate,
     EstimateRequest,
     EstimationError,
+    Foresight,
     UnfitDataError,
     Unpredicted,
 )
-from planrunner.estimators.method import Foresight
 from planrunner.estimators.rocking.angle_curves import curve_plots, drift_curves
 from planrunner.estimators.rocking.checks import count_in_words, count_seconds, remarks, span
 from planrunner.estimators.rocking.influences import DEG_PER_HOUR, conditions_of, drifts_of, influences_of

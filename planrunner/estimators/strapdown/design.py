@@ -15,8 +15,15 @@ from numpy.typing import NDArray
 
 from planrunner.base.findings import closest
 from planrunner.estimators.full_scale import beyond_full_scale, shares_by_name
-from planrunner.estimators.interface import Coefficient, Design, DesignRequest, EstimationError, Remark, Unpredicted
-from planrunner.estimators.method import Foresight
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    DesignRequest,
+    EstimationError,
+    Foresight,
+    Remark,
+    Unpredicted,
+)
 from planrunner.estimators.strapdown.alignment import (
     HIGHEST_LATITUDE,
     SHORTEST,

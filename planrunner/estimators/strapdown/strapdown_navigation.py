@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest
-from planrunner.estimators.method import Foresight
+from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, Foresight
 from planrunner.estimators.strapdown.navigating import StrapdownNavigationParameters, navigate
 
 Array = NDArray[np.float64]

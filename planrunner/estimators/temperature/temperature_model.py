@@ -21,13 +21,14 @@ from planrunner.estimators.interface import (
     DesignRequest,
     EstimateRequest,
     EstimationError,
+    Foresight,
     Plot,
     Role,
     Table,
     TableColumn,
     Unpredicted,
 )
-from planrunner.estimators.method import Foresight, Method, Quantities, Words, by_expectation
+from planrunner.estimators.method import Method, Quantities, Words, by_expectation
 from planrunner.estimators.temperature.branches import Difference, difference_of
 from planrunner.estimators.temperature.curve import CurveFit, OverTemperature, fit_curve, groups_of
 from planrunner.estimators.temperature.parameters import TemperatureModelParameters
