@@ -18,6 +18,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 from planrunner.base.findings import InputError, Mark, closest
+from planrunner.base.regular_files import RefusedFileError, read_regular
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
@@ -54,11 +55,10 @@ def _entries() -> tuple[tuple[str, str, str], ...]:
     """Group, name and place of each of the project's own; empty if it is not installed."""
     for folder in sys.path:
         try:
-            named = [one for one in os.listdir(folder or ".") if one.startswith("planrunner") and _INFO.fullmatch(one)]
-            for name in named:
-                with open(os.path.join(folder, name, "entry_points.txt"), encoding="utf-8") as file:
-                    return tuple(_read(file))
-        except OSError:  # an archive, or not an installation
+            for name in filter(_INFO.fullmatch, os.listdir(folder or ".")):
+                data = read_regular(os.path.join(folder, name, "entry_points.txt"), _LARGEST)
+                return tuple(_read(data.decode("utf-8").splitlines()))
+        except (OSError, RefusedFileError):  # an archive, or not an installation
             continue
     from importlib.metadata import PackageNotFoundError, distribution
 
@@ -69,6 +69,7 @@ def _entries() -> tuple[tuple[str, str, str], ...]:
     return tuple((entry.group, entry.name, entry.value) for entry in found)
 
 
+_LARGEST = 1_000_000  # bytes
 _INFO = re.compile(r"planrunner(-[^-]+\.dist-info|(-.*)?\.egg-info)")
 
 
@@ -88,7 +89,7 @@ def _table(group: str) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
-def _found(place: str) -> Any:
+def _found(place: str) -> object:
     """What stands at `module:attribute`; extras in brackets after it have no meaning here."""
     module, _, attribute = place.partition("[")[0].strip().partition(":")
     return reduce(getattr, attribute.split("."), import_module(module))
