@@ -48,7 +48,7 @@ class AccelThirdOrder:
     """Output + k·f³ per axis (K3)."""
 
     id, stage, hypothesis = "accel_third_order", "sensor", False
-    shown_by = "the axis at four inclinations, oblique ones among them"
+    shown_by = "the axis at four inclinations, some of them oblique"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return single(per_axis(observed, "accel", "k", "ug/g^3", 1e-6 / G**2, 1e-4 / G**2, observed.force**3))
@@ -91,7 +91,7 @@ class AccelThermalGradient:
     """Output + k·dT/dt per axis."""
 
     id, stage, hypothesis = "accel_thermal_gradient", "sensor", False
-    shown_by = "a recorded ramp of temperature beside a segment at one temperature"
+    shown_by = "a recorded temperature ramp and, in addition, a segment at constant temperature"
 
     def variants(self, observed: Observed) -> list[Variant]:
         rate = observed.temperature_rate
@@ -102,7 +102,7 @@ class AccelBiasDrift:
     """Bias + d·t per axis, t since power-on."""
 
     id, stage, hypothesis = "accel_bias_drift", "sensor", False
-    shown_by = "one state early and again late"
+    shown_by = "the same orientation, rate and temperature early in the run and again late"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return single(per_axis(observed, "accel", "d", "ug/h", 1e-6 * G / 3600, 1e-4 * G / 3600, observed.time))

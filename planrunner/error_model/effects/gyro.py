@@ -17,7 +17,7 @@ class GyroBiasTemperature:
     """Bias + c1·ΔT + c2·ΔT² per axis, ΔT from 25 degC."""
 
     id, stage = "gyro_bias_temperature", "sensor"
-    shown_by = "three temperatures; with `.c1` alone two"
+    shown_by = "three temperatures, or two if only `.c1` is fitted"
 
     def variants(self, observed: Observed) -> list[Variant]:
         warm = observed.warmth
@@ -74,7 +74,8 @@ class GyroG2Sensitivity:
 
     id, stage = "gyro_g2_sensitivity", "sensor"
     shown_by = (
-        "each axis level, upright and oblique: squares alone are seen on cardinal orientations, and their sum is a bias"
+        "each axis level, upright and oblique; cardinal orientations excite only the squares, and the sum of the squares cannot be "
+        "separated from a bias"
     )
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -118,7 +119,7 @@ class GyroThermalGradient:
     """Output + k·dT/dt per axis."""
 
     id, stage = "gyro_thermal_gradient", "sensor"
-    shown_by = "a recorded ramp of temperature beside a segment at rest at one temperature"
+    shown_by = "a recorded temperature ramp and, in addition, a segment at rest at constant temperature"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return single(per_axis(observed, "gyro", "k", "deg/s/(K/s)", DEG, 1e-1 * DEG, observed.temperature_rate))
@@ -138,7 +139,7 @@ class GyroBiasTemperatureCubic:
     """Bias + c3·ΔT³ per axis, ΔT from 25 degC."""
 
     id, stage, hypothesis = "gyro_bias_temperature_cubic", "sensor", False
-    shown_by = "four temperatures, beside `gyro_bias_temperature`"
+    shown_by = "four temperatures, if fitted together with `gyro_bias_temperature`"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return single(per_axis(observed, "gyro", "c3", "deg/s/K^3", DEG, 4e-7 * DEG, observed.warmth**3))
@@ -158,7 +159,7 @@ class GyroBiasDrift:
     """Bias + d·t per axis, t since power-on."""
 
     id, stage, hypothesis = "gyro_bias_drift", "sensor", False
-    shown_by = "one state early and again late"
+    shown_by = "the same orientation, rate and temperature early in the run and again late"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return single(per_axis(observed, "gyro", "d", "deg/h/h", DEG / 3600**2, 1e-1 * DEG / 3600**2, observed.time))

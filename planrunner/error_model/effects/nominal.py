@@ -56,8 +56,8 @@ def towards_others(
 PARTS = {"bias": bias, "scale_factor": scale_factor, "misalignment": misalignment}
 _SHOWN_BY = {
     "bias": "any segments",
-    "scale_factor": "opposite inputs along the axis: both rates of a turn, or the axis up and down",
-    "misalignment": "inputs along the other axes: a turn about each, or each up and down",
+    "scale_factor": "opposite inputs along the axis: turns in both directions, or the axis up and down",
+    "misalignment": "inputs along the other axes: a turn about each of them, or each of them up and down",
 }
 
 

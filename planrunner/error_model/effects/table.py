@@ -107,7 +107,7 @@ class TableWobble:
     """
 
     id, stage = "table_wobble", "stimulus"
-    shown_by = "turns beside segments at rest"
+    shown_by = "turns and, in addition, segments at rest"
 
     def variants(self, observed: Observed) -> list[Variant]:
         moving = np.array([not isinstance(motion, Rest) for motion in observed.motions])
@@ -125,7 +125,7 @@ class TableRateError:
     """True rate = commanded × (1 + ε): a nominal model with free scale factors absorbs it."""
 
     id, stage = "table_rate_error", "stimulus"
-    shown_by = "rates, and a scale factor that is not fitted beside it"
+    shown_by = "rates; the scale factor must not be fitted at the same time"
 
     def variants(self, observed: Observed) -> list[Variant]:
         if not observed.rate.any():
