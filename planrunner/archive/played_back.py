@@ -37,7 +37,7 @@ def _play(player: RecordingPlayer, segment: Segment, passed: RowsRead) -> Record
         whole = list(player.stream(segment))
         read = partial(iter, whole)
     rows = sum(len(block.time) for block in passed.through(read()))
-    statistics = statistics_of(passed.through(read()), tuple(units), rows)
+    statistics = statistics_of(passed.through(read()), tuple(units), rows, motion=segment.motion)
     return RecordedSegment(segment, units, statistics, partial(_again, read))
 
 

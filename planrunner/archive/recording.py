@@ -29,7 +29,9 @@ class Statistics:
 
     count: samples (rows with a NaN in any channel are left out and counted in `rejected`). mean, minimum, maximum: (k,). covariance: (k, k)
     between samples. standard_error: (k,) of the mean, from the scatter of `batches` consecutive batch means, which allows for noise that is
-    correlated within a batch. start, end: s, of the first and the last sample; largest_gap: s between consecutive samples.
+    correlated within a batch. Both scatters are taken about the course that the motion gives. start, end: s, of the first and the last
+    sample; largest_gap: s between consecutive samples. course: (p, batches), the fitted course: for uncorrelated samples, its part of the
+    scatter of the batch means is the sum of its squares.
     """
 
     channels: tuple[str, ...]
@@ -44,6 +46,12 @@ class Statistics:
     start: float
     end: float
     largest_gap: float
+    course: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom of the standard error; 0 if it is unknown."""
+        return max(self.batches - 1 - float(np.sum(self.course**2)), 0.0)
 
     @property
     def period(self) -> float:

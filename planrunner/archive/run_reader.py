@@ -127,7 +127,7 @@ class RunReader:
                 segments.append(summarised(segment, units, first.summary, blocks, str(self.path), readings))
                 continue
             watcher = None if watch is None else watch(segment, units, rows)
-            statistics = statistics_of(blocks, tuple(units), rows, watcher)
+            statistics = statistics_of(blocks, tuple(units), rows, watcher, segment.motion)
             finds = None if watcher is None else watcher.finds()
             segments.append(RecordedSegment(segment, units, statistics, read, item.truncated, readings, finds=finds))
         return tuple(segments)

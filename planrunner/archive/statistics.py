@@ -4,6 +4,9 @@ Valid samples are processed in chunks of fixed size from the beginning of the se
 blocks, row groups or files. Means and covariances of chunks are merged by the formula of Chan, Golub and LeVeque, "Updating formulae and a
 pairwise algorithm for computing sample variances" (1979). The standard error of the mean comes from the scatter of consecutive batch means
 (Law, "Simulation Modeling and Analysis", 5th ed., section 9.5.3), which allows for noise that is correlated over less than a batch.
+
+The scatter of a segment that turns or rocks is about the course that the motion gives. Its form is fitted to short means, many in a batch,
+and its part is taken from batch means and covariance.
 """
 
 from __future__ import annotations
@@ -14,27 +17,38 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.archive.course import MotionCourse, course_of, follows_course
 from planrunner.archive.recording import BATCHES, Statistics, Watcher
 from planrunner.instruments.interfaces import Block
+from planrunner.plan.schedule import Motion, Rest
 
 Array = NDArray[np.float64]
 
 CHUNK = 65_536
+SHORT = 128
+"""Short means in a batch, at most: 16 in a turn for up to 256 turns."""
+_ROUNDING = 1e-9
+"""Of the scatter of the batch means: what a course leaves of noise-free samples."""
 UNSHARED = 8_192
 """BLAS uses threads for inner products of more than 10 000 numbers."""
+AT_REST = Rest()
 LARGEST = 1e100
 """A larger sample is not a measurement: its square could overflow to infinity."""
 
 
 def statistics_of(
-    blocks: Iterable[Block], channels: Sequence[str], rows: int, watcher: Watcher | None = None
+    blocks: Iterable[Block],
+    channels: Sequence[str],
+    rows: int,
+    watcher: Watcher | None = None,
+    motion: Motion = AT_REST,
 ) -> Statistics:
-    """Statistics of `blocks`, which have `rows` rows in total (known from the files before the pass).
+    """Statistics of `blocks`, which have `rows` rows in total (known from the files before the pass), recorded in some motion.
 
     A row with a non-finite value in any channel is left out and counted in `rejected`. With one sample, covariance and standard error are
     NaN; with none, the mean too. watcher: looks at the blocks in the same pass.
     """
-    gathered = _Gathered(len(channels), rows)
+    gathered = _Gathered(len(channels), rows, motion)
     for block in blocks:
         if len(block.time):
             low, high = gathered.add(block.time, [block.channels[name] for name in channels])
@@ -70,7 +84,8 @@ class _Gathered:
     so referring sums of products to the mean loses at most a factor n in rounding.
     """
 
-    def __init__(self, channels: int, rows: int):
+    def __init__(self, channels: int, rows: int, motion: Motion):
+        self.motion = motion
         self.row = 0
         self.count = 0
         self.minimum = np.full(channels, math.inf)
@@ -84,7 +99,12 @@ class _Gathered:
         self.mean = np.zeros(channels)
         self.squares = np.zeros((channels, channels))  # sum of products of deviations from the mean
         batches = max(1, min(BATCHES, rows))
+        # Short means in a batch: below, what is called a batch is a short mean, which at rest is the same.
+        self.follows = follows_course(motion)
+        self.parts = max(1, min(SHORT, rows // batches)) if self.follows else 1
+        batches *= self.parts
         self.edges = np.linspace(0, rows, batches + 1).round().astype(np.int64)
+        self.opened = np.zeros(batches)  # time of the first row of each batch
         self.begins = np.full(batches + 1, np.iinfo(np.int64).max)  # edges of batches, counted in valid samples
         self.begins[0] = 0
         self.batch_sum = np.zeros((channels, batches))
@@ -94,6 +114,9 @@ class _Gathered:
         """Add the next rows, one or more. Returns their smallest and largest number by column, NaN if one is missing."""
         here = np.flatnonzero((self.edges[:-1] > self.row) & (self.edges[:-1] <= self.row + len(time)))
         at = self.edges[here] - self.row
+        if self.follows:
+            opening = slice(*np.searchsorted(self.edges[:-1], [self.row, self.row + len(time)]))
+            self.opened[opening] = time[self.edges[opening] - self.row]
         self.row += len(time)
         low, high = found = _range(columns)
         if not (low.min() > -LARGEST and high.max() < LARGEST):  # both comparisons are False for NaN
@@ -154,14 +177,30 @@ class _Gathered:
         if self.filled:
             self._merge()
         unknown = np.full(len(channels), math.nan)
-        used = self.batch_count > 0
-        batches = int(used.sum())
-        error = unknown
+        sums, counts = self.batch_sum, self.batch_count
+        course = self._course()
+        squares, fitted = self.squares, 0
+        if course is not None:
+            counts, fitted = course.samples, course.columns.shape[1]
+            sums = np.where(counts > 0, sums, 0.0)
+            amplitudes = sums @ course.columns
+            squares = _less(squares, amplitudes @ course.products @ amplitudes.T)
+            sums, counts = (one.reshape(*one.shape[:-1], -1, self.parts).sum(axis=-1) for one in (sums, counts))
+        used = counts > 0
+        batches, error, shape = int(used.sum()), unknown, np.zeros((fitted, int(used.sum())))
         if batches > 1:
-            counts = self.batch_count[used]
-            means = self.batch_sum[:, used] / counts
-            centre = (means @ counts / self.count)[:, None]
-            error = np.sqrt((means - centre) ** 2 @ counts / (batches - 1) / self.count)
+            counts = counts[used]
+            means = sums[:, used] / counts
+            centre = (means @ counts / counts.sum())[:, None]
+            scatter, freedom = (means - centre) * np.sqrt(counts), batches - 1.0
+            if course is not None:
+                each = (course.samples[:, None] * course.columns).reshape(-1, self.parts, fitted).sum(axis=1)
+                shape = each[used].T / np.sqrt(counts)
+                left = scatter - amplitudes @ shape
+                scatter = np.where(np.abs(left) > _ROUNDING * np.abs(scatter).max(axis=1, keepdims=True), left, 0.0)
+                freedom -= float(np.sum(shape**2))
+            if freedom > 0:
+                error = np.sqrt(np.sum(scatter**2, axis=1) / freedom / self.count)
         return Statistics(
             channels=channels,
             count=self.count,
@@ -169,10 +208,27 @@ class _Gathered:
             mean=self.origin + self.mean if self.count else unknown,
             minimum=self.minimum if self.count else unknown,
             maximum=self.maximum if self.count else unknown,
-            covariance=self.squares / (self.count - 1) if self.count > 1 else np.full_like(self.squares, math.nan),
+            covariance=squares / (self.count - 1 - fitted) if self.count > 1 else np.full_like(self.squares, math.nan),
             standard_error=error,
             batches=batches,
             start=self.start,
             end=self.end,
             largest_gap=self.gap,
+            course=shape,
         )
+
+    def _course(self) -> MotionCourse | None:
+        """The course that the motion gives to the short means."""
+        if not self.follows or self.count < 3:
+            return None
+        interval = (self.end - self.start - self.gap) / max(self.count - 2, 1)
+        middle = self.opened - self.opened[0] + (self.edges[1:] - self.edges[:-1] - 1) * interval / 2
+        return course_of(self.motion, middle, self.batch_count, interval)
+
+
+def _less(squares: Array, explained: Array) -> Array:
+    """Sums of products (k, k) without the explained part; zero where only rounding is left."""
+    left = np.asarray(squares - explained)
+    left[:, (gone := np.diagonal(left) <= _ROUNDING * np.diagonal(squares))] = 0.0
+    left[gone] = 0.0
+    return left

@@ -14,6 +14,7 @@ that the turns cause through scale factor and misalignment, in proportion to the
 from __future__ import annotations
 
 import math
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,13 +40,15 @@ class Alignment:
     """rotation: body axes as columns in East-North-Up, (3, 3). covariance: (16, 16), of the remaining errors: the states of
     `error_equations`, the constant sensor errors, and the gyro errors per rate of turn in body axes. constant: (6,), constant errors as
     estimated, rad/s and m/s². consistency: root mean square of the innovations divided by the value expected from the noise; 1 or less is
-    normal. largest: the largest innovation, m/s."""
+    normal. largest: the largest innovation, m/s. followed: (16, 6, m), the remaining errors per error of each sensor, rad/s or m/s²,
+    in each of m intervals of the alignment; without intervals unless they were asked for."""
 
     rotation: Array
     covariance: Array
     constant: Array
     consistency: float
     largest: float
+    followed: Array = field(default_factory=lambda: np.zeros((_ALL, INPUTS, 0)))
 
     @property
     def tilt_covariance(self) -> Array:
@@ -64,9 +67,17 @@ def coarse(rate: Array, force: Array) -> Array:
 class FineAlignment:
     """The filter: takes velocities knot by knot and gives the attitude at the end."""
 
-    def __init__(self, equations: ErrorEquations, density: Array, seconds: float, constant: Array | None = None):
+    def __init__(
+        self,
+        equations: ErrorEquations,
+        density: Array,
+        seconds: float,
+        constant: Array | None = None,
+        follow: float | None = None,
+    ):
         """density: (6, 6), variance per second of the integrated gyros [rad²/s] and accelerometers [(m/s)²/s], navigation axes. seconds:
-        between knots. constant: (6,), standard uncertainty of the constant errors before alignment; None if they are not estimated."""
+        between knots. constant: (6,), standard uncertainty of the constant errors before alignment; None if they are not estimated. follow:
+        s, length of the intervals for `Alignment.followed`; None for none."""
         self._transition = np.eye(_ALL)
         self._transition[:SIZE, :SIZE], self._response = equations.step(seconds)
         self._added = np.zeros((_ALL, _ALL))
@@ -75,6 +86,8 @@ class FineAlignment:
         before = np.zeros(INPUTS + 3) if constant is None else np.append(constant, [_PER_TURN] * 3)
         self._covariance = np.diag([0.0, 0, STILLNESS**2, STILLNESS**2, *[_PRIOR**2] * 3, *before**2])
         self._squares, self._count, self._largest = 0.0, 0, 0.0
+        self._each = None if follow is None else follow / seconds  # knots in an interval
+        self._followed = np.zeros((_ALL, 0))
 
     def take(self, velocities: Array, rotations: Array, turns: Array) -> None:
         """velocities: (m, 2), m/s, east and north, at the next m knots; rotations: (m, 3, 3), body axes as columns, the mean over the
@@ -106,14 +119,25 @@ class FineAlignment:
         kept = _UNCHANGED.copy()
         kept[:, _SEEN] -= gain
         self._covariance = kept @ covariance @ kept.T + STILLNESS**2 * (gain @ gain.T)
+        if self._each is not None:
+            self._follow(kept, transition, int(self._count / 2 / self._each))
         self._squares += float(innovation @ inverse @ innovation)
         self._count += 2
         self._largest = max(self._largest, *map(abs, innovation.tolist()))
+
+    def _follow(self, kept: Array, transition: Array, interval: int) -> None:
+        """What errors of the sensors, in this interval and before, leave after the update. The true errors of the sensors are not among the
+        states that the alignment begins with, so their responses begin at zero."""
+        missing = INPUTS * (interval + 1) - self._followed.shape[1]
+        errors = np.hstack([self._followed, np.zeros((_ALL, max(missing, 0)))])
+        errors = transition @ errors
+        errors[:SIZE, INPUTS * interval : INPUTS * (interval + 1)] += transition[:SIZE, SIZE : SIZE + INPUTS]
+        self._followed = kept @ errors
 
     def finish(self, rotation: Array) -> Alignment:
         """The aligned attitude. rotation: the attitude of the navigator, (3, 3), less than one knot interval after the last knot."""
         consistency = math.sqrt(self._squares / self._count) if self._count else math.nan
         aligned = attitude.small_rotation(self._state[TILT]) @ rotation
-        return Alignment(
-            aligned, self._covariance.copy(), self._state[SIZE : SIZE + INPUTS].copy(), consistency, self._largest
-        )
+        constant = self._state[SIZE : SIZE + INPUTS].copy()
+        followed = self._followed.reshape(_ALL, -1, INPUTS).swapaxes(1, 2)
+        return Alignment(aligned, self._covariance.copy(), constant, consistency, self._largest, followed)

@@ -8,6 +8,8 @@ t′|/π, whose double integrals over segments are known in closed form.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,7 +46,7 @@ def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> t
     if not stated:
         return ()
     root = square_root(mean_covariance(observations.start, observations.end, span))
-    seen = scatter_within(observations.batches)
+    seen = scatter_within(observations.batches, observations.courses or ())
     return tuple(CorrelatedError(quantity, {k: root}, within={k: seen}) for k, quantity in stated.items())
 
 
@@ -61,32 +63,69 @@ def mean_covariance(start: Array, end: Array, span: float) -> Array:
     return np.asarray(kernel[:-1, :-1] - to_span[:, None] - to_span[None, :] + kernel[-1, -1])
 
 
+def weighted_covariance(weights: Array, step: float, span: float) -> Array:
+    """Covariance (…, q, q) of sums of the means of flicker with B = 1 over n intervals of `step` [s], one after the other, less its average
+    over `span` [s] around them. weights: (…, q, n).
+
+    As `mean_covariance` for intervals of equal length, whose covariance depends on their distance alone: its product with the weights is a
+    convolution (Toeplitz matrix in a circulant one), so that n may be thousands.
+    """
+    n = weights.shape[-1]
+    low: Array = step * np.arange(n, dtype=np.float64)
+    length = n * step
+    middle, half = length / 2, max(span, length) / 2
+    ends = np.array([middle - half]), np.array([middle + half])
+    apart = -_between(low[:1], low[:1] + step, low, low + step)[0] / np.pi
+    to_span = -_between(low, low + step, *ends)[:, 0] / np.pi
+    around = float(-_between(*ends, *ends)[0, 0] / np.pi)
+    power = np.fft.rfft(np.concatenate([apart, [0.0], apart[:0:-1]])).real
+    power[1:-1] *= 2
+    spectra = np.fft.rfft(weights, 2 * n)
+    found = ((spectra * power) @ spectra.conj().swapaxes(-1, -2)).real / (2 * n)
+    total, along = weights.sum(axis=-1), weights @ to_span
+    tied = along[..., :, None] * total[..., None, :]
+    return np.asarray(found - tied - tied.swapaxes(-1, -2) + around * total[..., :, None] * total[..., None, :])
+
+
 def _mean_logarithm(low: Array, high: Array) -> Array:
-    """Average of ln|t − t′| over t in one interval and t′ in another, (n, n).
+    """Average of ln|t − t′| over t in one interval and t′ in another, (n, n)."""
+    return _between(low, high, low, high)
+
+
+def _between(low: Array, high: Array, other_low: Array, other_high: Array) -> Array:
+    """Average of ln|t − t′| over t in one of n intervals and t′ in one of m others, (n, m).
 
     From the second antiderivative x²·ln|x|/2 − 3x²/4 at the four differences of the ends; for intervals that are short compared with their
     distance d, where these differences cancel, from ln d − (a² + b²)/(24·d²), with an error of fourth order in a/d and b/d.
     """
-    length = high - low
-
-    ends = np.array((low, high))
-    apart = np.maximum(np.abs(ends[:, None, :, None] - ends[:, None, :]), np.finfo(float).tiny)
+    length, other = high - low, other_high - other_low
+    ends, others = np.array((low, high)), np.array((other_low, other_high))
+    apart = np.maximum(np.abs(ends[:, None, :, None] - others[:, None, :]), np.finfo(float).tiny)
     antiderivative = apart**2 * (np.log(apart) / 2 - 0.75)
     exact = antiderivative[1, 0] + antiderivative[0, 1] - antiderivative[1, 1] - antiderivative[0, 0]
-    exact /= length[:, None] * length
-    middle = (low + high) / 2
-    distance = np.abs(middle[:, None] - middle)
-    squares = length[:, None] ** 2 + length**2
+    exact /= length[:, None] * other
+    distance = np.abs((low + high)[:, None] / 2 - (other_low + other_high) / 2)
+    squares = length[:, None] ** 2 + other**2
     far = distance**2 > 1e5 * squares
     distance = np.where(far, distance, 1.0)
     return np.asarray(np.where(far, np.log(distance) - squares / (24 * distance**2), exact))
 
 
-def scatter_within(batches: NDArray[np.int64]) -> Array:
-    """Contribution (n,) of flicker with B = 1 to the square of a mean's standard error that is estimated from b batch means: ln b/(π·(b −
-    1)).
+def scatter_within(batches: NDArray[np.int64], courses: Sequence[Array] = ()) -> Array:
+    """Contribution (n,) of flicker with B = 1 to the square of each mean's standard error that is estimated from b batch means: ln b/(π·(b
+    − 1)).
 
-    A mean over T has the variance (c − ln T + 3/2)/π with some constant c; the variance of a batch minus that of all is ln b/π.
+    A mean over T has the variance (c − ln T + 3/2)/π with some constant c; the variance of a batch minus that of all is ln b/π. A course
+    that is fitted to the batch means takes its part of the flicker, too: with the projection R that is left, the contribution is
+    tr(R·K·R)/(b·ν), where K is the covariance of the batch means and ν the degrees of freedom. courses: as in `Observations`.
     """
     b = np.maximum(batches, 2).astype(float)
-    return np.where(batches > 1, np.log(b) / (np.pi * (b - 1)), 0.0)
+    plain = np.where(batches > 1, np.log(b) / (np.pi * (b - 1)), 0.0)
+    for row, course in enumerate(courses):
+        count, freedom = course.shape[1], course.shape[1] - 1 - float(np.sum(course**2))
+        if len(course) and freedom > 0:
+            edges = np.arange(count + 1.0)
+            kernel = -_mean_logarithm(edges[:-1], edges[1:]) / np.pi
+            left = np.eye(count) - 1 / count - course.T @ course
+            plain[row] = float(np.sum((left @ kernel) * left)) / (count * freedom)
+    return plain

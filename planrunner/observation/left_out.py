@@ -62,7 +62,7 @@ def _statistics(recorded: RecordedSegment, own: Mapping[str, tuple[Find, ...]]) 
     mean, low, high, error = (
         one.copy() for one in (together.mean, together.minimum, together.maximum, together.standard_error)
     )
-    covariance, batches = together.covariance.copy(), together.batches
+    covariance, widest = together.covariance.copy(), together
     if together.count < 2:
         covariance[:] = 0.0
     for names in sets.values():
@@ -70,7 +70,7 @@ def _statistics(recorded: RecordedSegment, own: Mapping[str, tuple[Find, ...]]) 
         at = [raw.of(name) for name in names]
         mean[at], low[at], high[at], error[at] = one.mean, one.minimum, one.maximum, one.standard_error
         covariance[np.ix_(at, at)] = one.covariance
-        batches = max(batches, one.batches)
+        widest = max(widest, one, key=lambda each: each.batches)
     count = raw.count if np.isfinite(mean).any() else 0
     share = 1 - max(rows_of(finds) for finds in own.values()) / max(rows, 1)
     made = replace(
@@ -81,7 +81,8 @@ def _statistics(recorded: RecordedSegment, own: Mapping[str, tuple[Find, ...]]) 
         maximum=high,
         covariance=covariance,
         standard_error=error,
-        batches=batches,
+        batches=widest.batches,
+        course=widest.course,
     )
     return made, max(share, 1 / max(rows, 1))
 
@@ -89,7 +90,7 @@ def _statistics(recorded: RecordedSegment, own: Mapping[str, tuple[Find, ...]]) 
 def _of(
     recorded: RecordedSegment, channels: Sequence[str], finds: Mapping[str, tuple[Find, ...]], rows: int
 ) -> Statistics:
-    return statistics_of(_without(recorded.blocks(channels), finds, 0), channels, rows)
+    return statistics_of(_without(recorded.blocks(channels), finds, 0), channels, rows, motion=recorded.segment.motion)
 
 
 def _without(blocks: Iterable[Block], finds: Mapping[str, tuple[Find, ...]], filled: int) -> Iterator[Block]:

@@ -29,7 +29,7 @@ class Observations:
     mean: (n, k). standard_error: (n, k), of each mean from its own segment, NaN if the segment is too short. batches: (n,), number of
     batches for it. start, end: (n,), of the recorded interval, half-open, s on the run's clock. correlation: (k, k) between the channels'
     samples, over all segments. expected: from a schedule, not from a recording: means without noise, and the declared noise. share: (n,)
-    of the samples that count; None for all.
+    of the samples that count; None for all. courses: (n,), of each segment as in `Statistics`; None without motion.
     """
 
     channels: tuple[str, ...]
@@ -43,6 +43,13 @@ class Observations:
     correlation: Array
     expected: bool = False
     share: Array | None = None
+    courses: tuple[Array, ...] | None = None
+
+    @property
+    def freedom(self) -> Array:
+        """Degrees of freedom of the standard errors, (n,); 0 where they are unknown."""
+        taken = 0.0 if self.courses is None else np.array([np.sum(course**2) for course in self.courses])
+        return np.asarray(np.maximum(self.batches - 1 - taken, 0.0))
 
     @property
     def seconds(self) -> Array:
@@ -116,6 +123,7 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
         correlation,
         all(recorded.expected for recorded in segments),
         np.array([recorded.share for recorded in segments]),
+        tuple(recorded.statistics.course for recorded in segments),
     )
 
 
@@ -143,7 +151,7 @@ def within_segment_noise(
     error = observations.standard_error[:, channel]
     if observations.expected:
         return WithinSegmentNoise(error, True, "as declared", math.inf)
-    degrees = np.where(np.isfinite(error), observations.batches - 1, 0).astype(float)
+    degrees = np.where(np.isfinite(error), observations.freedom, 0.0)
     usable = (degrees > 0) & (error > 0)
     n = len(error)
     if not usable.any():

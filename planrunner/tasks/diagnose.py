@@ -221,7 +221,7 @@ def _stretch(item: RecordedSegment, number: int, span: Span) -> RecordedSegment:
 
     rows = sum(len(block.time) for block in blocks(tuple(item.units)))
     label = f"{item.label} {number}"
-    statistics = statistics_of(blocks(tuple(item.units)), tuple(item.units), rows)
+    statistics = statistics_of(blocks(tuple(item.units)), tuple(item.units), rows, motion=item.segment.motion)
     return replace(item, segment=replace(item.segment, label=label, dwell=None), statistics=statistics, blocks=blocks)
 
 

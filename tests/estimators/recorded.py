@@ -80,7 +80,7 @@ def from_samples(
             high = low + rows
             yield Block(time[low:high], {name: channels[name][low:high] for name in names})
 
-    statistics = statistics_of(blocks(tuple(channels)), tuple(channels), len(time))
+    statistics = statistics_of(blocks(tuple(channels)), tuple(channels), len(time), motion=planned.motion)
     return RecordedSegment(planned, dict(units), statistics, blocks)
 
 

@@ -7,13 +7,15 @@ written here.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tests.worlds.felt import GRAVITY, LATITUDE, STANDARD_GRAVITY, UPWARD, Felt, Step
+from tests.worlds.navigation import figures, navigated
 
 Array = NDArray[np.float64]
 
@@ -68,8 +70,20 @@ def _plan(steps: Sequence[Step], head: str, estimates: str) -> str:
     for step in steps:
         axes = ", ".join(f"{name}: {word}" for name, word in zip("xyz", step.axes.split(), strict=True))
         rate = f", rate: {step.rate} deg/s" if step.rate else ""
+        rate = f", motion: {_cycle(step)}" if step.moves else rate
         lines.append(f"  - {{label: {step.label}, orientation: {{{axes}}}, dwell: {step.dwell} s{rate}}}")
     return "\n".join(["planrunner: 1", head, "segments:", *lines, "estimates:", estimates, ""])
+
+
+def _cycle(step: Step) -> str:
+    """The motion as a plan has it, with positions at quarters of a turn."""
+    at, moves = 0.0, []
+    for turn in step.moves:
+        before, at = at, (at + turn) % 360
+        moves.append(f"{'ABCD'[round(before / 90)]} {turn:+g} {'ABCD'[round(at / 90)]}")
+    positions = ", ".join(f"{name}: {90 * k} deg" for k, name in enumerate("ABCD"))
+    turning = f"moves: [{', '.join(moves)}], turn_rate: {step.rate:g} deg/s, stop: {step.stop:g} s"
+    return f"{{cycle: {{{positions}}}, {turning}}}"
 
 
 # Eight positions of a flexure gyro ------------------------------------------------------------------------------------
@@ -456,6 +470,22 @@ instruments:
 )
 
 
+def _quiet(campaign: Campaign, share: float) -> Campaign:
+    """The same campaign with less noise, and intervals from the scatter within the segments."""
+    noise = f"angle_random_walk: {_TILTED_WHITE / _PULSES} deg"
+    assert noise in campaign.bench
+    return replace(
+        campaign,
+        plan=campaign.plan.replace("uncertainty: residual", "uncertainty: within_segment"),
+        bench=campaign.bench.replace(noise, f"angle_random_walk: {share * _TILTED_WHITE / _PULSES} deg"),
+        white=share * campaign.white,
+    )
+
+
+TILTED_WITHIN = _quiet(TILTED, 0.05)
+"""Noise so low that what the axes see of the Earth's rate while they turn is four times that of a batch's mean, and up to sixteen times."""
+
+
 # Noise at rest --------------------------------------------------------------------------------------------------------
 
 _REST_STEPS = (Step("rest", "east north up", 2000.0),)
@@ -488,6 +518,79 @@ RESTING = Campaign(
 )
 
 
+# Navigation at rest, and from stop to stop ----------------------------------------------------------------------------
+
+_ALIGN = Step("align", "east north up", 600.0)
+_AT_REST = Step("navigate", "east north up", 7200.0, pause=0.0)
+_SIXTEEN = (180, 90, -180, -90, -180, -90, 180, 90, -180, 90, 180, -90, 180, -90, -180, 90)
+_CARRIED_ROUND = Step("navigate", "east north up", 7200.0, 10.0, 0.0, _SIXTEEN, 60.0)
+_GYRO_ERROR, _ACCEL_ERROR = 0.02, 50.0  # deg/h, µg, of each sensor
+_NAVIGATION_WHITE = np.repeat([0.002 / 60, 0.03 / 60], 3)  # deg/s·√s, m/s²·√s
+_COURSE = 10.0  # s
+
+
+class NavigatingUnit:
+    """Gyros, deg/s, and accelerometers, m/s², each with a constant error. Alignment leaves it as if it took a very long time; what is
+    sought is the true attitude, and the errors that the constants cause."""
+
+    def __init__(self, draw: np.random.Generator, step: Step) -> None:
+        self.gyro = _GYRO_ERROR / 3600 * draw.standard_normal(3)  # deg/s
+        self.accel = _ACCEL_ERROR * 1e-6 * STANDARD_GRAVITY * draw.standard_normal(3)
+        course = navigated(np.radians(self.gyro), self.accel, step.angle, step.dwell, _COURSE)
+        self.truth: Mapping[str, float] = {"heading": 0.0, "pitch": 0.0, "roll": 0.0} | figures(course)
+
+    def outputs(self, felt: Felt) -> Array:
+        return np.hstack([felt.rate / 3600 + self.gyro, felt.force + self.accel])
+
+
+def _navigation(step: Step) -> Campaign:
+    return Campaign(
+        _plan(
+            (_ALIGN, step),
+            "title: navigation\n"
+            "sensor: {kind: imu, outputs: [gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]}\n"
+            "defaults: {on_break: keep}",
+            "  free: {estimator: strapdown_navigation, segments: [align, navigate], "
+            f"gyro_uncertainty: {_GYRO_ERROR} deg/h, accelerometer_uncertainty: {_ACCEL_ERROR} ug}}",
+        ),
+        f"""planrunner_bench: 1
+name: world
+clock: virtual
+{SITE}
+safe_order: [table, unit]
+instruments:
+  table:
+    driver: virtual_table
+    axes:
+      - {{{{name: azimuth, direction: up, max_rate: 100 deg/s, max_acceleration: 1000 deg/s^2}}}}
+    position_uncertainty: {{tilt}} arcsec
+    rate_stability: {{rate}} ppm
+  unit:
+    driver: virtual_imu
+    kind: imu
+    sample_rate: 10 Hz
+    gyros:
+      full_scale: 300 deg/s
+      angle_random_walk: {_NAVIGATION_WHITE[0]} deg/s*sqrt(s)
+      bias_instability: {{flicker[0]}} deg/s
+      resolution: {{count[0]}} deg/s
+      axes: {{{{x: {{{{}}}}, y: {{{{}}}}, z: {{{{}}}}}}}}
+    accelerometers:
+      full_scale: 20 g
+      velocity_random_walk: {_NAVIGATION_WHITE[3]} m/s^2*sqrt(s)
+      bias_instability: {{flicker[3]}} m/s^2
+      resolution: {{count[3]}} m/s^2
+      axes: {{{{x: {{{{}}}}, y: {{{{}}}}, z: {{{{}}}}}}}}
+""",
+        (_ALIGN, step),
+        10.0,
+        UNIT.channels,
+        _NAVIGATION_WHITE * np.sqrt(10.0),
+        "free",
+        partial(NavigatingUnit, step=step),
+    )
+
+
 CAMPAIGNS: Mapping[str, Campaign] = {
     "flexure_gyro_static": EIGHT_POSITIONS,
     "scale_factor": RATES,
@@ -495,5 +598,8 @@ CAMPAIGNS: Mapping[str, Campaign] = {
     "error_model": RICH_UNIT,
     "accelerometer_multi_position": TRIAD,
     "scale_factor_tilted": TILTED,
+    "scale_factor_tilted, within segments": TILTED_WITHIN,
     "allan_deviation": RESTING,
+    "strapdown_navigation at rest": _navigation(_AT_REST),
+    "strapdown_navigation from stop to stop": _navigation(_CARRIED_ROUND),
 }

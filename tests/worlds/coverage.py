@@ -78,7 +78,7 @@ def _segment(segment: Segment, made: Recorded, number: int, campaign: Campaign) 
         for low in range(0, len(time), BLOCK):
             yield Block(time[low : low + BLOCK], {name: channels[name][low : low + BLOCK] for name in names})
 
-    statistics = statistics_of(blocks(tuple(channels)), tuple(channels), len(time))
+    statistics = statistics_of(blocks(tuple(channels)), tuple(channels), len(time), motion=segment.motion)
     return RecordedSegment(segment, dict(campaign.channels), statistics, blocks)
 
 
@@ -96,7 +96,10 @@ def tally(campaign: Campaign, world: World, runs: int, seed: int) -> Tally:
         for item in one.coefficients:
             if item.name in truth:
                 u = item.standard_uncertainty
-                error = abs(item.value - truth[item.name])
+                error = item.value - truth[item.name]
+                if np.isfinite(item.period):
+                    error -= item.period * np.round(error / item.period)
+                error = abs(error)
                 held = error <= expanded_uncertainty(u, item.degrees_of_freedom)
                 found.held[item.name] = found.held.get(item.name, 0) + bool(held)
                 found.off.setdefault(item.name, []).append(error / u)

@@ -15,6 +15,8 @@ from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 ARCSEC = np.radians(1) / 3600
+DAY = 86400.0  # s: a constant is the average over so long
+_MINUTE = 60.0  # s
 
 Fault = Callable[["Recorded", np.random.Generator], Array]
 
@@ -47,24 +49,41 @@ class World:
 
 def flicker(made: Recorded, draw: np.random.Generator, size: float) -> Array:
     """1/f noise with the two-sided density B²/(2πf), B = size · mean, as a sum of first-order processes whose time constants are spaced
-    by a factor of two: each has the variance B²·ln 2/π, and their densities add to 1/f between the longest and the shortest."""
+    by a factor of two: each has the variance B²·ln 2/π, and their densities add to 1/f between the longest and the shortest. The average
+    over the `DAY` around the test is taken from it: it belongs to the constant that is sought."""
     constants = 2.0 ** np.arange(-2, 20)  # s
     out = np.zeros_like(made.values)
+    begin, length = float(made.time[0]), float(made.time[-1] - made.time[0])
+    around = round(max(0.0, DAY - length) / 2 / _MINUTE)  # steps before the test and after it
     edges = np.flatnonzero(np.diff(made.step)) + 1
     pieces = np.split(np.arange(len(made.time)), edges)
     for constant in constants:
-        state: Array = draw.standard_normal((out.shape[1],))
-        last: float | None = None
+        before, state = _process(constant, _MINUTE, around, draw.standard_normal((out.shape[1],)), draw)
+        total, last = _MINUTE * before, begin - 1 / made.sampling
         keep = np.exp(-1 / (constant * made.sampling))
         for rows in pieces:
-            if last is not None:  # what happens between steps
-                left = np.exp(-(made.time[rows[0]] - last - 1 / made.sampling) / constant)
-                state = left * state + np.sqrt(1 - left**2) * draw.standard_normal(len(state))
+            between = float(made.time[rows[0]]) - last - 1 / made.sampling  # nothing is recorded
+            left, was = np.exp(-between / constant), state
+            state = left * state + np.sqrt(1 - left**2) * draw.standard_normal(len(state))
+            total = total + between * (state + was) / 2
             new = np.sqrt(1 - keep**2) * draw.standard_normal((len(rows), len(state)))
             part, _ = lfilter([1.0], [1.0, -keep], new, axis=0, zi=(keep * state)[None])
             out[rows] += part
+            total = total + part.sum(axis=0) / made.sampling
             state, last = part[-1], float(made.time[rows[-1]])
+        after, _ = _process(constant, _MINUTE, around, state, draw)
+        out -= (total + _MINUTE * after) / max(DAY, length)
     return np.asarray(size * made.mean * np.sqrt(np.log(2) / np.pi) * out)
+
+
+def _process(constant: float, step: float, count: int, state: Array, draw: np.random.Generator) -> tuple[Array, Array]:
+    """Sum over `count` steps of a first-order process of unit variance, (k,), and its last state, from the one before."""
+    keep = np.exp(-step / constant)
+    new = np.sqrt(1 - keep**2) * draw.standard_normal((count, len(state)))
+    if not count:
+        return np.zeros(len(state)), state
+    part, _ = lfilter([1.0], [1.0, -keep], new, axis=0, zi=(keep * state)[None])
+    return np.asarray(part.sum(axis=0)), np.asarray(part[-1])
 
 
 def _flicker(size: float) -> Fault:

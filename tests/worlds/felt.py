@@ -1,7 +1,7 @@
 """What a sensor feels in a test on the ground, sample by sample, and when.
 
-Site axes are east, north and up. A step holds one orientation, at rest or turning at a constant rate about the vertical; between steps
-nothing is recorded. Rates are in deg/h, specific force is in m/s².
+Site axes are east, north and up. A step holds one orientation, at rest, turning at a constant rate about the vertical, or turning from
+stop to stop; between steps nothing is recorded. Rates are in deg/h, specific force is in m/s².
 """
 
 from __future__ import annotations
@@ -29,13 +29,26 @@ UPWARD = EARTH * np.sin(np.radians(LATITUDE))
 @dataclass(frozen=True)
 class Step:
     """axes: where the sensor's x, y and z point when the table stands at its home angle. dwell: s recorded; pause: s before it; rate:
-    deg/s, positive about up."""
+    deg/s, positive about up. moves: deg, turns about up, over and over again, each after a stop of `stop` s, at `rate` deg/s."""
 
     label: str
     axes: str
     dwell: float
     rate: float = 0.0
     pause: float = 30.0
+    moves: tuple[float, ...] = ()
+    stop: float = 0.0
+
+    def angle(self, time: Array) -> Array:
+        """Of the table, rad, some seconds since the step began."""
+        if not self.moves:
+            return np.asarray(np.radians(self.rate) * time)
+        turns = np.resize(self.moves, 1 + int(self.dwell / self.stop))
+        knots, angles = [0.0], [0.0]
+        for turn in turns:
+            knots += [knots[-1] + self.stop, knots[-1] + self.stop + abs(turn) / self.rate]
+            angles += [angles[-1], angles[-1] + turn]
+        return np.asarray(np.radians(np.interp(time, knots, angles)))
 
     @property
     def matrix(self) -> Array:
@@ -67,11 +80,15 @@ def felt(steps: Sequence[Step], sampling: float, tilts: Array | None = None, rat
     for number, (step, start) in enumerate(zip(steps, starts(steps), strict=True)):
         local = np.arange(round(step.dwell * sampling)) / sampling
         wrong = 0.0 if rate_errors is None else float(rate_errors[number])
-        turned = np.radians(step.rate * (1 + wrong) * local)
+        spin = np.zeros((len(local), 3))
+        if step.moves:  # each sample is the mean over the interval that ends with it
+            edges = step.angle(np.append(local, local[-1] + 1 / sampling))
+            turned, spin[:, 2] = (edges[1:] + edges[:-1]) / 2, np.degrees(np.diff(edges)) * sampling * 3600
+        else:
+            turned, spin[:, 2] = step.angle((1 + wrong) * local), step.rate * (1 + wrong) * 3600
         axes = step.matrix if tilts is None else step.matrix @ turn(tilts[number]).T
         # Seen from the table, the Earth's rate turns backwards about the vertical.
         earth = np.stack([NORTHWARD * np.sin(turned), NORTHWARD * np.cos(turned), np.full(len(local), UPWARD)], axis=1)
-        spin = np.array([0.0, 0.0, step.rate * (1 + wrong) * 3600])
         times.append(start + local)
         owners.append(np.full(len(local), number))
         rates.append((earth + spin) @ axes.T)

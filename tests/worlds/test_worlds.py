@@ -17,7 +17,7 @@ HERE = Path(__file__).parent
 
 
 def test_worlds_import_nothing_of_planrunner() -> None:
-    for name in ("felt", "faults", "campaigns"):
+    for name in ("felt", "faults", "navigation", "campaigns"):
         tree = ast.parse((HERE / f"{name}.py").read_text(encoding="utf-8"))
         imported = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
         imported += [item.name for node in ast.walk(tree) if isinstance(node, ast.Import) for item in node.names]
@@ -74,7 +74,10 @@ def test_every_coefficient_of_a_device_is_estimated(estimator: str) -> None:
     found = {item.name: item for item in one.coefficients}
     assert truth.keys() <= found.keys()
     for name, value in truth.items():
-        assert abs(found[name].value - value) <= 5 * found[name].standard_uncertainty, name
+        error = found[name].value - value
+        if np.isfinite(found[name].period):
+            error -= found[name].period * np.round(error / found[name].period)
+        assert abs(error) <= 5 * found[name].standard_uncertainty, name
 
 
 @pytest.mark.parametrize("estimator", [name for name in CAMPAIGNS if name != "allan_deviation"])
@@ -83,5 +86,7 @@ def test_a_reversed_channel_is_reported_by_every_estimator_that_has_a_scale_fact
     campaign, world = CAMPAIGNS[estimator], WORLDS["reversed channel"]
     _, made = recorded(campaign, world, np.random.default_rng(3))
     one = estimated(campaign, known(campaign, world), made)
-    assert not isinstance(one, str), one
-    assert [text for text in one.warnings if "opposite sign" in text]
+    if isinstance(one, str):  # a navigation cannot begin
+        assert "strapdown" in estimator and ("gyros" in one or "accelerometers" in one)
+    else:
+        assert [text for text in one.warnings if "opposite sign" in text]

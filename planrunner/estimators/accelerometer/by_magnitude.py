@@ -249,6 +249,7 @@ def _found(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Ob
         start=np.array([one.span.start for one in spans]) + late,
         end=np.array([one.span.end for one in spans]) + late,
         correlation=np.eye(len(outputs)),  # that of the whole recording is one of motion
+        courses=None,
     )
 
 

@@ -56,10 +56,16 @@ class Aligned:
 
 
 def align(
-    recorded: RecordedSegment, reader: IncrementReader, site: Site, gravity_factor: float, constant: Array
+    recorded: RecordedSegment,
+    reader: IncrementReader,
+    site: Site,
+    gravity_factor: float,
+    constant: Array,
+    follow: float | None = None,
 ) -> Aligned:
     """The attitude at the end of a segment. site: with latitude, height and gravity of the place. constant: (6,), standard uncertainty of
-    the constant errors, rad/s and m/s², for a unit that is turned during alignment. Raises `EstimationError`."""
+    the constant errors, rad/s and m/s², for a unit that is turned during alignment. follow: as for `FineAlignment`. Raises
+    `EstimationError`."""
     seconds = recorded.statistics.duration
     still = stillness(recorded.segment, seconds)
     _check_stop(recorded, seconds, still, site)
@@ -81,6 +87,7 @@ def align(
             levelled_out(each) if turned else each,
             every * reader.interval,
             constant if turned else None,
+            follow,
         )
         for each in (density, shown)
     ]

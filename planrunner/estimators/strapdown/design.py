@@ -33,9 +33,17 @@ from planrunner.estimators.strapdown.alignment import (
     stillness,
     to_navigation,
 )
-from planrunner.estimators.strapdown.navigating import StrapdownNavigationParameters, parts
+from planrunner.estimators.strapdown.navigating import StrapdownNavigationParameters, parts, wandering_sensors
 from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, CEP_SPREAD, HOUR, NAUTICAL_MILE
-from planrunner.estimators.strapdown.uncertainty import NAMES, PERIODS, SCHULER_PERIOD, errors_by_latitude
+from planrunner.estimators.strapdown.uncertainty import (
+    NAMES,
+    PERIODS,
+    SCHULER_PERIOD,
+    errors_by_latitude,
+    interpolated,
+    rate_of,
+)
+from planrunner.estimators.strapdown.wandering import WanderingBias
 from planrunner.navigation import attitude
 from planrunner.navigation.alignment import FineAlignment
 from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
@@ -48,6 +56,7 @@ Array = NDArray[np.float64]
 _STEP = 60.0  # s, over which the error equations are driven by a mean
 _LONGEST = 7 * 86400.0  # s that errors are predicted for
 _FINE = 60  # angles in each such step
+_MOMENTS = 24  # at which the effect of biases that wander is evaluated
 _KNOTS = 1800  # of the alignment at most, each a second or longer
 _COARSE_TURN = 0.05  # rad from sample to sample; beyond, what coning and sculling leave is no longer small
 
@@ -180,11 +189,14 @@ def _expected(
     density = to_navigation(rotation, white**2)
     step = max(1.0, (stop.dwell or 0.0) / _KNOTS)
     course = _turning([stop], rotation, step)[:, :3, :3]
-    after = FineAlignment(equations, density, step, constant)
+    wandering = wandering_sensors(request.setup.inputs, parameters)
+    after = FineAlignment(equations, density, step, constant, _STEP if wandering else None)
     after.take(np.zeros((len(course), 2)), course, _about_up(stop, len(course), step))
-    start = after.finish(course[-1]).covariance[: SIZE + INPUTS, : SIZE + INPUTS]
+    aligned = after.finish(course[-1])
+    start = aligned.covariance[: SIZE + INPUTS, : SIZE + INPUTS]
     # Errors of the navigation follow those left by the alignment and the constant errors that hid behind them.
-    driven = _turning(moving, rotation, _STEP) @ np.eye(INPUTS, SIZE + INPUTS, SIZE)
+    turned = _turning(moving, rotation, _STEP)
+    driven = turned @ np.eye(INPUTS, SIZE + INPUTS, SIZE)
     responses = equations.responses(np.eye(SIZE, SIZE + INPUTS), driven, _STEP)
     turning = any(not isinstance(segment.motion, Rest) for segment in moving)
     noise = equations.covariances(
@@ -196,9 +208,19 @@ def _expected(
         covariances[:, :4, :4] += latitude.standard_uncertainty**2 * np.einsum("an,bn->nab", change, change)
     sensitivities = -attitude.angle_sensitivities(rotation)
     angles = sensitivities @ start[TILT, TILT] @ sensitivities.T
+    if wandering:
+        followed, between = aligned.followed[TILT], round((moving[0].start - stop.start) / _STEP)
+        response = WanderingBias(equations, followed, turned[:, :3, :3], between, _STEP, parameters.drift_span.value)
+        time = _STEP * np.arange(1.0, len(covariances) + 1)
+        moments = np.unique(time[np.linspace(0, len(time) - 1, _MOMENTS).round().astype(int)])
+        each = response.covariances(moments)
+        for k, quantity in wandering.items():
+            own = (quantity.standard_uncertainty * rate_of(quantity, request.sensor)) ** 2 * each[:, k]
+            angles = angles + sensitivities @ own[-1, :3, :3] @ sensitivities.T
+            covariances[:, :4, :4] += interpolated(time, moments, own[:, 3:, 3:])
     note = (
         "Expected errors are root mean squares over many units of this kind. They include the "
-        "declared white noise and, if stated, gyro_uncertainty, accelerometer_uncertainty and the uncertainty of the latitude."
+        "declared noise and, if stated, gyro_uncertainty, accelerometer_uncertainty and the uncertainty of the latitude."
     )
     return _coefficients(rotation, angles, covariances), note
 

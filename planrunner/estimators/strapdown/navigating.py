@@ -23,13 +23,17 @@ from planrunner.estimators.strapdown.reading import (
     reference_mean,
     reference_speed,
 )
+from planrunner.estimators.strapdown.wandering import MeanAttitude, WanderingBias, interval
 from planrunner.navigation import attitude
+from planrunner.navigation.error_equations import TILT, ErrorEquations
 from planrunner.navigation.mechanisation import Knots, Navigator
 from planrunner.navigation.wgs84 import normal_gravity
+from planrunner.observation.flicker import drift_span
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, QuantityError, parse_quantity, without_uncertainty
 from planrunner.plan.selection import matches
+from planrunner.uncertainty.influences import Aspect, InputQuantity, Inputs
 
 Array = NDArray[np.float64]
 
@@ -37,6 +41,9 @@ S = TypeVar("S")
 
 
 _HIGHEST_REACHED = math.radians(89)
+
+
+_INTERVALS = 4400  # of a navigation, in each of which a bias that wanders is its mean: a minute each in 72 h
 
 
 _GYRO = math.radians(0.1) / 3600  # rad/s
@@ -113,6 +120,13 @@ class StrapdownNavigationParameters(Record):
         default=None,
     )
 
+    drift_span: Quantity = drift_span()
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Gyros x, y, z, accelerometers x, y, z."""
+        return (*self.gyros, *self.accelerometers)
+
     @property
     def constant_errors(self) -> Array:
         """Standard uncertainty of the constant errors (6,), rad/s and m/s²: as stated, otherwise so large that the data determine the
@@ -125,7 +139,7 @@ class StrapdownNavigationParameters(Record):
 @dataclass(frozen=True, slots=True)
 class Navigated:
     """Result of a navigation. site: place of the start. final: (4,), errors at the end [m, m, m/s, m/s]. seconds: s. start: s, when it
-    began. gap: s without samples after the alignment."""
+    began. gap: s without samples after the alignment. wandering: response to biases that wander; None if no bias instability is stated."""
 
     site: Site
     aligned: Aligned
@@ -135,6 +149,7 @@ class Navigated:
     start: float
     gap: float
     bridged: int
+    wandering: WanderingBias | None = None
 
 
 def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S, Sequence[S]]:
@@ -204,15 +219,32 @@ def navigate(request: EstimateRequest[StrapdownNavigationParameters]) -> Navigat
         raise EstimationError(
             "alignment and navigation have different sample rates: give all of them one `sample_rate`"
         )
-    reader = IncrementReader((*parameters.gyros, *parameters.accelerometers), rates.pop(), parameters.bridge.value)
+    reader = IncrementReader(parameters.channels, rates.pop(), parameters.bridge.value)
     bench = request.site.on_ellipsoid
     factor = (
         bench.gravity / float(normal_gravity(bench.latitude, bench.height)) if parameters.gravity == "site" else 1.0
     )
     site = start_place(request, stop, factor)
-    aligned = align(stop, reader, site, factor, parameters.constant_errors)
+    step = None
+    if wandering_sensors(request.setup.inputs, parameters):
+        step = interval(sum(item.statistics.duration for item in (stop, *moving)), _INTERVALS)
+    aligned = align(stop, reader, site, factor, parameters.constant_errors, step)
     gap = _gap(request, stop, moving, reader)
-    return _run(request, reader, moving, site, factor, aligned, gap)
+    attitudes = None if step is None else MeanAttitude(step)
+    found = _run(request, reader, moving, site, factor, aligned, gap, attitudes)
+    if attitudes is None or step is None:
+        return found
+    between = max(0, round((found.start - (stop.statistics.start - reader.interval)) / step))
+    followed = aligned.alignment.followed[TILT]
+    span = parameters.drift_span.value
+    response = WanderingBias(ErrorEquations.at(found.site), followed, attitudes.means, between, step, span)
+    return replace(found, wandering=response)
+
+
+def wandering_sensors(inputs: Inputs, parameters: StrapdownNavigationParameters) -> dict[int, InputQuantity]:
+    """The stated bias instabilities, by number of the sensor: gyros x, y, z, accelerometers x, y, z."""
+    stated = (inputs.of_output(Aspect.BIAS_INSTABILITY, name) for name in parameters.channels)
+    return {k: quantity for k, quantity in enumerate(stated) if quantity is not None}
 
 
 def _gap(
@@ -251,6 +283,7 @@ def _run(
     factor: float,
     aligned: Aligned,
     gap: float,
+    attitudes: MeanAttitude | None,
 ) -> Navigated:
     every = max(1, round(1 / reader.interval))
     lasting = sum(item.statistics.duration for item in moving)
@@ -269,6 +302,8 @@ def _run(
             at = np.arange(every - 1 - navigator.steps % every, piece.time.size, every)
             knots = navigator.advance(piece.values, piece.interval, piece.reference.get("reference_height"))
             record.take(piece.time[at] - start, knots, _truth(piece, site, at))
+            if attitudes is not None:
+                attitudes.take(piece.time[at] - start, attitude.matrix(knots.attitude))
             _check(navigator, item.label, float(piece.time[-1]) - start)
             time, truth = float(piece.time[-1]), _truth(piece, site, np.array([-1]))
     assert navigator is not None and truth is not None

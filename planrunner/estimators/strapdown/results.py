@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Plot, Role, Table, TableColumn
 from planrunner.estimators.strapdown.navigating import Navigated, StrapdownNavigationParameters
 from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, HOUR, NAUTICAL_MILE
-from planrunner.estimators.strapdown.uncertainty import DEGREE, NAMES, PERIODS, RATE, SCHULER_PERIOD, Spread, influences
+from planrunner.estimators.strapdown.uncertainty import (
+    DEGREE,
+    NAMES,
+    PERIODS,
+    RATE,
+    SCHULER_PERIOD,
+    Spread,
+    Wander,
+    influences,
+)
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import INPUTS, SIZE, ErrorEquations
 from planrunner.plan.schedule import Rest
@@ -26,7 +35,7 @@ def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Nav
     """The estimate."""
     points = found.record.points()
     equations = ErrorEquations.at(found.site)
-    spread = Spread(equations, found, points, _turns(request))
+    spread, wander = Spread(equations, found, points, _turns(request)), Wander(request, found, points)
     coefficients = _coefficients(found, spread)
     values = {item.name: item.value for item in coefficients}
     return Estimate(
@@ -36,7 +45,7 @@ def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Nav
         spread.covariance,
         ("heading", "radial_error", "largest_radial_error", "rms_radial_error", "radial_error_rate", "cep_rate"),
         _settings(request, found),
-        (_table(points, spread.radial), *_constants(request, found)),
+        (_table(points, np.hypot(spread.radial, wander.radial)), *_constants(request, found)),
         _plots(points),
         _notes(request, found, values),
         _warnings(found),
@@ -50,7 +59,7 @@ def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Nav
             "cep_rate_nmi_h": values["cep_rate"],
             "duration_s": found.seconds,
         },
-        influences(request, equations, found, points),
+        (*influences(request, equations, found, points), *wander.influences),
     )
 
 
@@ -160,6 +169,14 @@ def _plots(points: Array) -> tuple[Plot, ...]:
     )
 
 
+def _wandering(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> str:
+    if found.wandering is None:
+        return ""
+    return (
+        f" and from the declared bias instability, for constants that are averages over {request.parameters.drift_span}"
+    )
+
+
 def _notes(
     request: EstimateRequest[StrapdownNavigationParameters], found: Navigated, values: dict[str, float]
 ) -> tuple[str, ...]:
@@ -168,9 +185,9 @@ def _notes(
         "One run determines a CEP poorly: if errors are normal with equal variances and zero mean, the CEP rate is between "
         f"{low:.3g} and "
         f"{high:.3g} nmi/h (95 %). Take the root mean square of radial_error_rate over several runs, times 0.8326.",
-        "The uncertainties of the errors come from the white noise seen during alignment, propagated through the "
-        "linear error equations; constant sensor errors are part of the measured errors. For the largest error, the root mean square and "
-        "the rate, the uncertainties are upper bounds.",
+        f"The uncertainties of the errors come from the white noise seen during alignment{_wandering(request, found)}, propagated through "
+        "the linear error equations; constant sensor errors are part of the measured errors. For the largest error, the root mean square "
+        "and the rate, the uncertainties are upper bounds.",
     ]
     parameters = request.parameters
     unknown = parameters.gyro_uncertainty is None or parameters.accelerometer_uncertainty is None

@@ -1,7 +1,8 @@
 """Uncertainties of the results of a strapdown navigation.
 
 The uncertainties describe how well one run determines the navigation errors that the constant errors of the sensors cause. They come from
-white noise, estimated during alignment, and from the resulting uncertainty of the alignment, propagated through the linear error equations.
+white noise, estimated during alignment, and from the resulting uncertainty of the alignment, propagated through the linear error equations,
+and from the stated bias instabilities (see `wandering`).
 Constant errors are part of the measured errors; they contribute to the uncertainty only in the angles of the alignment, which do not show
 them.
 """
@@ -15,12 +16,14 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.strapdown.alignment import levelled_out
-from planrunner.estimators.strapdown.navigating import Navigated, StrapdownNavigationParameters
+from planrunner.estimators.strapdown.navigating import Navigated, StrapdownNavigationParameters, wandering_sensors
 from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, CEP_SPREAD, HOUR, NAUTICAL_MILE
+from planrunner.instruments.models import SensorModel
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
 from planrunner.navigation.wgs84 import radii
 from planrunner.physics.earth import Site
+from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.uncertainty.derivatives import jacobian, length
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
@@ -48,6 +51,7 @@ NAMES = {
 _DIRECT = 7  # the first so many follow the state linearly
 DEGREE = math.degrees(1.0)
 RATE = HOUR / NAUTICAL_MILE
+_MOMENTS = 96  # at which the effect of biases that wander is evaluated
 
 
 class Spread:
@@ -61,50 +65,92 @@ class Spread:
         step = float(points[0, 1] - points[0, 0]) if points.shape[1] > 1 else found.seconds
         count = points.shape[1] - 1
         covariances = np.array([start, *equations.covariances(start, density, step, count)])
-        self.radial = self._along(points[1:3], covariances[:, :2, :2])
-        self.speed = self._along(points[3:5], covariances[:, 2:4, 2:4])
+        self.radial, speed = _lengths(points, covariances)
         rest = found.seconds - count * step
         end = next(equations.covariances(covariances[-1], density, max(rest, 0.0), 1))
         carried = equations.step(found.seconds)[0] @ start
-        self.covariance = self._joined(found, points, start, end, carried)
+        both = np.block([[start[TILT, TILT], carried[:4, TILT].T], [carried[:4, TILT], end[:4, :4]]])
+        self.covariance = joined(found, points, both, self.radial, speed)
+        last = len(NAMES) - 1
+        self.covariance[last, last] = (found.record.radial_rate * RATE * CEP_SHARE * CEP_SPREAD) ** 2
 
-    @staticmethod
-    def _along(errors: Array, covariances: Array) -> Array:
-        """Standard uncertainty of the length of (2, n) vectors with covariances (n, 2, 2); of the longer axis if the length is zero."""
-        size = np.hypot(*errors)
-        unit = np.where(size > 0, errors / np.where(size > 0, size, 1.0), 0.0)
-        along = np.einsum("in,nij,jn->n", unit, covariances, unit)
-        lengths: Array = np.sqrt(np.where(size > 0, along, np.trace(covariances, axis1=1, axis2=2)))
-        return lengths
 
-    def _joined(self, found: Navigated, points: Array, start: Array, end: Array, carried: Array) -> Array:
-        """The angles and the errors at the end follow the state linearly. For figures over time, the uncertainty is an upper bound that
-        assumes fully correlated errors; correlations between these figures are set to zero."""
-        angles = -attitude.angle_sensitivities(found.aligned.alignment.rotation) * DEGREE
-        both = np.zeros((_DIRECT + 1, _DIRECT + 1))
-        both[:3, :3] = angles @ start[TILT, TILT] @ angles.T
-        both[:3, 3:7] = angles @ carried[:4, TILT].T
-        both[3:7, :3] = both[:3, 3:7].T
-        both[3:7, 3:7] = end[:4, :4]
-        radial = float(np.hypot(*found.final[:2]))
-        line = np.zeros((_DIRECT + 1, _DIRECT + 1))
-        line[:_DIRECT, :_DIRECT] = np.eye(_DIRECT)
-        line[_DIRECT, 3:5] = found.final[:2] / radial if radial else 0.0
-        covariance = np.zeros((len(NAMES), len(NAMES)))
-        covariance[: _DIRECT + 1, : _DIRECT + 1] = line @ both @ line.T
-        time, size, speed = points[0], np.hypot(*points[1:3]), np.hypot(*points[3:5])
-        rate = float(time @ self.radial / (time @ time)) * RATE
-        over_time = (
-            float(np.interp(found.record.largest_at, time, self.radial)),
-            float(size @ self.radial / math.sqrt(size @ size * size.size)) if size.any() else float(self.radial[-1]),
-            float(self.speed[int(np.argmax(speed))]),
-            float(speed @ self.speed / math.sqrt(speed @ speed * speed.size)) if speed.any() else float(self.speed[-1]),
-            rate,
-            found.record.radial_rate * RATE * CEP_SHARE * CEP_SPREAD,
-        )
-        places = range(_DIRECT + 1, len(NAMES))
-        covariance[places, places] = np.square(over_time)
-        return covariance
+class Wander:
+    """Uncertainty from biases that wander. influences: of each sensor with a stated bias instability. radial: (n,), standard uncertainty of
+    the radial error at the points of the course [m]."""
+
+    def __init__(self, request: EstimateRequest[StrapdownNavigationParameters], found: Navigated, points: Array):
+        self.influences: tuple[Influence, ...] = ()
+        self.radial = np.zeros(points.shape[1])
+        if found.wandering is None:
+            return
+        moments = np.unique([*np.linspace(points[0, -1] / _MOMENTS, points[0, -1], _MOMENTS), found.seconds])
+        covariances = found.wandering.covariances(moments)
+        for k, quantity in wandering_sensors(request.setup.inputs, request.parameters).items():
+            own = rate_of(quantity, request.sensor) ** 2 * covariances[:, k]
+            over_time = interpolated(points[0], moments, own[:, 3:, 3:])
+            radial, speed = _lengths(points, over_time)
+            self.radial = np.hypot(self.radial, quantity.standard_uncertainty * radial)
+            values, vectors = np.linalg.eigh(joined(found, points, own[-1], radial, speed))
+            kept = values > 0
+            self.influences += (Influence(quantity, vectors[:, kept] * np.sqrt(values[kept])),)
+
+
+def rate_of(quantity: InputQuantity, sensor: SensorModel) -> float:
+    """rad/s or m/s² per unit of an output, also of one that gives increments."""
+    known = unit(quantity.unit)
+    increments = known.dimension in (DIMENSIONS["angle"], DIMENSIONS["speed"])
+    return known.factor * (sensor.sample_rate if increments else 1.0)
+
+
+def interpolated(time: Array, moments: Array, covariances: Array) -> Array:
+    """Covariances (n, 4, 4) at some times (n,), from those at some moments (k, 4, 4) and none at zero."""
+    known = np.concatenate([np.zeros((1, *covariances.shape[1:])), covariances])
+    each = known.reshape(len(known), -1).T
+    at = np.append(0.0, moments)
+    return np.array([np.interp(time, at, one) for one in each]).T.reshape(len(time), *covariances.shape[1:])
+
+
+def _lengths(points: Array, covariances: Array) -> tuple[Array, Array]:
+    """Standard uncertainties of the radial error and of the speed at the points, from covariances (n, k, k) of position and velocity."""
+    return _along(points[1:3], covariances[:, :2, :2]), _along(points[3:5], covariances[:, 2:4, 2:4])
+
+
+def joined(found: Navigated, points: Array, both: Array, radial: Array, speed: Array) -> Array:
+    """Covariance (m, m) of `NAMES` in their units, without that of the CEP rate.
+
+    The angles and the errors at the end follow the state linearly. For figures over time, the uncertainty is an upper bound that assumes
+    fully correlated errors; correlations between these figures are set to zero. both: (7, 7), of tilts after alignment and errors at the
+    end; radial, speed: (n,), standard uncertainties at the points.
+    """
+    angles = np.eye(_DIRECT)
+    angles[:3, :3] = -attitude.angle_sensitivities(found.aligned.alignment.rotation) * DEGREE
+    size = float(np.hypot(*found.final[:2]))
+    line = np.zeros((_DIRECT + 1, _DIRECT))
+    line[:_DIRECT] = angles
+    line[_DIRECT, 3:5] = found.final[:2] / size if size else 0.0
+    covariance = np.zeros((len(NAMES), len(NAMES)))
+    covariance[: _DIRECT + 1, : _DIRECT + 1] = line @ both @ line.T
+    time, away, fast = points[0], np.hypot(*points[1:3]), np.hypot(*points[3:5])
+    over_time = (
+        float(np.interp(found.record.largest_at, time, radial)),
+        float(away @ radial / math.sqrt(away @ away * away.size)) if away.any() else float(radial[-1]),
+        float(speed[int(np.argmax(fast))]),
+        float(fast @ speed / math.sqrt(fast @ fast * fast.size)) if fast.any() else float(speed[-1]),
+        float(time @ radial / (time @ time)) * RATE,
+    )
+    places = range(_DIRECT + 1, _DIRECT + 1 + len(over_time))
+    covariance[places, places] = np.square(over_time)
+    return covariance
+
+
+def _along(errors: Array, covariances: Array) -> Array:
+    """Standard uncertainty of the length of (2, n) vectors with covariances (n, 2, 2); of the longer axis if the length is zero."""
+    size = np.hypot(*errors)
+    unit_vectors = np.where(size > 0, errors / np.where(size > 0, size, 1.0), 0.0)
+    along = np.einsum("in,nij,jn->n", unit_vectors, covariances, unit_vectors)
+    lengths: Array = np.sqrt(np.maximum(np.where(size > 0, along, np.trace(covariances, axis1=1, axis2=2)), 0.0))
+    return lengths
 
 
 def influences(
@@ -129,12 +175,14 @@ def influences(
         ),
     )
     influences = []
-    for name, unit, quantity, columns, key in stated:
+    for name, unit_text, quantity, columns, key in stated:
         if quantity is not None and not found.aligned.turned:
             sensitivities = np.zeros((len(NAMES), 3))
             sensitivities[:3] = angles[:, columns]
             source = f"plan estimates.{request.name}.{key}"
-            influences.append(Influence(InputQuantity(name, 0.0, unit, quantity.value, source=source), sensitivities))
+            influences.append(
+                Influence(InputQuantity(name, 0.0, unit_text, quantity.value, source=source), sensitivities)
+            )
     if latitude := request.setup.inputs.get("latitude"):
         course = np.column_stack([points[:, 1:], [found.seconds, *found.final]])
         parts = ((float(points[0, -1]) / max(1, points.shape[1] - 1), points.shape[1] - 1), (found.seconds, 1))

@@ -1,0 +1,78 @@
+"""The course that a motion gives to a segment's samples: what a turning or rocking sensor sees of the Earth's rate, of gravity and of its
+own motion. It is signal, so the scatter of the samples is taken about it.
+
+Whatever its size and phase, the course repeats with the period of the motion: a straight line through what the sensor senses gives the
+fundamental, and a second-order effect its double. The fundamental may change evenly over the segment, because a table whose rate is off by
+some ppm runs away from the planned phase. A rocking table gives more harmonics, because what the sensor senses follows sines of an angle
+that is itself a sine.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.physics.sampled_motion import period_of
+from planrunner.plan.schedule import Motion, Rock, Spin
+
+Array = NDArray[np.float64]
+
+_TURNING = 2  # harmonics
+_ROCKING = 5  # harmonics: at an amplitude of 60 deg the next Bessel function, J6(1.05), is 3e-5
+_VANISHING = 1e-6  # root mean square of a column that is zero but for rounding
+_FADED = 0.1  # of a wave: averaging that leaves less is not undone, because noise would grow with it
+_RANK = 1e-10  # of the largest eigenvalue
+_PER_COLUMN = 4  # times as many means as columns that a fit needs
+
+
+@dataclass(frozen=True, slots=True)
+class MotionCourse:
+    """columns: (c, p), its form over c short means, weighted by the samples in them orthonormal and of zero mean. samples: (c,), those of
+    each mean that count; none where the table is not in its steady motion. products: (p, p), of the same forms over the samples, where they
+    are not averaged."""
+
+    columns: Array
+    samples: Array
+    products: Array
+
+
+def follows_course(motion: Motion) -> bool:
+    """Whether a motion gives a periodic course."""
+    return isinstance(motion, Rock) or (isinstance(motion, Spin) and motion.rate != 0)
+
+
+def course_of(motion: Motion, time: Array, samples: Array, interval: float) -> MotionCourse | None:
+    """The course of a periodic motion over short means of consecutive samples; None if there are too few of them.
+
+    time: (c,), middle of each, s since the segment's first sample. samples: (c,), numbers of samples. interval: s between samples.
+    """
+    if isinstance(motion, Rock):
+        since = time - motion.steady
+        samples = np.where((since >= 0) & (since <= motion.duration), samples, 0.0)
+    harmonics = _ROCKING if isinstance(motion, Rock) else _TURNING
+    if np.count_nonzero(samples) < _PER_COLUMN * 2 * (harmonics + 1):
+        return None
+    pulse = 2 * np.pi / period_of(motion)
+    total = samples.sum()
+    middle = float(samples @ time / total)
+    along = (time - middle) / max(float(np.abs(time - middle).max()), interval)
+    found, faded = [], []
+    for harmonic in range(1, harmonics + 1):
+        # The mean of n samples of a sine is the sine at their middle times Dirichlet's kernel sin(nx)/(n·sin x).
+        half = harmonic * pulse * interval / 2
+        waves, left = np.exp(1j * harmonic * pulse * time), np.sinc(samples * half / np.pi) / np.sinc(half / np.pi)
+        for wave in (waves, waves * along) if harmonic == 1 else (waves,):
+            found += [wave.real, wave.imag]
+            faded += [left, left]
+    fading = np.column_stack(faded)
+    columns = np.column_stack(found) * fading
+    columns -= samples @ columns / total
+    size = np.sqrt(samples @ columns**2 / total)
+    seen = size > _VANISHING
+    columns, fading = columns[:, seen] / size[seen], np.maximum(np.abs(fading[:, seen]), _FADED)
+    values, vectors = np.linalg.eigh(columns.T @ (samples[:, None] * columns))
+    kept = values > _RANK * values.max(initial=0.0)
+    mixed = vectors[:, kept] / np.sqrt(values[kept])
+    unfaded = columns / fading @ mixed
+    return MotionCourse(columns @ mixed, samples, unfaded.T @ (samples[:, None] * unfaded))

@@ -1,0 +1,99 @@
+"""Flicker in a navigation: biases that wander during alignment and navigation, through the linear error equations.
+
+A constant error is defined as the average over a stated span (see `observation.flicker`); what wanders about it moves alignment and
+navigation. The errors are linear in the sensors' errors, so they are sums over short intervals, in each of which the response to a constant
+sensor error is known. The covariance of the means of flicker over these intervals then gives that of the errors.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
+from planrunner.observation.flicker import weighted_covariance
+
+Array = NDArray[np.float64]
+
+SHORTEST = 10.0  # s, of an interval
+_AXES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class WanderingBias:
+    """Response of a navigation to errors of its sensors in intervals of `step` [s].
+
+    aligned: (3, 6, m), remaining tilt after alignment, rad, per error of each sensor in each interval. attitude: (n, 3, 3), mean of body
+    axes as columns in East-North-Up, over each interval of the navigation. between: intervals from the beginning of the alignment to that
+    of the navigation. span: s, over which constant errors are averages.
+    """
+
+    equations: ErrorEquations
+    aligned: Array
+    attitude: Array
+    between: int
+    step: float
+    span: float
+
+    def covariances(self, moments: Array) -> Array:
+        """Joint covariance (k, 6, 7, 7) of the tilts after alignment [rad] and the position and velocity errors at some moments of the
+        navigation (k,) [s], for each sensor with a bias instability of 1 rad/s or 1 m/s²."""
+        begun = max(self.between, self.aligned.shape[2])
+        count = len(self.attitude)
+        transition, response = self.equations.step(self.step)
+        driven = np.empty(
+            (count, SIZE, INPUTS)
+        )  # state per constant input in an interval, so many intervals after its end
+        driven[0] = response
+        for k in range(1, count):
+            driven[k] = transition @ driven[k - 1]
+        turned = np.zeros((count, INPUTS, INPUTS))
+        turned[:, :_AXES, :_AXES] = turned[:, _AXES:, _AXES:] = self.attitude
+        found = np.empty((len(moments), INPUTS, SIZE, SIZE))
+        for row, moment in enumerate(moments):
+            whole = min(int(moment / self.step + 1e-9), count)
+            weights = np.zeros((INPUTS, SIZE, begun + count))
+            weights[:, :_AXES, : self.aligned.shape[2]] = self.aligned.swapaxes(0, 1)
+            carried = self.equations.step(moment)[0][:4, TILT]
+            weights[:, _AXES:, : self.aligned.shape[2]] = np.einsum("ab,bsm->sam", carried, self.aligned)
+            rest = moment - whole * self.step
+            last, within = self.equations.step(rest)
+            along = last[:4] @ driven[:whole][::-1] @ turned[:whole]
+            weights[:, _AXES:, begun : begun + whole] = along.transpose(2, 1, 0)
+            if whole < count and rest > 0:
+                weights[:, _AXES:, begun + whole] = (within[:4] @ turned[whole]).T
+            found[row] = weighted_covariance(weights, self.step, self.span)
+        return found
+
+
+def interval(seconds: float, most: int) -> float:
+    """Length of the intervals [s] of which at most about `most` cover so many seconds."""
+    return max(SHORTEST, math.ceil(seconds / most))
+
+
+class MeanAttitude:
+    """Mean attitude over intervals of a navigation, from its knots."""
+
+    def __init__(self, step: float):
+        self.step = step
+        self._sums: list[Array] = []
+        self._counts: list[int] = []
+
+    def take(self, time: Array, rotations: Array) -> None:
+        """time: (m,), s since navigation began; rotations: (m, 3, 3)."""
+        place = np.maximum(np.ceil(time / self.step - 1e-9).astype(np.int64) - 1, 0)
+        for k in np.unique(place):
+            while len(self._sums) <= k:
+                self._sums.append(np.zeros((_AXES, _AXES)))
+                self._counts.append(0)
+            here = place == k
+            self._sums[k] += rotations[here].sum(axis=0)
+            self._counts[k] += int(here.sum())
+
+    @property
+    def means(self) -> Array:
+        """(n, 3, 3)."""
+        return np.array([one / max(count, 1) for one, count in zip(self._sums, self._counts, strict=True)])
