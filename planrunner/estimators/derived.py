@@ -8,7 +8,8 @@ and Monte Carlo draws pass through the same formula.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +36,10 @@ class Reported:
 
 @dataclass(frozen=True, slots=True)
 class Derived:
-    """q quantities computed from the r coefficients of independent fits, one fit after the other.
+    """q quantities computed from the r coefficients of several fits, one fit after the other.
 
-    values: (q,), in the quantities' units; gradient: (q, r), with respect to the fitted coefficients.
+    values: (q,), in the quantities' units; gradient: (q, r), with respect to the fitted coefficients. between: by basis, (r, r), covariance
+    between the coefficients of different fits; without it, the fits are independent.
     """
 
     quantities: tuple[Reported, ...]
@@ -45,10 +47,13 @@ class Derived:
     values: Array
     gradient: Array
     fits: tuple[OutputsFit, ...]
+    between: Mapping[str, Array] = field(default_factory=dict)
 
     def covariance(self, basis: str) -> Array:
         """(q, q), contribution of the data."""
         data = independent([fit.covariance(basis) for fit in self.fits])
+        if basis in self.between:
+            data = data + self.between[basis]
         return np.asarray(self.gradient @ data @ self.gradient.T)
 
     def spread(self, basis: str) -> tuple[Array, Array]:
@@ -62,7 +67,10 @@ class Derived:
             variance, squares = variance + share, squares + share**2 / freedom
             least = np.where(np.abs(own).max(axis=1) > 0, np.minimum(least, freedom), least)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.sqrt(variance), np.where(squares > 0, variance**2 / squares, least)
+            freedom = np.where(squares > 0, variance**2 / squares, least)
+        if basis in self.between:
+            variance = variance + np.einsum("qi,ij,qj->q", self.gradient, self.between[basis], self.gradient)
+        return np.sqrt(variance.clip(min=0.0)), freedom
 
     def coefficients(self, basis: str) -> tuple[Coefficient, ...]:
         u, freedom = self.spread(basis)
@@ -97,11 +105,17 @@ class Derived:
         return np.split(self.gradient, ends[:-1], axis=1)
 
 
-def derived(quantities: Sequence[Reported], formula: Formula, *fits: OutputsFit, at: Array | None = None) -> Derived:
+def derived(
+    quantities: Sequence[Reported],
+    formula: Formula,
+    *fits: OutputsFit,
+    at: Array | None = None,
+    between: Mapping[str, Array] | None = None,
+) -> Derived:
     """formula: (r, n) → (q, n), of the fits' coefficients, output after output. at: (r,), values of the coefficients, if the fits give only
-    steps from a nearby point. Raises the errors of the formula."""
+    steps from a nearby point. between: as in `Derived`. Raises the errors of the formula."""
     where = np.concatenate([fit.coefficients.ravel() for fit in fits]) if at is None else at
-    return Derived(tuple(quantities), formula, *value_and_jacobian(formula, where), fits)
+    return Derived(tuple(quantities), formula, *value_and_jacobian(formula, where), fits, between or {})
 
 
 def _draws(fit: OutputsFit, basis: str, influences: Sequence[Influence]) -> Draws:

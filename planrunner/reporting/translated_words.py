@@ -107,6 +107,7 @@ DESCRIPTIONS = (
     _("Output %(output)s: Product of the specific forces along %(first)s and %(second)s."),
     # error_model
     _("Parameter %(parameter)s of the effect %(effect)s in %(output)s"),
+    _("Parameter %(parameter)s of the effect %(effect)s"),
     _("Scale factor of %(output)s along its own axis"),
     # allan_deviation
     _("quantisation: 3·Q²/τ²"),
@@ -235,6 +236,10 @@ WARNINGS = (
     _("Without the gimbal-angle method: the bench has no table with readable rings."),
     _("Without the gimbal-angle method: the table has %(axes)s axes, but `rings` names %(rings)s channels."),
     _("%(name)s: the highest order that was tried is chosen; raise `highest_order` or add temperatures."),
+    _(
+        "%(names)s: the outputs give different values (χ² = %(chi)s with %(freedom)s degrees of freedom), although they have this in "
+        "common: something else acts on them, or the model of an output is incomplete."
+    ),
     _(
         "%(name)s: rising and falling temperature were each recorded once, so that it is not known how much the hysteresis "
         "differs from cycle to cycle; the uncertainties do not include this. Record a second cycle."

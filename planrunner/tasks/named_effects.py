@@ -73,7 +73,7 @@ def _loaded(name: str) -> Effect:
 
 def _why_not(effect: Effect, observed: Observed) -> str:
     """Why an effect has no place in an estimate; empty where it has."""
-    from planrunner.error_model.effects.interface import ExplainsTurning, is_whole
+    from planrunner.error_model.effects.interface import is_whole
     from planrunner.error_model.segment_columns import estimable
 
     columns = [column for variant in effect.variants(observed) for column in variant.columns]
@@ -81,8 +81,6 @@ def _why_not(effect: Effect, observed: Observed) -> str:
         return why
     if not columns or is_whole(columns):
         return "it has no amplitude on the outputs of the plan"
-    if any(len(column.parts) > 1 for column in columns) and not isinstance(effect, ExplainsTurning):
-        return "it has one amplitude for several outputs, and error_model fits each output separately"
     return ""
 
 

@@ -109,7 +109,7 @@ def said_of_triads() -> Iterator[Estimate | str]:
 
 
 def said_of_error_models() -> Iterator[Estimate | str]:
-    outputs = {"gx": ("gyro_bias", "gyro_scale_factor")}
+    outputs = {"gx": ("gyro_bias", "gyro_scale_factor", "site_latitude")}
     yield models.estimate(imu.recorded(imu.plan(), imu.drawn_truth(np.random.default_rng(1))), outputs)
     turning = [
         from_means(imu.spin("z", rate), {"gz": 40.0 * rate}, "pulse/s", 0.1, start=100.0 * place)

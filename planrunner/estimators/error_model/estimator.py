@@ -22,6 +22,7 @@ from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import FitNote, judge, planned_basis, require_basis
 from planrunner.estimators.declared_axes import AxisResponse, against_nominal, contradictions
 from planrunner.estimators.derived import Derived, Reported, derived
+from planrunner.estimators.error_model.common import CommonAmplitudes, between_outputs, common_amplitudes
 from planrunner.estimators.error_model.outputs import ModelledOutput, Together, models, shown_by
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
 from planrunner.estimators.expected import Known
@@ -34,18 +35,22 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     Remark,
+    Role,
+    Table,
+    TableColumn,
 )
 from planrunner.estimators.method import Method, Quantities, Words
-from planrunner.estimators.outputs_fit import OutputsFit, coefficients_by_noise, fit_outputs
+from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
 from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_errors import site_errors, table_errors
 from planrunner.observation.correlated_errors import CorrelatedError, functionals_of
 from planrunner.observation.flicker import flicker_errors
-from planrunner.observation.observations import Observations, observe, recorded_times
+from planrunner.observation.observations import SIGNIFICANCE, Observations, observe, recorded_times
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, unit
+from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
@@ -63,10 +68,12 @@ class FittedOutput:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelQuantities(Quantities):
-    """outputs: in the order of the plan."""
+    """outputs: in the order of the plan. separate: all amplitudes, output after output, before those in common are made one."""
 
     outputs: tuple[FittedOutput, ...]
     found: Derived
+    common: CommonAmplitudes
+    separate: Derived
 
 
 class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
@@ -111,20 +118,26 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         basis = parameters.uncertainty
         sizes = [len(one.model.coefficients) for one in outputs]
 
-        def formula(flat: Array) -> Array:
+        def separately(flat: Array) -> Array:
             parts = np.split(flat, np.cumsum(sizes)[:-1])
             return np.concatenate([one.model.reported(part) for one, part in zip(outputs, parts, strict=True)])
 
-        quantities = [Reported(c.name, c.unit, c.description) for one in outputs for c in one.model.coefficients]
-        # The noise of different outputs is taken for independent.
-        found = derived(quantities, formula, *(one.fit for one in outputs))
+        fits, between = [one.fit for one in outputs], _between(request, outputs)
+        common = common_amplitudes([one.model for one in outputs])
+        each = [Reported(c.name, c.unit, c.description) for one in outputs for c in one.model.coefficients]
+        separate = derived(each, separately, *fits, between=between)
+        joining = common.joining(separate.covariance(basis))
+        reported = [Reported(c.name, c.unit, c.description) for c in common.amplitudes]
+        found = derived(reported, lambda flat: joining @ separately(flat), *fits, between=between)
         return ModelQuantities(
             coefficients=found.coefficients(basis),
             covariance=found.covariance(basis),
             influences=found.influences([_stated(request, one) for one in outputs]),
-            extra={"effects": _as_added(outputs, found)},
+            extra={"effects": _as_added(outputs, common, found)},
             outputs=outputs,
             found=found,
+            common=common,
+            separate=separate,
         )
 
     def words(self, request: EstimateRequest[ErrorModelParameters], made: ModelQuantities) -> Words:
@@ -138,6 +151,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
                 notes.setdefault(note, []).append(one.model.name)
             warnings += judged.warnings
         warnings += _contradictions(request, made.outputs)
+        warnings += _disagreement(request, made)
         every = len(made.outputs)
         shared = [
             note.text if len(names) == every or note.output else f"{', '.join(names)}: {note.text}"
@@ -159,6 +173,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
                     for one in made.outputs
                 ),
                 bases_table(made.found, basis),
+                *_common_table(made, basis),
             ),
             plots=tuple(
                 residual_plot(one.observations, one.fit, f"Residuals of {one.model.name}", "segment")
@@ -316,10 +331,76 @@ def _stated(request: EstimateRequest[ErrorModelParameters], one: FittedOutput) -
     )
 
 
-def _as_added(outputs: Sequence[FittedOutput], found: Derived) -> dict[str, dict[str, str]]:
+def _between(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[FittedOutput]) -> dict[str, Array]:
+    """By basis, the covariance between amplitudes of different outputs; noise is correlated as in the segments that all of them use."""
+    rows = [one.model.rows for one in outputs]
+    shared = sorted(set.intersection(*map(set, rows)))
+    if len(outputs) < 2 or not shared:
+        return {}
+    recorded = [request.segments[row] for row in shared]
+    correlation = observe(recorded, [one.model.name for one in outputs], request.sensor).correlation
+    fits = [one.fit for one in outputs]
+    return {
+        basis: between_outputs(fits, rows, correlation, basis)
+        for basis in BASES
+        if all(fit.available(basis) for fit in fits)
+    }
+
+
+def _disagreement(request: EstimateRequest[ErrorModelParameters], made: ModelQuantities) -> list[str]:
+    """A warning if outputs give different values of an amplitude that they have in common."""
+    from scipy.special import chdtrc
+
+    separate = made.separate
+    covariance = separate.covariance(request.parameters.uncertainty)
+    acting = separate.influences([_stated(request, one) for one in made.outputs])
+    covariance = covariance + sum(
+        (one.covariance for one in merged(acting) if not one.in_scatter), np.zeros_like(covariance)
+    )
+    square, freedom = made.common.disagreement(separate.values, covariance)
+    if not freedom or float(chdtrc(freedom, square)) >= SIGNIFICANCE:
+        return []
+    names = [
+        one.name for one, places in zip(made.common.amplitudes, made.common.members, strict=True) if len(places) > 1
+    ]
+    return [
+        f"{', '.join(names)}: the outputs give different values (χ² = {square:.3g} with {freedom} degrees of freedom), although they have "
+        "this in common: something else acts on them, or the model of an output is incomplete."
+    ]
+
+
+def _common_table(made: ModelQuantities, basis: str) -> list[Table]:
+    """What each output alone gives for amplitudes in common."""
+    u, _ = made.separate.spread(basis)
+    rows = [
+        (
+            amplitude.name,
+            made.common.outputs[place],
+            float(made.separate.values[place]),
+            float(u[place]),
+            amplitude.unit,
+        )
+        for amplitude, places in zip(made.common.amplitudes, made.common.members, strict=True)
+        if len(places) > 1
+        for place in places
+    ]
+    columns = (
+        TableColumn("coefficient"),
+        TableColumn("output"),
+        TableColumn("value from this output alone", Role.VALUE),
+        TableColumn("u", Role.STANDARD_UNCERTAINTY),
+        TableColumn("unit"),
+    )
+    return [Table("Coefficients that outputs have in common", columns, tuple(rows))] if rows else []
+
+
+def _as_added(outputs: Sequence[FittedOutput], common: CommonAmplitudes, found: Derived) -> dict[str, dict[str, str]]:
     """The values as a bench file states them for `driver: added_effects`: effect → parameter → value with its unit. Without scale factors
     of outputs in other units, which are no effects."""
-    values = iter(found.values.tolist())
+    held = {
+        place: value for places, value in zip(common.members, found.values.tolist(), strict=True) for place in places
+    }
+    values = iter([held[place] for place in range(len(held))])
     made: dict[str, dict[str, str]] = {}
     for one in outputs:
         letter = "xyz"[one.model.errors.axis]

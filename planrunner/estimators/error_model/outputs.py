@@ -40,12 +40,13 @@ _SENSED = {"angular rate": "gyro", "acceleration": "accel"}
 
 @dataclass(frozen=True, slots=True)
 class ReportedAmplitude:
-    """What is reported of one amplitude. si: its SI value per `unit`."""
+    """What is reported of one amplitude. si: its SI value per `unit`. common: whether outputs that name it have it in common."""
 
     name: str
     unit: str
     si: float
     description: str
+    common: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -253,11 +254,18 @@ def _coefficient(errors: OutputErrors, own: Unit, one: Amplitude) -> ReportedAmp
     letter = AXES[errors.axis]
     effect, direct = one.effect.id, own.dimension == unit(KINDS[errors.kind]).dimension
     stem = f"{effect}_{one.name}" if one.several else effect
-    name = f"{stem}_{letter}" if one.alone else f"{effect}_{one.name}_{errors.output}"
+    # An accelerometer has a place of its own on the table, but the table has one tilt.
+    common = not one.alone and not isinstance(one.effect, ExplainsTurning)
+    name = (
+        f"{stem}_{letter}"
+        if one.alone
+        else f"{effect}_{one.name}"
+        if common
+        else f"{effect}_{one.name}_{errors.output}"
+    )
     if one.along == errors.axis and not direct:
         per = _PER[errors.kind]
         text, si = f"({own.text})/({per})", 1 / unit(per).factor
         return ReportedAmplitude(name, text, si, f"Scale factor of {errors.output} along its own axis")
-    return ReportedAmplitude(
-        name, one.unit, one.factor, f"Parameter {one.name} of the effect {effect} in {errors.output}"
-    )
+    where = "" if common else f" in {errors.output}"
+    return ReportedAmplitude(name, one.unit, one.factor, f"Parameter {one.name} of the effect {effect}{where}", common)

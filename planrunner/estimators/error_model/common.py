@@ -1,0 +1,91 @@
+"""Amplitudes that several outputs have in common, such as the tilt of the table: one value from the values of all of them.
+
+Each output is fitted by itself. The values z of all amplitudes, with their joint covariance C, are then moved to where those of one common
+amplitude agree, by least squares: z − C·Rᵀ(R·C·Rᵀ)⁻¹·R·z, with R·z = 0 the agreement (H. Theil, Principles of Econometrics, 1971, 6.8).
+This is the joint fit of all outputs. It also moves their other amplitudes, as far as they are correlated with the common one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.estimators.error_model.outputs import ModelledOutput, ReportedAmplitude
+from planrunner.estimators.outputs_fit import OutputsFit
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonAmplitudes:
+    """amplitudes: what is reported, q of them, from the p of all outputs, output after output. members: (q,) places of each among these p,
+    one for an amplitude of a single output; outputs: (p,), name of the output of each."""
+
+    amplitudes: tuple[ReportedAmplitude, ...]
+    members: tuple[tuple[int, ...], ...]
+    outputs: tuple[str, ...]
+
+    @property
+    def contrasts(self) -> Array:
+        """R, (r, p): differences of each member of a common amplitude from the first."""
+        rows = []
+        for places in self.members:
+            for place in places[1:]:
+                row = np.zeros(len(self.outputs))
+                row[places[0]], row[place] = -1.0, 1.0
+                rows.append(row)
+        return np.array(rows).reshape(-1, len(self.outputs))
+
+    def joining(self, covariance: Array) -> Array:
+        """(q, p): from the separate amplitudes to the reported ones. covariance: C, (p, p), of the separate ones."""
+        picked = np.eye(len(self.outputs))[[places[0] for places in self.members]]
+        R = self.contrasts
+        if not len(R):
+            return picked
+        size = np.sqrt(np.maximum(np.diag(R @ covariance @ R.T), np.finfo(float).tiny))
+        scaled = (R / size[:, None]) @ covariance
+        apart = scaled @ (R / size[:, None]).T
+        moved = np.eye(len(self.outputs)) - scaled.T @ np.linalg.pinv(apart, hermitian=True) @ (R / size[:, None])
+        return np.asarray(picked @ moved)
+
+    def disagreement(self, values: Array, covariance: Array) -> tuple[float, int]:
+        """χ² of the differences between members, and its degrees of freedom. values: (p,); covariance: (p, p), with all that is stated."""
+        R = self.contrasts
+        if not len(R):
+            return 0.0, 0
+        away, own = R @ values, R @ covariance @ R.T
+        size = np.sqrt(np.maximum(np.diag(own), np.finfo(float).tiny))
+        away, own = away / size, own / np.outer(size, size)
+        return float(away @ np.linalg.pinv(own, hermitian=True) @ away), len(R)
+
+
+def common_amplitudes(outputs: Sequence[ModelledOutput]) -> CommonAmplitudes:
+    """The amplitudes of all outputs; those that outputs have in common as one."""
+    each = [(one, output.name) for output in outputs for one in output.coefficients]
+    places: dict[str | int, list[int]] = {}
+    for place, (one, _) in enumerate(each):
+        places.setdefault(one.name if one.common else place, []).append(place)
+    held = tuple(tuple(own) for own in places.values())
+    return CommonAmplitudes(tuple(each[own[0]][0] for own in held), held, tuple(name for _, name in each))
+
+
+def between_outputs(fits: Sequence[OutputsFit], rows: Sequence[Sequence[int]], correlation: Array, basis: str) -> Array:
+    """Covariance (p, p) between the fitted amplitudes of different outputs, from the correlation of their samples; zero within an output.
+
+    rows: of each fit, places of its segments among those of the estimate; correlation: (m, m) between the samples of the outputs.
+    """
+    n = 1 + max(max(own) for own in rows)
+    roots = []
+    for fit, own in zip(fits, rows, strict=True):
+        size = float(np.sqrt(fit.variance_factors[0])) if basis == "residual" else 1.0
+        noise = fit.spreads[0] if basis == "residual" else fit.noises[0].sigma
+        root = np.zeros((fit.coefficients.size, n))
+        root[:, list(own)] = fit.gains[0] * noise * size
+        roots.append(root)
+    owner = np.repeat(np.arange(len(fits)), [len(root) for root in roots])
+    whole = np.vstack(roots)
+    other = np.where(owner[:, None] != owner, correlation[np.ix_(owner, owner)], 0.0)
+    return np.asarray(whole @ whole.T * other)
