@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from planrunner.archive.recording import Find, FindKind, Ranges, RecordedSegment, WatcherOf
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.interfaces import Block
-from planrunner.instruments.models import SensorModel
+from planrunner.instruments.models import OutputModel, SensorModel
+from planrunner.observation.standing import PER_SIGMA, RUN, leaves_count, with_standing
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.units import DIMENSIONS, unit
 
@@ -39,8 +40,6 @@ Numbered = RowNumbers | range
 
 CHANCE = 1e-12
 """Probability that a sample of white Gaussian noise is found to be an outlier: none among 10⁸ samples, except with a chance of 10⁻⁴."""
-RUN = 10
-"""A stuck stretch is longer than so many times the length that 99 % of the runs of equal samples keep to."""
 
 _PIECE = 1 << 14  # samples that are examined together
 _BESIDE = 64  # samples of context on either side of a piece
@@ -68,7 +67,6 @@ _KEPT = 10_000  # finds of one kind and channel
 _HELD = 2_000  # stretches of equal samples that are kept to be judged at the end
 _SHORT = 64  # lengths of runs that are counted one by one
 _RUNS = 20  # runs from which the usual length is known
-_UNLIKELY = -math.log(CHANCE)
 _BINS, _FEWEST_BINS = 1024, 64  # means in which steps are sought
 _STEP = 8.0  # robust standard deviations of the differences between neighbouring means
 _LEVEL = 0.25  # of a step: less changes within either side of it
@@ -83,7 +81,9 @@ _CLIPPED = 10  # samples at the largest value
 def screened(recording: Sequence[RecordedSegment], sensor: SensorModel) -> tuple[RecordedSegment, ...]:
     """The segments with their finds; those that have not been screened while they were read are read again."""
     watch = watch_of(sensor)
-    return tuple(item if item.finds is not None or item.expected else _screened(item, watch) for item in recording)
+    found = [item if item.finds is not None or item.expected else _screened(item, watch) for item in recording]
+    channels = [output.name for output in sensor.outputs if _is_screened(output)]
+    return with_standing(found, sensor, channels, CHANCE)
 
 
 def _screened(item: RecordedSegment, watch: WatcherOf) -> RecordedSegment:
@@ -96,13 +96,17 @@ def _screened(item: RecordedSegment, watch: WatcherOf) -> RecordedSegment:
 _STANDING = (DIMENSIONS["temperature"], DIMENSIONS["angle"])
 
 
+def _is_screened(output: OutputModel) -> bool:
+    return not output.constant and unit(output.unit).dimension not in _STANDING
+
+
 def watch_of(sensor: SensorModel) -> WatcherOf:
     """Screens the sensor's outputs. Thermometers and encoders are left alone: they may stand still for a long time."""
 
     def watch(segment: Segment, units: Mapping[str, str], rows: int) -> Screening:
         counts, scales = {}, {}
         for output in sensor.outputs:
-            if output.name in units and not output.constant and unit(output.unit).dimension not in _STANDING:
+            if output.name in units and _is_screened(output):
                 counts[output.name], scales[output.name] = output.noise.resolution, output.full_scale
         steady = isinstance(segment.motion, Rest | Spin) and segment.attitude is not None
         return Screening(counts, scales, rows, steady=steady)
@@ -241,14 +245,8 @@ class _Runs:
         bends = self.bends - sum(one.length - 2 for one in longer)
         if runs < _RUNS or usual >= _SHORT or not longer or bends <= 0:
             return []
-        # The mean size of a second difference of white noise is 1.954 σ; of a signal that only changes between two counts it is one
-        # count, which would be noise of 0.52 counts.
-        noise = self.bend / bends / 1.954
-        beyond = noise**2 - 0.3 * self.count**2
-        if beyond <= 0:
-            return []
-        stays = math.erf(self.count / (2 * math.sqrt(2 * beyond)))
-        return [one for one in longer if one.length * -math.log(max(stays, 1e-300)) > _UNLIKELY]
+        noise = self.bend / bends / PER_SIGMA
+        return [one for one in longer if leaves_count(noise, self.count, one.length, CHANCE)]
 
 
 class Screening:
@@ -567,7 +565,7 @@ class Screening:
     def _flat_tops(self, k: int, stuck: Sequence[Find]) -> list[Find]:
         """Noise that is cut off at the largest or smallest value: the samples there are many more than those just below."""
         runs = self.runs[k]
-        if not runs.bends or runs.bend / runs.bends / 1.954 <= 1.1 * runs.count:
+        if not runs.bends or runs.bend / runs.bends / PER_SIGMA <= 1.1 * runs.count:
             return []
         found = []
         for value, (at, beside) in ((self.largest[k], self.at_top[:, k]), (self.smallest[k], self.at_bottom[:, k])):

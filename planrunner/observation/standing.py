@@ -1,0 +1,129 @@
+"""Channels that stand at one value from the beginning of a segment to its end.
+
+Within such a segment nothing shows what the noise of the channel would be. It is taken from other segments at rest or at a constant rate
+in which the same channel changes, or from the noise that is declared: a channel is stuck if noise as large as that would leave one count.
+Coarse counts at rest, signals without noise, and channels that stand in most segments, such as set points, are therefore left alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import Find, FindKind, RecordedSegment
+from planrunner.instruments.models import OutputModel, SensorModel
+from planrunner.plan.schedule import Rest, Spin
+
+Array = NDArray[np.float64]
+
+_LEAST = 100  # samples of a segment that is judged
+_READ = 1 << 14  # samples from which the noise of another segment is taken
+_COMPARED = 3  # other segments, the nearest in time
+_WHITE = 1.0
+"""Mean second difference over mean first difference: 1.73 for white noise, far below 1 for a smooth signal."""
+RUN = 10
+"""A stuck stretch is longer than so many times the runs of equal samples of the same channel."""
+PER_SIGMA = 1.954
+"""Mean size of a second difference of white noise, standard deviations."""
+
+
+def with_standing(
+    recording: Sequence[RecordedSegment], sensor: SensorModel, channels: Collection[str], chance: float
+) -> tuple[RecordedSegment, ...]:
+    """The segments with a find for each of the channels that stands where its noise would have moved it. The find counts as reported, not
+    as bad: without its samples nothing of the channel would remain, so a person has to judge.
+
+    chance: probability with which noise may leave a channel at one value and the channel is still found to be stuck.
+    """
+    found: dict[int, list[Find]] = {}
+    for name in channels:
+        held = [item for item in recording if not item.expected and name in item.units and _steady(item)]
+        standing = [item for item in held if _range(item, name) == 0 and item.statistics.count >= _LEAST]
+        if not standing:
+            continue
+        changing = [item for item in held if _range(item, name) > 0]
+        output = sensor.output(name)
+        for item in standing:
+            many = len(standing) > len(changing)
+            if (not many and _by_others(item, changing, name, chance)) or _by_declaration(
+                item, output, sensor.sample_rate, chance
+            ):
+                found.setdefault(id(item), []).append(_find(item, name, output))
+    return tuple(
+        replace(item, finds=(*(item.finds or ()), *found[id(item)])) if id(item) in found else item
+        for item in recording
+    )
+
+
+def _steady(item: RecordedSegment) -> bool:
+    return isinstance(item.segment.motion, Rest | Spin)
+
+
+def _range(item: RecordedSegment, name: str) -> float:
+    """Largest less smallest sample; NaN without samples."""
+    place = item.statistics.of(name)
+    return float(item.statistics.maximum[place] - item.statistics.minimum[place])
+
+
+def _by_others(item: RecordedSegment, changing: Sequence[RecordedSegment], name: str, chance: float) -> bool:
+    """Whether the noise of the channel in the nearest of the segments in which it changes would have moved it here."""
+    still = isinstance(item.segment.motion, Rest)
+    alike = [one for one in changing if not still or isinstance(one.segment.motion, Rest)]
+    nearest = sorted(alike, key=lambda one: abs(one.statistics.start - item.statistics.start))[:_COMPARED]
+    return bool(nearest) and all(_moves(_samples(one, name), item.statistics.count, chance) for one in nearest)
+
+
+def _samples(item: RecordedSegment, name: str) -> Array:
+    """Its first samples, without missing numbers."""
+    parts, count = [], 0
+    for block in item.blocks((name,)):
+        values = np.asarray(block.channels[name], dtype=float)[: _READ - count]
+        parts.append(values[np.isfinite(values)])
+        count += len(values)
+        if count >= _READ:
+            break
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def _moves(values: Array, samples: int, chance: float) -> bool:
+    """Whether noise like that of (n,) values would not stay at one value for so many samples."""
+    if len(values) < _LEAST:
+        return False
+    first, second = np.abs(np.diff(values)), np.abs(np.diff(values, 2))
+    if not first.any() or second.mean() < _WHITE * first.mean():
+        return False
+    changes = np.flatnonzero(first)
+    longest = int(np.diff(changes, prepend=-1, append=len(first)).max())
+    noise = float(second.mean()) / PER_SIGMA
+    return samples > RUN * longest and leaves_count(noise, float(first[changes].min()), samples, chance)
+
+
+def leaves_count(noise: float, count: float, samples: int, chance: float) -> bool:
+    """Whether white noise (standard deviation) leaves one count within so many samples, except with some probability. 0.3 count² of its
+    variance may come from the counts: two that alternate without any noise give that much."""
+    beyond = noise**2 - 0.3 * count**2
+    if beyond <= 0:
+        return False
+    stays = math.erf(count / (2 * math.sqrt(2 * beyond)))
+    return samples * -math.log(max(stays, 1e-300)) > -math.log(chance)
+
+
+def _by_declaration(item: RecordedSegment, output: OutputModel | None, rate: float, chance: float) -> bool:
+    """Whether the noise that the bench file declares for single samples would have moved the channel."""
+    if output is None or not output.noise.white > 0 or output.noise.counted:
+        return False
+    noise = output.noise.white * math.sqrt(item.segment.sample_rate or rate)
+    return leaves_count(noise, output.noise.resolution, item.statistics.count, chance)
+
+
+def _find(item: RecordedSegment, name: str, output: OutputModel | None) -> Find:
+    known = item.statistics
+    value = float(known.mean[known.of(name)])
+    limit = math.inf if output is None else 0.99 * output.full_scale
+    kind = FindKind.CLIPPED if abs(value) >= limit else FindKind.STUCK
+    rows = known.count + known.rejected
+    return Find(kind, name, 0, rows, known.start, known.duration, value, math.nan, value, value, bad=False)
