@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from planrunner.archive.played_back import played
 from planrunner.archive.reading_progress import announced
-from planrunner.archive.recording import RecordedSegment, in_time_order
+from planrunner.archive.recording import Find, FindKind, RecordedSegment, in_time_order
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.statistics import statistics_of
 from planrunner.base.documents import JsonObject
@@ -26,6 +26,7 @@ from planrunner.base.progress import Announce
 from planrunner.bench.clock import VirtualClock
 from planrunner.bench.model import Bench, shipped_benches
 from planrunner.instruments.interfaces import Block, InstrumentError, UnservedError
+from planrunner.instruments.models import SensorModel
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_keys import RecordingParameters, SegmentColumns
 from planrunner.plan.model import NOMINAL_TERMS, Plan
@@ -142,7 +143,7 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
     sound, used = recorded.sound, _outputs(recorded.sound.plan)
     sensor = replace(sound.sensor, outputs=tuple(o for o in sound.sensor.outputs if not used or o.name in used))
     findings = Findings()
-    segments = _chosen(recorded)
+    segments = _chosen(_without_spikes(recorded, sensor, findings))
     check_recording(segments, sensor, recorded.where, findings)
     if findings.errors:
         raise InputError(findings)
@@ -166,6 +167,32 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
     if findings.errors:
         raise InputError(findings)
     return seen, findings
+
+
+def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> Recorded:
+    """The recording without spikes and repeated samples, as estimates use it; the log names them. Bursts, clipped and stuck stretches stay:
+    the diagnosis explains them."""
+    from planrunner.observation.left_out import without_bad
+    from planrunner.observation.screening import screened
+
+    used = {"", *(output.name for output in sensor.outputs)}
+    left_out: list[tuple[RecordedSegment, Find]] = []
+    segments = []
+    for item in screened(recorded.segments, sensor):
+        single = tuple(
+            one
+            for one in item.finds or ()
+            if one.bad and one.kind in (FindKind.SPIKE, FindKind.REPEATED) and one.channel in used
+        )
+        left_out += [(item, one) for one in single]
+        segments.append(without_bad(replace(item, finds=single)))
+    if left_out:
+        item, one = max(left_out, key=lambda pair: abs(pair[1].size))
+        largest = f"{one.kind.value} of {one.channel or 'all channels'} in '{item.label}' at {one.time:.6g} s"
+        message = f"spikes or repeated samples were left out of the diagnosis: {len(left_out)} in all, the largest a {largest}"
+        hint = "look at the recording; what is wrong with single samples is no cause of a gap between segments"
+        log.warning("gap-left-out", Mark(recorded.where), message, hint)
+    return replace(recorded, segments=tuple(segments))
 
 
 def _outputs(plan: Plan) -> tuple[str, ...]:
@@ -236,12 +263,21 @@ def _unfit(recorded: Recorded, error: Exception) -> InputError:
 
 def recorded_run(run: Path, notice: Announce | None = None) -> Recorded:
     """A run folder. notice: receives the progress of reading. Raises `InputError` and `IntegrityError`."""
+    from planrunner.observation.screening import watch_of
+
     reader = RunReader.open(run)
     sound = sound_run(reader)
     known = [name for name, path in shipped_benches().items() if path.read_bytes() == sound.bench_bytes]
     bench = known[0] if known else str((run / "bench.yaml").resolve())
     created = datetime.fromisoformat(reader.run["created"])
-    return Recorded(sound, reader.recording(sound.schedule, notice=notice), str(run), bench, created, reader.findings)
+    return Recorded(
+        sound,
+        reader.recording(sound.schedule, watch_of(sound.sensor), notice),
+        str(run),
+        bench,
+        created,
+        reader.findings,
+    )
 
 
 def recorded_file(
@@ -335,7 +371,8 @@ def _moved(item: RecordedSegment, seconds: float, before: str) -> RecordedSegmen
     segment = replace(item.segment, label=before + item.label, start=item.segment.start + seconds)
     known = item.statistics
     statistics = replace(known, start=known.start + seconds, end=known.end + seconds)
-    return replace(item, segment=segment, statistics=statistics, blocks=partial(_later, item, seconds))
+    finds = None if item.finds is None else tuple(replace(one, time=one.time + seconds) for one in item.finds)
+    return replace(item, segment=segment, statistics=statistics, blocks=partial(_later, item, seconds), finds=finds)
 
 
 def _later(item: RecordedSegment, seconds: float, channels: Sequence[str]) -> Iterator[Block]:

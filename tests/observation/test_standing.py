@@ -23,7 +23,7 @@ def recorded(index: int, values: Array, unit: str, rate: float = 0.0) -> Recorde
     time = 1000.0 * index + np.arange(len(values)) / RATE
 
     def blocks(names: Sequence[str]) -> Iterator[Block]:
-        yield Block(time, {name: values for name in names})
+        yield Block(time, dict.fromkeys(names, values))
 
     planned = Segment(index, f"P{index}", np.eye(3), "as tested", Spin(rate) if rate else Rest(), len(values) / RATE)
     return RecordedSegment(planned, {"x": unit}, statistics_of(blocks(["x"]), ["x"], len(values)), blocks)

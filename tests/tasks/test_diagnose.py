@@ -140,6 +140,20 @@ def test_missing_numbers_are_left_out_and_remarked(tmp_path):
     assert "warning[gap-missing-numbers]: 3 rows with a missing number were left out" in said
 
 
+def test_a_spike_is_left_out_and_remarked(tmp_path):
+    laboratory(tmp_path)
+    given = tmp_path / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "segments.csv"
+    before = observe(recorded_file(*given))[0]
+    change(tmp_path, gyro_x_deg_per_s=set_at(300, 301, 200.0))
+    (said,) = look(tmp_path)
+    assert (
+        "warning[gap-left-out]: spikes or repeated samples" in said
+        and "1 in all, the largest a spike of gyro_x" in said
+    )
+    after = observe(recorded_file(*given))[0]
+    assert np.abs(after.values - before.values).max() < 0.01  # rad/s; the spike has 3.5
+
+
 def test_a_segment_without_a_complete_row_is_refused(tmp_path):
     laboratory(tmp_path)
     change(tmp_path, accel_z_m_per_s2=set_at(300, 600, np.nan))
