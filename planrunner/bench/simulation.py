@@ -6,7 +6,6 @@ so nothing real is ever controlled by such a clock.
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Mapping
 
 from planrunner.base.documents import Json, JsonObject
@@ -45,6 +44,7 @@ def ask(control: str, request: Mapping[str, Json], token: str | None = None) -> 
     """The answer of a simulated bench to one request. token: from its readiness file, for requests that change something. Raises
     `InstrumentError` if nothing answers or the request is refused."""
     import json
+    import socket
 
     host, _, port = control.rpartition(":")
     request = dict(request) if token is None else {**request, "token": token}

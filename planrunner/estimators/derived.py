@@ -62,7 +62,7 @@ class Derived:
         variance, squares = np.zeros(len(self.values)), np.zeros(len(self.values))
         least = np.full(len(self.values), math.inf)
         for fit, own in zip(self.fits, self._by_fit(), strict=True):
-            share = np.einsum("qi,ij,qj->q", own, fit.covariance(basis), own).clip(min=0.0)
+            share = np.sum((own @ fit.covariance(basis)) * own, axis=1).clip(min=0.0)
             freedom = fit.degrees_of_freedom(own, basis)
             variance, squares = variance + share, squares + share**2 / freedom
             least = np.where(np.abs(own).max(axis=1) > 0, np.minimum(least, freedom), least)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import BATCHES, RecordedSegment, Statistics, expected_segment
 from planrunner.base.dataclass import dataclass
-from planrunner.error_model.terms import ErrorModel
+from planrunner.error_model.terms import ErrorModel, columns_of
 from planrunner.estimators.full_scale import input_direction
 from planrunner.estimators.interface import DesignRequest
 from planrunner.instruments.models import OutputModel
@@ -70,13 +70,18 @@ def expected_recording(
 ) -> Expected:
     """known: the estimator's knowledge about the outputs; the rest follows from their names and units. used: the relevant outputs."""
     outputs = request.sensor.outputs
-    felt, assumed = _felt(request, assumption)
+    poses, assumed = _poses(request, assumption)
+    felt = poses.felt(request.site)
     means, errors, variances = (np.zeros((len(request.segments), len(outputs))) for _ in range(3))
     seconds = np.array([segment.dwell or 1.0 for segment in request.segments])
     rates = np.array([segment.sample_rate or request.sensor.sample_rate for segment in request.segments])
     counts = np.maximum(1, np.round(seconds * rates)).astype(int)
     for k, output in enumerate(outputs):
-        means[:, k], nominal = _means(request, output, known, felt, assumption)
+        if (declared := known.responses.get(output.name)) is not None:
+            model, coefficients = declared
+            means[:, k], nominal = columns_of(model, poses, request.site) @ coefficients, True
+        else:
+            means[:, k], nominal = _means(request, output, known, felt, assumption)
         noise = output.noise
         variances[:, k] = noise.white**2 * rates
         rounding = noise.resolution**2 / 12 / counts * noise.dithers(variances[:, k])
@@ -102,8 +107,8 @@ def expected_recording(
     return Expected(tuple(made), tuple(dict.fromkeys(assumed)))
 
 
-def _felt(request: DesignRequest[object], assumption: Assumption) -> tuple[Stimulus, list[str]]:
-    """The mean stimulus of each segment; for rocking and cycles, the stimulus at the first attitude."""
+def _poses(request: DesignRequest[object], assumption: Assumption) -> tuple[Poses, list[str]]:
+    """The poses of the segments, for rocking and cycles the first, and what is assumed about them."""
     assumed: list[str] = []
     segments: list[Segment] = []
     for segment in request.segments:
@@ -116,7 +121,7 @@ def _felt(request: DesignRequest[object], assumption: Assumption) -> tuple[Stimu
             if not isinstance(segment.motion, Spin):
                 assumed = [f"the orientation of segment '{segment.label}' is unknown"]
         segments.append(segment if isinstance(segment.motion, Rest | Spin) else replace(segment, motion=Rest()))
-    return Poses.of(segments).felt(request.site), assumed
+    return Poses.of(segments), assumed
 
 
 def _along(about: Sequence[float]) -> Array:
@@ -135,10 +140,7 @@ def _means(
     felt: Stimulus,
     assumption: Assumption,
 ) -> tuple[Array | float, bool]:
-    """The means (n,) of one output, and whether they follow from declared values."""
-    if (declared := known.responses.get(output.name)) is not None:
-        model, coefficients = declared
-        return model.columns(felt) @ coefficients, True
+    """The means (n,) of an output by its name and unit, and whether they follow from declared values."""
     try:
         own = unit(output.unit)
     except UnknownUnitError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase, translate
+from functools import lru_cache
 
 from planrunner.base.findings import Findings, closest
 from planrunner.plan import source
@@ -60,7 +61,13 @@ def matches(label: str, pattern: str) -> bool:
 
 def select(labels: Sequence[str], patterns: Sequence[str]) -> list[int]:
     """Indices of the labels that match any pattern, in the order of the labels."""
-    return [index for index, label in enumerate(labels) if any(matches(label, pattern) for pattern in patterns)]
+    return list(_selected(tuple(labels), tuple(patterns)))
+
+
+# Plans repeat their labels.
+@lru_cache(maxsize=64)
+def _selected(labels: tuple[str, ...], patterns: tuple[str, ...]) -> tuple[int, ...]:
+    return tuple(index for index, label in enumerate(labels) if any(matches(label, pattern) for pattern in patterns))
 
 
 def spelt_alike(recorded: str, planned: str) -> bool:
