@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,8 +13,10 @@ from planrunner.instruments.chamber_keys import ChamberKeys
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import ChamberModel
 from planrunner.instruments.virtual import thermal
-from planrunner.instruments.virtual.world import World
 from planrunner.plan.units import ZERO_CELSIUS
+
+if TYPE_CHECKING:
+    from planrunner.instruments.virtual.world import World
 
 
 class VirtualChamberParameters(ChamberKeys):
@@ -40,6 +43,8 @@ class VirtualChamber:
     def connect(cls, parameters: VirtualChamberParameters, surroundings: Surroundings) -> VirtualChamber:
         if parameters.lowest.value >= parameters.highest.value:
             raise InstrumentError("the chamber's lowest temperature is not below its highest")
+        from planrunner.instruments.virtual.world import World  # a check needs only the model
+
         return cls(parameters, World.of(surroundings))
 
     def set_temperature(self, kelvin: float) -> float:

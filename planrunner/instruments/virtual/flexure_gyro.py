@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +24,13 @@ from planrunner.instruments.parameters import QuantityLike
 from planrunner.instruments.virtual.courses import Value
 from planrunner.instruments.virtual.noise import Flicker, Readout, generator
 from planrunner.instruments.virtual.streaming import Sampling
-from planrunner.instruments.virtual.world import Components, World
 from planrunner.plan.kinds import QuantityOf, Record, RecordOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import ZERO_CELSIUS
+
+if TYPE_CHECKING:
+    from planrunner.instruments.virtual.world import Components, World
 
 Array = NDArray[np.float64]
 OUTPUTS = ("torquer_x", "torquer_y")
@@ -153,6 +156,8 @@ class VirtualFlexureGyro:
             raise InstrumentError(
                 "the gyro's torquers are along one axis (ξ is near 90 deg), so its loops cannot close"
             )
+        from planrunner.instruments.virtual.world import World  # a check needs only the model
+
         return cls(parameters, World.of(surroundings))
 
     # -- what it does --------------------------------------------------------------------------------------------------

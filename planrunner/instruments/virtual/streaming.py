@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +11,10 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.interfaces import Block, InstrumentError
 from planrunner.instruments.models import SensorModel
-from planrunner.instruments.virtual.world import World
 from planrunner.plan.schedule import Segment
+
+if TYPE_CHECKING:
+    from planrunner.instruments.virtual.world import World
 
 Array = NDArray[np.float64]
 BLOCK = 100_000  # samples

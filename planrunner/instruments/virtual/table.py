@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,14 @@ from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import TableModel
 from planrunner.instruments.table_keys import TableKeys
 from planrunner.instruments.virtual import courses
-from planrunner.instruments.virtual.world import World
 from planrunner.physics.kinematics import Unreachable, joint_angles, rotation_about
 from planrunner.physics.table_motion import Excess, SpinCourse, cycle_excess, rock_excess, spin_excess
 from planrunner.plan.kinds import QuantityOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Spin
+
+if TYPE_CHECKING:
+    from planrunner.instruments.virtual.world import World
 
 Array = NDArray[np.float64]
 CLOCK_ROUNDING = 1e-6  # s; a clock that adds up sleeps may stop short of a time by a rounding
@@ -63,6 +66,8 @@ class VirtualTable:
 
     @classmethod
     def connect(cls, parameters: VirtualTableParameters, surroundings: Surroundings) -> VirtualTable:
+        from planrunner.instruments.virtual.world import World  # a check needs only the model
+
         return cls(parameters, World.of(surroundings))
 
     # -- what it does ----------------------------------------------------------------------------------------------
