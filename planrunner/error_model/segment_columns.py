@@ -9,14 +9,21 @@ mean over the segment.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.error_model.effects.interface import ActsOnNoise, Column, Effect, HasShape, PerOrientation
+from planrunner.error_model.effects.interface import (
+    ActsOnNoise,
+    Column,
+    Effect,
+    HasShape,
+    PerOrientation,
+    ShapedOverSegments,
+)
 from planrunner.error_model.observed import REFERENCE_TEMPERATURE, Channel, Observed, ObservedSegment, joined
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import Stimulus
@@ -31,6 +38,8 @@ _TRIADS = tuple(
 )
 _DIRECTIONS = 8  # of a turn
 _ALONG = 3  # nodes of a ramp
+_ALONG_SHAPED = 12  # nodes along a segment during which something decays
+_STEP = 1e-4  # of a shape, relative, for the derivative
 _CHANGED = 1.0  # K between segments: less is no change of temperature
 
 
@@ -79,10 +88,14 @@ def _last_changes(begin: Array, end: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class EffectPart:
-    """An effect in the model of one output. only: names of its columns without the output's axis; empty for all."""
+    """An effect in the model of one output. only: names of its columns without the output's axis; empty for all. shape: value of its
+    shape, None for an effect without shape; sizes: by name of a column without the axis, the SI amplitude at which the derivative with
+    respect to the shape is taken, which is a column too; empty for no such column."""
 
     effect: Effect
     only: tuple[str, ...] = ()
+    shape: float | None = None
+    sizes: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +117,7 @@ class Amplitude:
     """One coefficient of an output. name: of the column without the output's axis; several: whether the effect has others for this output;
     alone: whether the column acts on this output only. unit, factor: for display, and its SI value. along: as in
     `Column`, the axis whose input it is. size: the largest value of such columns of the effect at any moment, for any axis; 0 where nothing
-    excites it."""
+    excites it. origin: value, in `unit`, from which a fitted amplitude counts, of a shape."""
 
     effect: Effect
     name: str
@@ -114,6 +127,7 @@ class Amplitude:
     factor: float
     along: int | None
     size: float
+    origin: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,6 +171,10 @@ class ErrorsAtSegments:
             found.append(np.column_stack([np.column_stack([one.own, one.matrix]) for one in made]))
         return np.vstack(found)
 
+    def shapes_of(self, effect: ShapedOverSegments) -> Array:
+        """The values that the catalogue gives for the shape of an effect here, ascending."""
+        return effect.grid(self._planned)
+
     def of_outputs(self) -> tuple[OutputColumns, ...]:
         """For each output, as planned."""
         return self._evaluated((np.zeros((len(self.segments), 3)),) * 2, np.zeros(len(self.segments)))
@@ -166,16 +184,22 @@ class ErrorsAtSegments:
         observed, owner = self._planned, self._planned.owner
         felt = tuple(own + change[owner] for own, change in zip((observed.omega, observed.force), changes, strict=True))
         moved = replace(observed, felt=(felt[0], felt[1]), rate=observed.rate + faster[owner])
-        effects = {id(one.effect): one.effect for output in self.outputs for one in output.chosen}
-        made = {key: _columns(effect, moved) for key, effect in effects.items()}
+        made: dict[tuple[int, float | None], tuple[Column, ...]] = {}
+        for one in (one for output in self.outputs for one in output.chosen):
+            for shape in (one.shape, *_beside(one)):
+                if (id(one.effect), shape) not in made:
+                    made[id(one.effect), shape] = _columns(one.effect, moved, shape)
         return tuple(self._of(output, moved, made) for output in self.outputs)
 
-    def _of(self, output: OutputErrors, observed: Observed, made: dict[int, tuple[Column, ...]]) -> OutputColumns:
+    def _of(
+        self, output: OutputErrors, observed: Observed, made: Mapping[tuple[int, float | None], tuple[Column, ...]]
+    ) -> OutputColumns:
         felt = observed.omega if output.kind == "gyro" else observed.force
         amplitudes, columns, available = [], [], {}
         for one in output.chosen:
-            all_ = made[id(one.effect)]
+            all_ = made[id(one.effect), one.shape]
             here = [column for column in all_ if output.channel in column.parts]
+            several = len(here) > 1 or isinstance(one.effect, ShapedOverSegments)
             available[one.effect.id] = tuple(_without_axis(column)[0] for column in here)
             for column in here:
                 name, alone = _without_axis(column)
@@ -184,11 +208,19 @@ class ErrorsAtSegments:
                 alike = [part for other in all_ if other.unit == column.unit for part in other.parts.values()]
                 size = max(float(np.abs(part).max()) for part in alike)
                 text = column.plain or column.unit
-                amplitudes.append(
-                    Amplitude(one.effect, name, len(here) > 1, alone, text, column.factor, column.along, size)
-                )
+                amplitudes.append(Amplitude(one.effect, name, several, alone, text, column.factor, column.along, size))
                 part = column.parts[output.channel]
                 columns.append(part if column.segments is None else part * column.segments[observed.owner])
+            if one.sizes:
+                ways = [made[id(one.effect), shape] for shape in _beside(one)]
+                columns.append(_derivative(one, output, *ways))
+                effect, size = one.effect, max(float(np.abs(columns[-1]).max()), 1e-300)
+                assert isinstance(effect, ShapedOverSegments)
+                amplitudes.append(
+                    Amplitude(
+                        effect, effect.shape_name, True, True, effect.shape_unit, 1.0, None, size, one.shape or 0.0
+                    )
+                )
         matrix = self._means(np.array(columns)).T if columns else np.zeros((len(self.segments), 0))
         return OutputColumns(self._means(felt[:, output.axis][None])[0], available, tuple(amplitudes), matrix)
 
@@ -200,12 +232,13 @@ class ErrorsAtSegments:
     @cached_property
     def _nodes(self) -> list[tuple[Array, Array, Array]]:
         """For each segment: angle of the table, place from −0.5 to 0.5 along the segment, and weight, all (k,)."""
-        places, weights = np.polynomial.legendre.leggauss(_ALONG)
+        shaped = any(one.shape is not None for output in self.outputs for one in output.chosen)
+        places, weights = np.polynomial.legendre.leggauss(_ALONG_SHAPED if shaped else _ALONG)
         found = []
         for segment, ramp in zip(self.segments, self.states.ramp.tolist(), strict=True):
             turning = isinstance(segment.motion, Spin)
             angle = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS) if turning else np.zeros(1)
-            along, weight = (places / 2, weights / 2) if ramp else (np.zeros(1), np.ones(1))
+            along, weight = (places / 2, weights / 2) if ramp or shaped else (np.zeros(1), np.ones(1))
             grid = np.meshgrid(angle, along, indexing="ij")
             found.append((grid[0].ravel(), grid[1].ravel(), np.tile(weight / len(angle), len(angle))))
         return found
@@ -239,14 +272,36 @@ def estimable(effect: Effect) -> str:
     """Why an effect has no amplitudes that are linear in the means of segments; empty where it has."""
     if isinstance(effect, ActsOnNoise):
         return "it acts on the noise, not on means: use allan_deviation"
-    if isinstance(effect, HasShape):
+    if isinstance(effect, HasShape) and not isinstance(effect, ShapedOverSegments):
         return f"it has a shape ({effect.shape_name}) that means of segments do not determine linearly: use `planrunner diagnose`"
     if isinstance(effect, PerOrientation):
         return "it differs between orientations: state it in the bench file as `position_uncertainty` of the table"
     return ""
 
 
-def _columns(effect: Effect, observed: Observed) -> tuple[Column, ...]:
+def _beside(part: EffectPart) -> tuple[float, ...]:
+    """The values of the shape between which its derivative is taken."""
+    return (part.shape * (1 + _STEP), part.shape * (1 - _STEP)) if part.shape is not None and part.sizes else ()
+
+
+def _derivative(part: EffectPart, output: OutputErrors, above: Sequence[Column], below: Sequence[Column]) -> Array:
+    """The change of an output (N,) with the shape, for amplitudes that keep their values in the unit of display."""
+    assert part.shape is not None
+    found = np.zeros(len(next(iter(above[0].parts.values()))))
+    for high, low in zip(above, below, strict=True):
+        if output.channel in high.parts:
+            size = part.sizes.get(_without_axis(high)[0], 0.0)
+            middle = (high.factor + low.factor) / 2
+            found += size / middle * (high.factor * high.parts[output.channel] - low.factor * low.parts[output.channel])
+    return np.asarray(found / (2 * _STEP * part.shape))
+
+
+def _columns(effect: Effect, observed: Observed, shape: float | None = None) -> tuple[Column, ...]:
+    if isinstance(effect, ShapedOverSegments):
+        values = effect.grid(observed)
+        if not len(values):
+            return ()
+        return effect.at(observed, float(np.sqrt(values[0] * values[-1])) if shape is None else shape).columns
     variants = effect.variants(observed)
     return variants[0].columns if variants else ()
 

@@ -19,7 +19,9 @@ from test_error_model import OBLIQUE
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.error_model.estimator import ErrorModelEstimator
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
-from planrunner.estimators.interface import Estimate, EstimateRequest
+from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.method import designed
+from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Segment
 
@@ -250,3 +252,65 @@ def test_thermal_hysteresis_is_found() -> None:
     found = estimate(recorded, {"gz": ("gyro_bias", "gyro_bias_temperature.c1", "gyro_thermal_hysteresis")})
     assert found["gyro_thermal_hysteresis_z"].value == pytest.approx(0.02, rel=1e-9)
     assert found["gyro_bias_z"].value == pytest.approx(0.1, rel=1e-9)
+
+
+# -- a shape: the time constant of a warm-up ---------------------------------------------------------------------------
+
+TAU, SIZE, DWELL = 900.0, 0.05, 120.0
+
+
+def warming(draw: np.random.Generator | None, noise: float = 1e-6, size: float = SIZE) -> list[RecordedSegment]:
+    """36 positions in 90 minutes, beginning 60 s after power-on; means of the exponential by its integral."""
+    found = []
+    for number, one in enumerate(segments(())):
+        rate, _ = Place().felt(one)
+        begin = 60 + 150.0 * number
+        mean = TAU / DWELL * (math.exp(-begin / TAU) - math.exp(-(begin + DWELL) / TAU))
+        value = 1.001 * rate[0] + 1e-5 + math.radians(size) * mean
+        value += 0.0 if draw is None else noise * draw.standard_normal()
+        found.append(
+            from_means(replace(one, dwell=DWELL, start=begin), {"gx": value}, "rad/s", noise, 4000, start=begin)
+        )
+    return found
+
+
+WARM: dict[str, tuple[str, ...]] = {"gx": (*GYRO, "gyro_warm_up")}
+
+
+def test_the_time_constant_of_a_warm_up_is_found() -> None:
+    clean = estimate(warming(None), WARM)
+    assert clean["gyro_warm_up_tau_x"].value == pytest.approx(TAU, rel=1e-5) and clean["gyro_warm_up_tau_x"].unit == "s"
+    assert clean["gyro_warm_up_a_x"].value == pytest.approx(SIZE, rel=1e-5)
+    assert clean["gyro_bias_x"].value == pytest.approx(math.degrees(1e-5), rel=1e-4)
+    added = clean.extra["effects"]
+    assert isinstance(added, dict) and set(added["gyro_warm_up"]) == {"a_x", "tau"}
+
+
+@pytest.mark.slow
+def test_uncertainties_include_that_of_the_time_constant() -> None:
+    draw, errors = np.random.default_rng(3), []
+    for _ in range(40):
+        found = estimate(warming(draw), WARM)
+        for name, truth in (
+            ("gyro_warm_up_tau_x", TAU),
+            ("gyro_warm_up_a_x", SIZE),
+            ("gyro_bias_x", math.degrees(1e-5)),
+        ):
+            errors.append((found[name].value - truth) / found[name].standard_uncertainty)
+    assert np.std(errors) == pytest.approx(1.0, abs=0.25) and abs(np.mean(errors)) < 0.4
+
+
+def test_a_warm_up_that_is_not_there_or_too_long_is_refused() -> None:
+    with pytest.raises(EstimationError, match=r"shows no gyro_warm_up|is not between"):
+        estimate(warming(np.random.default_rng(1), size=0.0), WARM)
+
+
+def test_a_warm_up_is_foreseen_without_uncertainty() -> None:
+    planned = tuple(one.segment for one in warming(None))
+    parameters = ErrorModelParameters(outputs=dict(WARM), axes={"gx": "x"})
+    outputs = (OutputModel("gx", "rad/s", noise=NoiseModel(white=1e-5)),)
+    request = DesignRequest("m", planned, parameters, imu.SITE, SensorModel("imu", outputs, 100.0))
+    made = designed(ErrorModelEstimator(), request)
+    assert not made.predicted and not [one for one in made.remarks if one.error]
+    names = [one.name for one in estimate(warming(None), WARM).coefficients]
+    assert sorted(one.name for one in made.unpredicted) == sorted(names)

@@ -89,6 +89,7 @@ class GyroWarmUp(Shaped):
     """Output + a·exp(−t/τ) per axis, t since power-on."""
 
     id, stage, shape_name, shape_unit = "gyro_warm_up", "sensor", "tau", "s"
+    shown_by, over_segments = "the same state at several times since power-on, beginning early", True
 
     def grid(self, observed: Observed) -> Array:
         return np.geomspace(60.0, 7200.0, 13) if observed.of_kind("gyro") else np.empty(0)

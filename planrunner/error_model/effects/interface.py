@@ -2,7 +2,7 @@
 
 An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds it, the estimator `error_model` fits its
 amplitudes to the means of segments, and the diagnosis decides whether the data support it. It may act on several channels at once, have a
-shape, or change the noise; an estimate takes effects without a shape.
+shape, or change the noise; an estimate takes effects without a shape, and those that outlast a segment.
 
     class MyEffect:
         id = "my_effect"                      # the entry point's name
@@ -146,6 +146,18 @@ class Shaped:
 
     def variants(self, observed: Observed) -> list[Variant]:
         return [self.at(observed, float(value)) for value in self.grid(observed)]
+
+
+@runtime_checkable
+class ShapedOverSegments(HasShape, Protocol):
+    """An effect with one shape parameter that the means of segments show, because it lasts longer than a segment."""
+
+    over_segments: Literal[True]
+    shape_unit: str
+
+    def grid(self, observed: Observed) -> Array: ...
+
+    def at(self, observed: Observed, value: float) -> Variant: ...
 
 
 def per_axis(

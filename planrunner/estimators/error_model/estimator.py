@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
+from planrunner.error_model.effects.interface import ShapedOverSegments
 from planrunner.error_model.segment_columns import KINDS, SegmentStates, states_of
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import FitNote, judge, planned_basis, require_basis
@@ -25,6 +26,7 @@ from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.error_model.common import CommonAmplitudes, between_outputs, common_amplitudes
 from planrunner.estimators.error_model.outputs import ModelledOutput, Together, models, shown_by
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
+from planrunner.estimators.error_model.shapes import shaped_part, with_shapes
 from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_tables import bases_table, residual_table
 from planrunner.estimators.full_scale import beyond_full_scale, shares_along
@@ -34,12 +36,14 @@ from planrunner.estimators.interface import (
     DesignRequest,
     EstimateRequest,
     EstimationError,
+    Foresight,
     Remark,
     Role,
     Table,
     TableColumn,
+    Unpredicted,
 )
-from planrunner.estimators.method import Method, Quantities, Words
+from planrunner.estimators.method import Method, Quantities, Words, by_expectation
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
 from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
@@ -99,6 +103,22 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         if any(remark.code == "physics-rank" for remark in remarks):
             return Design((), remarks=tuple(remarks))
         return Design(tuple(by_name[name] for name in parameters.outputs), remarks=tuple(dict.fromkeys(remarks)))
+
+    def foresee(self, request: DesignRequest[ErrorModelParameters]) -> Foresight:
+        """The coefficients of the expected recording; without uncertainties if a shape is to be found, which only a recording shows."""
+        outputs = [one for group in _planned(request) for one in group.outputs]
+        parts = [(one, part) for one in outputs if (part := shaped_part(one)) is not None]
+        if not parts:
+            return by_expectation(self, request)
+        why = " and ".join(
+            dict.fromkeys(f"the shape of {part.effect.id} is only known from a recording" for _, part in parts)
+        )
+        found = [Unpredicted(one.name, one.unit, why, one.description) for one in common_amplitudes(outputs).amplitudes]
+        for output, part in parts:
+            effect, letter = part.effect, "xyz"[output.errors.axis]
+            assert isinstance(effect, ShapedOverSegments)
+            found.append(Unpredicted(f"{effect.id}_{effect.shape_name}_{letter}", effect.shape_unit, why))
+        return Foresight(unpredicted=tuple(found))
 
     def known(self, request: DesignRequest[ErrorModelParameters]) -> Known:
         """The axes of the outputs."""
@@ -242,6 +262,7 @@ def _fitted(request: EstimateRequest[ErrorModelParameters], group: Together) -> 
     parameters, basis = request.parameters, request.parameters.uncertainty
     recorded = [request.segments[row] for row in group.rows]
     together = observe(recorded, [one.name for one in group.outputs], request.sensor)
+    group = with_shapes(group, together)
     seen, abouts = [], []
     for k, one in enumerate(group.outputs):
         whole = _of_channel(together, k)
@@ -405,8 +426,13 @@ def _as_added(outputs: Sequence[FittedOutput], common: CommonAmplitudes, found: 
     for one in outputs:
         letter = "xyz"[one.model.errors.axis]
         for amplitude, coefficient in zip(one.model.columns.amplitudes, one.model.coefficients, strict=True):
-            value = next(values)
-            if one.model.direct or amplitude.along != one.model.errors.axis:
+            value, effect = next(values), amplitude.effect
+            if isinstance(effect, ShapedOverSegments):
+                if sum(shaped_part(other.model) is not None for other in outputs) > 1:
+                    continue  # a bench states one shape for all outputs
+                name = f"{amplitude.name}_{letter}" if amplitude.name != effect.shape_name else amplitude.name
+                made.setdefault(effect.id, {})[name] = f"{value:.9g} {coefficient.unit}"
+            elif one.model.direct or amplitude.along != one.model.errors.axis:
                 name = f"{amplitude.name}_{letter}" if amplitude.alone else amplitude.name
                 made.setdefault(amplitude.effect.id, {})[name] = f"{value:.9g} {coefficient.unit}"
     return made

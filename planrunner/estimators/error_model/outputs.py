@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,7 @@ from planrunner.plan.schedule import Rest, Segment
 from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 _PER = {"gyro": "deg/s", "accel": "g"}
 _WORDS = {"gyro": "a gyro", "accel": "an accelerometer"}
@@ -40,13 +43,15 @@ _SENSED = {"angular rate": "gyro", "acceleration": "accel"}
 
 @dataclass(frozen=True, slots=True)
 class ReportedAmplitude:
-    """What is reported of one amplitude. si: its SI value per `unit`. common: whether outputs that name it have it in common."""
+    """What is reported of one amplitude. si: its SI value per `unit`. common: whether outputs that name it have it in common. origin: in
+    `unit`, from which a fitted value counts."""
 
     name: str
     unit: str
     si: float
     description: str
     common: bool = False
+    origin: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +97,10 @@ class ModelledOutput:
             assert self.gain is not None
             scale = fitted[self.gain]
             values = np.stack([one if place == self.gain else one / scale for place, one in enumerate(fitted)])
-        return np.asarray(values / np.array([one.si for one in self.coefficients])[:, None])
+        si, origins = (
+            np.array(own)[:, None] for own in zip(*((c.si, c.origin) for c in self.coefficients), strict=True)
+        )
+        return np.asarray(values / si + origins)
 
     def ratios(self, fitted: Array) -> dict[int, float]:
         """Axis → response to the output's own quantity along it, in SI, from fitted amplitudes (p,); 1 along its own axis where no scale
@@ -136,6 +144,23 @@ def models(
     for one in named:
         groups.setdefault(_usable(one, segments), []).append(one)
     return tuple(_together(group, rows, units, segments, site, states) for rows, group in groups.items())
+
+
+def with_shape(group: Together, k: int, part: EffectPart) -> Together:
+    """The group with another shape of an effect in its k-th output."""
+    old = group.outputs[k]
+    errors = replace(old.errors, chosen=tuple(part if one.effect is part.effect else one for one in old.errors.chosen))
+    (columns,) = replace(group.model, outputs=(errors,)).of_outputs()
+    made = _modelled(errors, old.unit, columns, old.rows)
+    return replace(
+        group,
+        model=replace(group.model, outputs=_with(group.model.outputs, k, errors)),
+        outputs=_with(group.outputs, k, made),
+    )
+
+
+def _with(items: tuple[T, ...], k: int, item: T) -> tuple[T, ...]:
+    return (*items[:k], item, *items[k + 1 :])
 
 
 def shown_by(effect: Effect) -> str:
@@ -268,4 +293,6 @@ def _coefficient(errors: OutputErrors, own: Unit, one: Amplitude) -> ReportedAmp
         text, si = f"({own.text})/({per})", 1 / unit(per).factor
         return ReportedAmplitude(name, text, si, f"Scale factor of {errors.output} along its own axis")
     where = "" if common else f" in {errors.output}"
-    return ReportedAmplitude(name, one.unit, one.factor, f"Parameter {one.name} of the effect {effect}{where}", common)
+    return ReportedAmplitude(
+        name, one.unit, one.factor, f"Parameter {one.name} of the effect {effect}{where}", common, one.origin
+    )

@@ -1,0 +1,91 @@
+"""The shape of an effect, such as a time constant, from the means of segments by variable projection.
+
+For each value of the shape the amplitudes are linear, and χ² of their fit is a function of the shape alone (G. Golub and V. Pereyra, SIAM
+J. Numer. Anal. 10, 1973). Its smallest value is sought within the bounds of the catalogue. There the derivative with respect to the shape
+becomes one more column of the fit, so that all uncertainties include that of the shape.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.effects.interface import ShapedOverSegments
+from planrunner.error_model.segment_columns import EffectPart
+from planrunner.estimators import least_squares
+from planrunner.estimators.error_model.outputs import ModelledOutput, Together, shown_by, with_shape
+from planrunner.estimators.interface import UnfitDataError
+from planrunner.estimators.least_squares import LinearFit
+from planrunner.observation.observations import Observations, within_segment_noise
+
+Array = NDArray[np.float64]
+
+_PRECISION = 1e-6  # of the shape's logarithm; the fit then adds a linear step
+_LEAST = 3.0  # standard uncertainties of an amplitude: of a smaller one the means do not show a shape
+
+
+def shaped_part(output: ModelledOutput) -> EffectPart | None:
+    """The part of an output's model whose shape the segments are to show."""
+    return next((one for one in output.errors.chosen if isinstance(one.effect, ShapedOverSegments)), None)
+
+
+def with_shapes(group: Together, together: Observations) -> Together:
+    """The group with the shapes of its effects at their best values, each with the column of its derivative.
+
+    together: observations of the group's outputs. Raises `UnfitDataError` if they do not show a shape.
+    """
+    for k, output in enumerate(group.outputs):
+        part = shaped_part(output)
+        if part is not None:
+            group = _found(group, k, part, together)
+    return group
+
+
+def _found(group: Together, k: int, part: EffectPart, together: Observations) -> Together:
+    from scipy.optimize import minimize_scalar
+
+    effect = part.effect
+    assert isinstance(effect, ShapedOverSegments)
+    values = group.model.shapes_of(effect)
+    name, text = group.outputs[k].name, effect.shape_unit
+    where = f"{effect.shape_name} of {effect.id} in {name}"
+    if together.expected:
+        raise UnfitDataError(f"{where} is only known from a recording")
+    sigma = within_segment_noise(together, k).sigma
+
+    def fitted(log: float) -> tuple[ModelledOutput, LinearFit]:
+        one = with_shape(group, k, replace(part, shape=math.exp(log))).outputs[k]
+        columns = one.columns
+        observed = together.mean[:, k] - one.ideal
+        return one, least_squares.fit(columns.matrix, observed, sigma, columns.magnitudes, one.names)
+
+    logs = np.log(values)
+    best = int(np.argmin([fitted(float(log))[1].chi_squared for log in logs]))
+    if best in (0, len(logs) - 1):
+        raise UnfitDataError(
+            f"{where} is not between {values[0]:g} and {values[-1]:g} {text}: leave the effect out, or record what shows it "
+            f"({shown_by(effect)})"
+        )
+    bounds = float(logs[best - 1]), float(logs[best + 1])
+    log = float(
+        minimize_scalar(
+            lambda at: fitted(at)[1].chi_squared, bounds=bounds, method="bounded", options={"xatol": _PRECISION}
+        ).x
+    )
+    one, fit = fitted(log)
+    at = [place for place, amplitude in enumerate(one.columns.amplitudes) if amplitude.effect is effect]
+    u = np.sqrt(
+        np.diag(fit.cofactor)[at] * max(fit.variance_factor, 1.0)
+        if fit.degrees_of_freedom
+        else np.diag(fit.cofactor)[at]
+    )
+    if not (np.abs(fit.coefficients[at]) > _LEAST * u).any():
+        raise UnfitDataError(
+            f"{name} shows no {effect.id}: leave the effect out, or record what shows it ({shown_by(effect)})"
+        )
+    reported = one.reported(fit.coefficients[:, None])[:, 0]
+    sizes = {one.columns.amplitudes[place].name: float(reported[place] * one.coefficients[place].si) for place in at}
+    return with_shape(group, k, replace(part, shape=math.exp(log), sizes=sizes))
