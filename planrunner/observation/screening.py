@@ -531,8 +531,8 @@ class Screening:
     def _of_channel(self, k: int) -> list[Find]:
         """What is known of one channel at the end of the segment."""
         stuck = [self._stretch(k, one) for one in self.runs[k].stuck()][:_KEPT]
-        if not self.steady and 2 * sum(one.rows for one in stuck) > self.done:
-            stuck = _as_one(stuck)  # a sensor that moves now and then, without noise at rest
+        if not self.steady and (len(stuck) > _MANY or 2 * sum(one.rows for one in stuck) > self.done):
+            stuck = _as_one(stuck)  # a sensor that moves now and then, with coarse counts or without noise at rest
         spikes: list[Find] = []
         bursts: list[Find] = []
         for one in self.found[k]:

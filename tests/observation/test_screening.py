@@ -162,6 +162,16 @@ def test_the_finds_do_not_depend_on_the_blocks_and_missing_numbers_are_passed_ov
     assert bad(screened(values, rows=313)) == bad(one)
 
 
+def test_rest_at_one_coarse_count_between_many_motions_counts() -> None:
+    """0.02 of noise never leaves a count of 0.1; smooth motion of some hundred counts does."""
+    rng = np.random.default_rng(3)
+    moving = np.repeat(np.arange(120) % 2, 500)
+    wide = np.hanning(60)
+    motion = 300 * np.convolve(rng.standard_normal(60_000) * moving, wide / wide.sum(), "same")
+    values = np.round((motion + 0.02 * rng.standard_normal(60_000)) / 0.1) * 0.1
+    assert bad(screened(values[None], steady=False)) == []
+
+
 def test_samples_that_are_often_far_off_belong_to_the_noise() -> None:
     """Student's t with 2 degrees of freedom: many samples beyond any Gaussian bound."""
     values = np.random.default_rng(1).standard_t(2, (1, 40_000))
