@@ -147,7 +147,10 @@ def _run(arguments: list[str], asked: AnswerForm) -> int:
     parser.add_argument("--version", action="version", version=f"planrunner {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     chosen = next((word for word in arguments if not word.startswith("-")), None)
-    for name, summary in COMMANDS.items():
+    # The others are listed in the help, and where no command comes first.
+    named = [chosen] if chosen in COMMANDS and arguments[0] == chosen else COMMANDS
+    for name in named:
+        summary = COMMANDS[name]
         command = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
         if name == chosen:
             module = _imported(f"planrunner.cli.{name.replace('-', '_')}")
