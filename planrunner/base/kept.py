@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_LARGEST = 200_000  # bytes of the arrays in one call and its result; larger ones are not worth their memory
+_LARGEST = 50_000  # bytes of the arrays in one call and its result; larger ones are not worth their memory
 
 
 def kept(most: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
