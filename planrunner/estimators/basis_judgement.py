@@ -11,9 +11,12 @@ from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark, UnfitDataError
 from planrunner.estimators.outlying_segments import LEAST_REDUNDANCY, Outlier, outliers, unchecked
 from planrunner.estimators.outputs_fit import OutputsFit
+from planrunner.observation.drift import DriftCourse
 from planrunner.observation.observations import SIGNIFICANCE
 from planrunner.plan.schedule import Segment
 from planrunner.uncertainty.influences import Aspect
+
+_FEW = 4  # degrees of freedom: with fewer, scatter and drift are hard to distinguish
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,12 +183,54 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
         elif noise.weighting == "individual":
             text = f"{output}: the noise differs between segments, so each segment is weighted by its own noise."
             notes.append(FitNote(text, output))
+    said, doubted = drift_words(fit, basis)
+    notes += [FitNote(text) for text in said]
+    warnings += doubted
     warnings += [_outlying(fit, one, basis) for one in outliers(fit, basis)]
     if alone := unchecked(fit, basis):
         text = f"The other segments hardly check the segments {', '.join(alone)} (less than {100 * LEAST_REDUNDANCY:.0f} % "
         text += "of an error in one of them appears in the residuals): repeat these segments to confirm them."
         notes.append(FitNote(text))
     return Judgement(tuple(notes), tuple(warnings))
+
+
+def drift_words(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
+    """A note about a drift that the plan asks for, a warning about one that the segments show, and a note if they could show none."""
+    drift = fit.drift
+    if not drift.courses:
+        if drift.judged:
+            return [], []
+        return [
+            f"{', '.join(fit.outputs)}: a drift during the test cannot be distinguished from the coefficients or from scatter, so none is "
+            "fitted: repeat the first segment at the end, or add segments."
+        ], []
+    names = " and ".join(dict.fromkeys(course.name for course in drift.courses))
+    holds = "The coefficients are averages over the recorded time of the test"
+    if drift.without is None or drift.explained is None:
+        return [f"{', '.join(fit.outputs)}: a drift ({names}) is fitted together with the coefficients. {holds}."], []
+    spreads = np.sqrt(np.diag(fit.covariance(basis))).reshape(fit.coefficients.shape)
+    moved = float(np.max(np.abs(fit.coefficients - drift.without) / spreads))
+    shares = ", ".join(
+        f"{100 * share:.3g} % ({name})" for name, share in zip(fit.outputs, drift.explained, strict=True)
+    )
+    left = (
+        f" Only {fit.freedom} degree{'s' if fit.freedom > 1 else ''} of freedom "
+        f"{'are' if fit.freedom > 1 else 'is'} left, so errors of the positions could look the same: repeat the first segment at the end."
+        if fit.freedom < _FEW
+        else ""
+    )
+    return [], [
+        f"The outputs drift during the test: a drift ({names}) explains {shares} of the scatter about the model. It is "
+        f"fitted together with the coefficients; without it a coefficient would change by {moved:.2g} standard uncertainties. {holds}."
+        f"{left} Write `drift: {_written(drift.courses)}` to confirm the drift, or `drift: none` to leave it out."
+    ]
+
+
+def _written(courses: Sequence[DriftCourse]) -> str:
+    """The key that asks for these courses."""
+    highest = max((course for course in courses if course.order), key=lambda one: one.order, default=None)
+    words = [course.name for course in courses if course is highest or not course.order]
+    return words[0] if len(words) == 1 else f"[{', '.join(words)}]"
 
 
 def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimateRequest
@@ -12,6 +13,7 @@ from planrunner.estimators.outputs_fit import OutputsFit, coefficients_by_noise,
 from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.stated_errors import site_errors, table_errors
 from planrunner.observation.correlated_errors import Array, functionals_of
+from planrunner.observation.drift import drift_of
 from planrunner.observation.flicker import flicker_errors
 from planrunner.observation.observations import Observations
 from planrunner.plan.quantity import Quantity
@@ -27,6 +29,12 @@ class FittedFromPositions(Protocol):
 
     @property
     def drift_span(self) -> Quantity: ...
+
+    @property
+    def drift(self) -> tuple[str, ...]: ...
+
+    @property
+    def temperature_channel(self) -> str | None: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +56,10 @@ def fit_positions(
     request: EstimateRequest[FittedFromPositions],
     design: PositionsDesign,
     observations: Observations,
+    recorded: Sequence[RecordedSegment],
     pooled: bool = False,
 ) -> OutputsFit:
-    """Fits outputs by a linear model.
+    """Fits outputs by a linear model. recorded: the segments of the observations.
 
     The effect of the table's errors on an output depends on its coefficients, so a first fit without these errors gives approximate
     coefficients. Raises `EstimationError`.
@@ -62,7 +71,9 @@ def fit_positions(
         *flicker_errors(observations, request.setup.inputs, parameters.drift_span.value),
         *table_errors(model, design.segments, request.site, request.setup, about),
     )
-    return fit_outputs(matrix, observations, magnitudes, model.names, parameters.uncertainty, pooled, effects=effects)
+    drift = drift_of(parameters.drift, parameters.temperature_channel, observations, recorded, request.segments)
+    basis = parameters.uncertainty
+    return fit_outputs(matrix, observations, magnitudes, model.names, basis, pooled, effects=effects, drift=drift)
 
 
 def site_influences(

@@ -33,6 +33,38 @@ def residual_table(title: str, observed: str, observations: Observations, fit: O
     return Table(title, tuple(columns), tuple(rows))
 
 
+def drift_tables(fits: Sequence[OutputsFit], basis: str) -> tuple[Table, ...]:
+    """The drifts that are fitted together with the coefficients; no table if there are none."""
+    rows: list[tuple[Cell, ...]] = []
+    for fit in fits:
+        spreads, p = fit.drift_spreads, fit.matrix.shape[1]
+        size = np.sqrt(fit.variance_factors) if basis == "residual" else np.ones(len(fit.outputs))
+        moved = fit.columns[:, p:] * fit.all_coefficients[:, None, p:]  # (m, n, q)
+        for k, (output, unit) in enumerate(zip(fit.outputs, fit.units, strict=True)):
+            freedom = fit.drift_freedom(k, basis)
+            for q, (name, per) in enumerate(zip(fit.drift.names, fit.drift.units, strict=True)):
+                u = float(spreads[k, q] * size[k])
+                amplitude, change = float(fit.all_coefficients[k, p + q]), float(np.ptp(moved[k, :, q]))
+                share = None if fit.drift.explained is None else float(100 * fit.drift.explained[k])
+                row = (output, name, amplitude, u, freedom, expanded_uncertainty(u, freedom), f"{unit}/{per}")
+                rows.append((*row, change, unit, share))
+    if not rows:
+        return ()
+    columns = (
+        TableColumn("output"),
+        TableColumn("drift"),
+        TableColumn("amplitude", Role.VALUE),
+        TableColumn("u", Role.STANDARD_UNCERTAINTY),
+        TableColumn("dof", Role.DEGREES_OF_FREEDOM),
+        TableColumn("U 95 %", Role.EXPANDED_UNCERTAINTY),
+        TableColumn("unit of the amplitude"),
+        TableColumn("range during the test", Role.VALUE),
+        TableColumn("unit"),
+        TableColumn("all drifts explain of the scatter", Role.VALUE, "%"),
+    )
+    return (Table("Drifts fitted together with the coefficients", columns, tuple(rows)),)
+
+
 def bases_shown(chosen: str, fits: Sequence[OutputsFit]) -> list[str]:
     """The chosen basis, and the other one if all fits have it."""
     return [chosen, *(other for other in BASES if other != chosen and all(fit.available(other) for fit in fits))]

@@ -245,8 +245,8 @@ class DesignBlock:
 class Remark:
     """An error or doubt of an estimator about planned segments; `check` prints it as a finding at `key` of the estimate.
 
-    code: such as `physics-release`, listed in docs/findings.md. error: the plan must not run. conditions: the remark explains why the fit
-    is ill-conditioned, so that the general message is not repeated.
+    code: such as `physics-release`, listed in docs/findings.md. error: the plan must not run. note: nothing has to be
+    changed. conditions: the remark explains why the fit is ill-conditioned, so that the general message is not repeated.
     """
 
     code: str
@@ -255,6 +255,7 @@ class Remark:
     key: str = "segments"
     error: bool = False
     conditions: bool = False
+    note: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,7 +63,7 @@ def _of_output(fit: OutputsFit, k: int, basis: str) -> list[Outlier]:
 
     found: list[Outlier] = []
     taken: tuple[int, ...] = ()
-    least = _ROUNDING * float(np.max(np.abs(fit.matrix) @ np.abs(fit.coefficients[k])))
+    least = _ROUNDING * float(np.max(np.abs(fit.columns) @ np.abs(fit.all_coefficients[k])))
     comparisons = fit.gains.shape[2] * len(fit.outputs)
     while len(taken) < _MOST and fit.freedom - len(taken) > 1:
         shifts = _Shifts.of(fit, k, basis, taken)
@@ -98,8 +98,9 @@ class _Shifts:
         """taken: segments that have a column already."""
         observed = fit.observed(k, basis)
         weights = np.linalg.inv(observed)
-        scale = np.sqrt(np.einsum("ij,ij->j", fit.matrix, fit.matrix))
-        columns = np.column_stack([fit.matrix / np.where(scale > 0, scale, 1.0), np.eye(len(observed))[:, list(taken)]])
+        fitted = fit.columns
+        scale = np.sqrt(np.einsum("ij,ij->j", fitted, fitted))
+        columns = np.column_stack([fitted / np.where(scale > 0, scale, 1.0), np.eye(len(observed))[:, list(taken)]])
         weighted = weights @ columns
         # What is left of the weights once the columns have taken theirs: χ² = yᵀ·left·y.
         left = weights - weighted @ np.linalg.pinv(columns.T @ weighted) @ weighted.T

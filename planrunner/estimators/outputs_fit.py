@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.base.kept import kept
 from planrunner.estimators import least_squares
+from planrunner.estimators.drift_fit import NOTHING_FITTED, FittedDrift, fitted_drift, joined, sizes
 from planrunner.estimators.least_squares import LinearFit
 from planrunner.observation.correlated_errors import CorrelatedError, explained, functionals_of, mixed, stacked_roots
+from planrunner.observation.drift import NO_DRIFT, DriftCourses
 from planrunner.observation.observations import SIGNIFICANCE, Observations, WithinSegmentNoise, within_segment_noise
 from planrunner.uncertainty.influences import Influence
 
@@ -39,8 +41,9 @@ class OutputsFit:
     those of the noises, with or without a part between segments (`between_segments`). between: (m,), that part. ratios: (m,), residual
     variance over that expected from noise and effects. effects: those that are in the weights; the others (if the noise of an output is not
     known) are in `unweighted`. pooled: whether one variance factor applies to all outputs, which is true if the proportions of their noise
-    are known beforehand; pooled_freedom: its degrees of freedom. gains: (m, p, n), coefficients from observations. cofactors: by basis, (m,
-    p, m, p), covariance of the coefficients before the variance factors.
+    are known beforehand; pooled_freedom: its degrees of freedom. drift: the courses that are fitted together with the terms, q columns;
+    `fits` and the degrees of freedom are those of all P = p + q columns. all_gains: (m, P, n), their coefficients from observations.
+    all_cofactors: by basis, (m, P, m, P), covariance of their coefficients before the variance factors.
     """
 
     outputs: tuple[str, ...]
@@ -54,15 +57,44 @@ class OutputsFit:
     ratios: Array
     effects: tuple[CorrelatedError, ...]
     unweighted: tuple[CorrelatedError, ...]
-    cofactors: Mapping[str, Array]
-    gains: Array
+    all_cofactors: Mapping[str, Array]
+    all_gains: Array
     pooled: bool = False
     pooled_freedom: float = 0.0
+    drift: FittedDrift = NOTHING_FITTED
+
+    @property
+    def columns(self) -> Array:
+        """(n, P), the terms' columns and those of the drift."""
+        return joined(self.matrix, self.drift.courses)
+
+    @property
+    def all_coefficients(self) -> Array:
+        """Of the terms and of the drift, shape (m, P)."""
+        return np.array([fit.coefficients for fit in self.fits])
 
     @property
     def coefficients(self) -> Array:
-        """Shape (m, p)."""
-        return np.array([fit.coefficients for fit in self.fits])
+        """Of the terms, shape (m, p)."""
+        return self.all_coefficients[:, : self.matrix.shape[1]]
+
+    @property
+    def gains(self) -> Array:
+        """The coefficients of the terms from observations, shape (m, p, n)."""
+        return self.all_gains[:, : self.matrix.shape[1]]
+
+    @property
+    def drift_spreads(self) -> Array:
+        """Standard uncertainties of the amplitudes of the drift with noise and all effects in the weights, shape (m, q). On the residual
+        basis they are multiplied by the square roots of the variance factors."""
+        variances = np.einsum("apap->ap", self.all_cofactors["residual"])
+        return np.sqrt(variances[:, self.matrix.shape[1] :])
+
+    def drift_freedom(self, output: int, basis: str) -> float:
+        """Degrees of freedom of the amplitudes of an output's drift."""
+        if basis == "residual":
+            return self.pooled_freedom if self.pooled else float(self.freedom)
+        return self.noises[output].degrees_of_freedom
 
     @property
     def freedom(self) -> int:
@@ -88,7 +120,8 @@ class OutputsFit:
         """Covariance of all coefficients, output after output, shape (m·p, m·p)."""
         m, p = self.coefficients.shape
         size = np.sqrt(self.variance_factors) if basis == "residual" else np.ones(m)
-        covariance: Array = (self.cofactors[basis] * np.outer(size, size)[:, None, :, None]).reshape(m * p, m * p)
+        cofactors = self.all_cofactors[basis][:, :p, :, :p]
+        covariance: Array = (cofactors * np.outer(size, size)[:, None, :, None]).reshape(m * p, m * p)
         return covariance
 
     def influences(self, basis: str, functionals: Array | None = None) -> tuple[Influence, ...]:
@@ -137,20 +170,32 @@ def fit_outputs(
     pooled: bool = False,
     equal: bool = False,
     effects: Sequence[CorrelatedError] = (),
+    drift: DriftCourses = NO_DRIFT,
 ) -> OutputsFit:
     """Fit every observed channel by the same terms. Raises `EstimationError`.
 
     Weights come from the noise within the segments and the effects. On the residual basis, a part between segments is added first if the
     noise differs between segments or there are effects, and both together do not explain the residuals. Otherwise the segment with the
     least noise would dominate the fit although its error is as large as the others'. Outputs can be pooled only if their noise is known and
-    needs no such part. equal: give all segments the same weight.
+    needs no such part. equal: give all segments the same weight. drift: courses that are fitted too, or only if the data show them.
     """
     m = len(observations.channels)
     noises = [within_segment_noise(observations, k) for k in range(m)]
     acting, left = (tuple(effects), ()) if all(noise.known for noise in noises) else ((), tuple(effects))
     noises = [within_segment_noise(observations, k, explained(acting, k)) for k in range(m)]
     roots = stacked_roots(acting, m, len(matrix))
-    weighting = _Weighting(matrix, observations.mean.T, magnitudes, names, roots, observations.expected)
+
+    def weighting_of(columns: Array, further: Sequence[str] = ()) -> _Weighting:
+        return _Weighting(
+            columns, observations.mean.T, sizes(magnitudes, columns), (*names, *further), roots, observations.expected
+        )
+
+    def fits(columns: Array) -> Sequence[LinearFit]:
+        return weighting_of(columns, ("drift",) * (columns.shape[1] - len(names))).plain(noises)
+
+    drifting = fitted_drift(matrix, magnitudes, drift, noises, observations.correlation, fits)
+    columns = joined(matrix, drifting.courses)
+    weighting = weighting_of(columns, drifting.names)
     found = weighting.equal(noises) if equal else weighting.known(noises, basis == "residual")
     pooled = pooled and all(noise.known for noise in noises) and not found.between.any()
     return OutputsFit(
@@ -169,6 +214,7 @@ def fit_outputs(
         found.gains,
         pooled,
         weighting.pooled_freedom(found, observations.correlation) if pooled else 0.0,
+        drifting,
     )
 
 
@@ -195,6 +241,10 @@ class _Weighting:
     names: Sequence[str]
     roots: Array
     expected: bool = False
+
+    def plain(self, noises: Sequence[WithinSegmentNoise]) -> list[LinearFit]:
+        """Fits weighted by noise and effects."""
+        return self._fits(np.array([noise.sigma for noise in noises]))
 
     def known(self, noises: Sequence[WithinSegmentNoise], residual: bool) -> _Fitted:
         """Fit weighted by noise and effects; residual: with a part between segments if the residuals require it."""

@@ -17,6 +17,8 @@ from planrunner.error_model.observed import axis_of
 from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.declared_axes import AxisResponse, contradictions
+from planrunner.estimators.drift_order import planned_drift
+from planrunner.estimators.fit_tables import drift_tables
 from planrunner.estimators.full_scale import beyond_full_scale, not_turned, shares_by_name
 from planrunner.estimators.interface import (
     Cell,
@@ -39,6 +41,7 @@ from planrunner.estimators.slope_units import rate_and_output, slope_unit
 from planrunner.estimators.stated_errors import common_rate, rate_errors
 from planrunner.estimators.tilted.rate_lines import asymmetry, line_through
 from planrunner.observation.correlated_errors import CorrelatedError
+from planrunner.observation.drift import drift, drift_of, thermometer
 from planrunner.observation.flicker import drift_span, flicker_errors
 from planrunner.observation.observations import Observations, observe
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
@@ -86,6 +89,8 @@ class ScaleFactorParameters(Record):
         default="residual",
     )
     drift_span: Quantity = drift_span()
+    drift: tuple[str, ...] = drift()
+    temperature_channel: str | None = thermometer()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,6 +122,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
             *beyond_full_scale(request, named, shares),
             *not_turned(request, named, shares),
             *planned_basis(request, blocks, request.parameters.uncertainty),
+            *planned_drift(request, blocks),
         )
         return Design(blocks, remarks=remarks)
 
@@ -139,7 +145,11 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
             *_held(request, slopes, rates),
         )
         equal = parameters.weights == "equal"
-        fit = fit_outputs(matrix, observations, magnitudes, TERMS, parameters.uncertainty, equal=equal, effects=effects)
+        drift = drift_of(
+            parameters.drift, parameters.temperature_channel, observations, request.segments, request.segments
+        )
+        basis = parameters.uncertainty
+        fit = fit_outputs(matrix, observations, magnitudes, TERMS, basis, equal=equal, effects=effects, drift=drift)
         require_basis(fit, parameters.uncertainty, request.name)
         return _found(request, observations, rates, fit)
 
@@ -166,7 +176,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
                 "weights": parameters.weights,
                 "rate_uncertainty": parameters.rate_uncertainty.value if parameters.rate_uncertainty else 0.0,
             },
-            tables=(_table(observations, shown, fit, rate),),
+            tables=(_table(observations, shown, fit, rate), *drift_tables([fit], parameters.uncertainty)),
             plots=(residual_plot(observations, fit, "Residuals from the straight line", f"rate [{rate.text}]", shown),),
             notes=tuple(notes),
             warnings=tuple(warnings),
@@ -294,7 +304,7 @@ def _metrics(
     if full_scale != 0 and fit.freedom:
         value = abs(float(one.residuals[worst])) / full_scale * 1e6
         words = f"{name}: largest residual over the largest output"
-        residual = (np.arange(len(rates)) == worst) - matrix[worst] @ fit.gains[k]
+        residual = (np.arange(len(rates)) == worst) - fit.columns[worst] @ fit.all_gains[k]
         noise = fit.spreads[k] ** 2 if basis == "residual" else fit.noises[k].sigma ** 2
         beside = residual @ (observed - np.diag(noise)) @ residual  # of the effects what is not taken up by the line
         u = math.sqrt(factor * float(noise[worst] + beside)) / full_scale * 1e6
@@ -303,17 +313,18 @@ def _metrics(
         found.append((Coefficient(f"nonlinearity_{name}", value, "ppm", u, freedom, words, role=maximum), answers))
     responds = np.ptp(observations.mean[:, k]) > 0 or observations.expected
     if responds and np.any(rates > 0) and np.any(rates < 0) and np.unique(rates).size >= 3:
-        halves = np.column_stack([np.ones(len(rates)), np.maximum(rates, 0), np.minimum(rates, 0)])
+        drifts = fit.columns[:, matrix.shape[1] :]
+        halves = np.column_stack([np.ones(len(rates)), np.maximum(rates, 0), np.minimum(rates, 0), drifts])
         mixed = fit.observed(k, "residual")
-        names = ("offset", "rate forward", "rate backward")
+        names = ("offset", "rate forward", "rate backward", *fit.drift.names)
         half = least_squares.fit(halves, observations.mean[:, k], names=names, covariance=mixed)
         if observations.expected:
             half = replace(half, chi_squared=float(half.degrees_of_freedom))
-        slopes = half.coefficients[1:]
+        slopes = half.coefficients[1:3]
         gradient = 1e6 * jacobian(lambda both: asymmetry(both[:1], both[1:]), slopes)[0]
         left = half.variance_factor if basis == "residual" and half.degrees_of_freedom else factor
         own = float(half.degrees_of_freedom or freedom) if basis == "residual" else freedom
-        answers = gradient @ (half.cofactor @ np.linalg.solve(mixed, halves).T)[1:]
+        answers = gradient @ (half.cofactor @ np.linalg.solve(mixed, halves).T)[1:3]
         u = math.sqrt(max(0.0, float(answers @ observed @ answers) * left))
         value = 1e6 * float(asymmetry(*slopes))
         words = f"{name}: difference of forward and backward scale factors"

@@ -269,7 +269,7 @@ def _check_estimate(
         return
     checked.designs[name] = design
     for remark in design.remarks:
-        add = log.error if remark.error else log.warning
+        add = log.error if remark.error else log.note if remark.note else log.warning
         add(remark.code, spec.at(remark.key), f"'{name}': {remark.message}", remark.hint)
     checked.judged[name] = identify(design)
     explained = any(remark.conditions for remark in design.remarks)

@@ -91,7 +91,7 @@ def changed(folder: Path, *changes: tuple[str, str]) -> list[tuple[str, int, str
 def test_shipped_plans_are_sound() -> None:
     for name in ("scale_factor_tilted", "fixture_angles"):
         checked = check_plan(ROOT / "plans" / f"{name}.yaml")
-        assert checked.ok and not list(checked.findings)
+        assert checked.ok and not [one for one in checked.findings if one.severity != "note"]
         assert len(checked.plan_bytes.splitlines()) <= 60
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from tests.worlds.felt import felt
 
 Array = NDArray[np.float64]
 BLOCK = 997  # rows
+THERMOMETER = "sensor_temperature"
 
 
 @dataclass
@@ -55,10 +56,10 @@ def recorded(campaign: Campaign, world: World, draw: np.random.Generator) -> tup
     rates = world.rate * draw.standard_normal(len(campaign.steps)) if world.rate else None
     seen = felt(campaign.steps, campaign.sampling, tilts, rates)
     values = device.outputs(seen) + campaign.white * draw.standard_normal((len(seen.time), len(campaign.white)))
-    made = Recorded(seen.time, seen.step, values, campaign.white, campaign.mean, campaign.sampling)
-    if world.fault is not None:
-        made = Recorded(seen.time, seen.step, world.fault(made, draw), campaign.white, campaign.mean, campaign.sampling)
-    return dict(device.truth), made
+    share = (seen.time - seen.time[0]) / (seen.time[-1] - seen.time[0])
+    celsius = None if world.celsius is None else world.celsius(share)
+    made = Recorded(seen.time, seen.step, values, campaign.white, campaign.mean, campaign.sampling, celsius)
+    return dict(device.truth), made if world.fault is None else replace(made, values=world.fault(made, draw))
 
 
 def estimated(campaign: Campaign, sound: Sound, made: Recorded) -> Estimate | str:
@@ -73,13 +74,16 @@ def _segment(segment: Segment, made: Recorded, number: int, campaign: Campaign) 
     rows = made.step == number
     time, values = made.time[rows], made.values[rows]
     channels = {name: values[:, k] for k, name in enumerate(campaign.channels)}
+    units = dict(campaign.channels)
+    if made.celsius is not None:
+        channels[THERMOMETER], units[THERMOMETER] = made.celsius[rows], "degC"
 
     def blocks(names: Sequence[str]) -> Iterator[Block]:
         for low in range(0, len(time), BLOCK):
             yield Block(time[low : low + BLOCK], {name: channels[name][low : low + BLOCK] for name in names})
 
     statistics = statistics_of(blocks(tuple(channels)), tuple(channels), len(time), motion=segment.motion)
-    return RecordedSegment(segment, dict(campaign.channels), statistics, blocks)
+    return RecordedSegment(segment, units, statistics, blocks)
 
 
 def tally(campaign: Campaign, world: World, runs: int, seed: int) -> Tally:

@@ -24,7 +24,8 @@ Fault = Callable[["Recorded", np.random.Generator], Array]
 @dataclass(frozen=True)
 class Recorded:
     """values: (n, k) with white noise; time: (n,), s; step: (n,), numbers; white: (k,), of one sample; mean: (k,), standard deviation that
-    white noise alone leaves in the mean of a step of usual length; sampling: Hz."""
+    white noise alone leaves in the mean of a step of usual length; sampling: Hz. celsius: (n,), of the sensor, in worlds that have a
+    thermometer."""
 
     time: Array
     step: NDArray[np.int64]
@@ -32,18 +33,21 @@ class Recorded:
     white: Array
     mean: Array
     sampling: float
+    celsius: Array | None = None
 
 
 @dataclass(frozen=True)
 class World:
     """stated: what the bench file says of it, by the name of the blank in a campaign's bench; `flicker` is in units of `Recorded.mean`.
-    warns: the model is wrong in a way that cannot be mended, so that a warning is what is asked for, not coverage."""
+    celsius: temperature of the sensor at a share of the test, which a thermometer records. warns: the model is wrong in a way that cannot
+    be mended, so that a warning is what is asked for, not coverage."""
 
     fault: Fault | None = None
     tilt: float = 0.0  # rad, standard uncertainty of an orientation about each axis
     rate: float = 0.0  # relative standard uncertainty of a rate
     flicker: float = 0.0  # bias instability, in units of `Recorded.mean`
     count: float = 0.0  # resolution, in units of `Recorded.white`
+    celsius: Callable[[Array], Array] | None = None
     warns: bool = False
 
 
@@ -99,6 +103,17 @@ def _ramp(made: Recorded, draw: np.random.Generator) -> Array:
 def _warming(made: Recorded, draw: np.random.Generator) -> Array:
     """A bias that follows a unit that warms up, by ten times the noise of a mean, with a third of the test as time constant."""
     return _drifting(made, draw, 1 - np.exp(-3 * (made.time - made.time[0]) / (made.time[-1] - made.time[0])))
+
+
+def _laboratory(share: Array) -> Array:
+    """A unit that warms up by 5 K in a room that heats and cools by 3 K, twice and a third during the test."""
+    return np.asarray(20 + 5 * (1 - np.exp(-3 * share)) + 3 * np.sin(2 * np.pi * 2.33 * share))
+
+
+def _following(made: Recorded, draw: np.random.Generator) -> Array:
+    """A bias that follows the temperature, by about ten times the noise of a mean over the test."""
+    assert made.celsius is not None
+    return _drifting(made, draw, (made.celsius - made.celsius[0]) / 8)
 
 
 def _drifting(made: Recorded, draw: np.random.Generator, course: Array) -> Array:
@@ -176,6 +191,7 @@ WORLDS: Mapping[str, World] = {
     "flicker, not declared": World(_flicker(1.0), warns=True),
     "linear drift": World(_ramp),
     "warming up": World(_warming),
+    "temperature drift, recorded": World(_following, celsius=_laboratory),
     "positions 5 arcsec, stated": World(tilt=5 * ARCSEC),
     "rates 10 ppm, stated": World(rate=10e-6),
     "counts of 5 times the noise": World(_counts(5.0), count=5.0),

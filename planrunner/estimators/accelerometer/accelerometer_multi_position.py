@@ -16,6 +16,7 @@ from planrunner.estimators.accelerometer.by_magnitude import MagnitudeQuantities
 from planrunner.estimators.accelerometer.by_orientation import AxesQuantities
 from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.basis_judgement import planned_basis
+from planrunner.estimators.drift_order import planned_drift
 from planrunner.estimators.expected import Known
 from planrunner.estimators.interface import (
     Design,
@@ -45,11 +46,16 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
         parameters = request.parameters
         _three(parameters.outputs)
         if parameters.reference == "gravity_magnitude":
+            planned_drift(request, ())
             return by_magnitude.design(request)
         _no_spans(request.detection)
         design = by_orientation.design_of(parameters.terms, request.segments, request.site)
         blocks = design.blocks(request, parameters.outputs)
-        return Design(blocks, remarks=planned_basis(request, blocks, parameters.uncertainty))
+        remarks = (
+            *planned_basis(request, blocks, parameters.uncertainty),
+            *planned_drift(request, blocks),
+        )
+        return Design(blocks, remarks=remarks)
 
     def known(self, request: DesignRequest[AccelerometerMultiPositionParameters]) -> Known:
         """The axes of the channels, in the order in which the plan names them."""

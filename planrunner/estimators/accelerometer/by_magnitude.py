@@ -13,12 +13,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude, too_few
 from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.basis_judgement import MORE_SEGMENTS, judge, no_residual, require_basis
 from planrunner.estimators.derived import Derived, Reported, derived
-from planrunner.estimators.fit_tables import bases_table
+from planrunner.estimators.fit_tables import bases_table, drift_tables
 from planrunner.estimators.interface import (
     Cell,
     Design,
@@ -37,6 +38,7 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.method import Quantities, Words
 from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
 from planrunner.observation.correlated_errors import CorrelatedError
+from planrunner.observation.drift import DriftCourses, drift_of
 from planrunner.observation.flicker import flicker_errors
 from planrunner.observation.observations import Observations, observe, recorded_times
 from planrunner.observation.still_detection import detection_limits, longest_span, still_spans
@@ -117,8 +119,10 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
     """The nine parameters with full covariance. Raises `EstimationError`."""
     basis = request.parameters.uncertainty
     expected = all(recorded.expected for recorded in request.segments)
-    poses = _recorded(request) if request.detection is None or expected else _found(request)
-    found, fit = _fitted(request, poses, basis)
+    found_spans = request.detection is not None and not expected
+    whole = [] if found_spans else _whole(request)
+    poses = _found(request) if found_spans else observe(whole, request.parameters.outputs, request.sensor)
+    found, fit = _fitted(request, poses, whole, basis)
     values, residuals = found.values + fit.coefficients[0], -fit.fits[0].residuals
     named = [Reported(name, text, _describe(name)) for name, text in zip(NAMES, _UNITS, strict=True)]
     shown = derived(named, lambda flat: flat * _SCALE[:, None], fit, at=values)
@@ -155,7 +159,7 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
             "gravity": request.site.gravity,
             **_detection(request),
         },
-        tables=(bases_table(found.shown, basis), _pose_table(poses, residuals)),
+        tables=(bases_table(found.shown, basis), *drift_tables([fit], basis), _pose_table(poses, residuals)),
         plots=(Plot("Residuals of |f| per pose", "pose", "residual [m/s^2]", poses.labels, series),),
         notes=tuple(notes),
         warnings=tuple(warnings),
@@ -169,9 +173,13 @@ def _size(fit: OutputsFit, residuals: Array) -> float:
 
 
 def _weighted(
-    request: EstimateRequest[AccelerometerMultiPositionParameters], poses: Observations, found: GravityFit
+    request: EstimateRequest[AccelerometerMultiPositionParameters],
+    poses: Observations,
+    recorded: Sequence[RecordedSegment],
+    found: GravityFit,
 ) -> OutputsFit:
-    """The last step: a weighted fit of |f| − g as one output, m/s². Raises `EstimationError`."""
+    """The last step: a weighted fit of |f| − g as one output, m/s². recorded: the segments of the poses; none if they are parts of
+    segments. Raises `EstimationError`."""
     directions = found.directions * _factors(poses)  # d|f|/d(reading), in the channels' own units
     felt = directions * poses.standard_error
     variance = np.einsum("ni,nj,ij->n", felt, felt, poses.correlation)
@@ -186,7 +194,24 @@ def _weighted(
     span = request.parameters.drift_span.value
     effects = [_along(one, directions) for one in flicker_errors(poses, request.setup.inputs, span)]
     magnitudes = np.array([1.0] * 3 + [request.site.gravity] * 6)
-    return fit_outputs(found.jacobian, magnitude, magnitudes, NAMES, request.parameters.uncertainty, effects=effects)
+    parameters = request.parameters
+    drift = drift_of(parameters.drift, parameters.temperature_channel, poses, recorded, recorded)
+    basis = parameters.uncertainty
+    return fit_outputs(
+        found.jacobian,
+        magnitude,
+        magnitudes,
+        NAMES,
+        basis,
+        effects=effects,
+        drift=_along_poses(drift, poses, directions),
+    )
+
+
+def _along_poses(drift: DriftCourses, poses: Observations, directions: Array) -> DriftCourses:
+    """A drift of the three channels as it reaches |f| − g: what it adds to a reading is taken away again. directions: (n, 3)."""
+    courses = (replace(one, columns=-directions * one.columns, parts=poses.channels) for one in drift.courses)
+    return replace(drift, courses=tuple(courses))
 
 
 def _along(effect: CorrelatedError, directions: Array) -> CorrelatedError:
@@ -203,7 +228,10 @@ def _gravity(request: EstimateRequest[AccelerometerMultiPositionParameters], fit
 
 
 def _fitted(
-    request: EstimateRequest[AccelerometerMultiPositionParameters], poses: Observations, basis: str
+    request: EstimateRequest[AccelerometerMultiPositionParameters],
+    poses: Observations,
+    recorded: Sequence[RecordedSegment],
+    basis: str,
 ) -> tuple[GravityFit, OutputsFit]:
     """Raises `EstimationError` if segments are too few or too similar, `UnfitDataError` if the spans found are."""
     factors = _factors(poses)
@@ -212,7 +240,7 @@ def _fitted(
             where = "raise `threshold` or shorten `at_least`, or record" if request.detection is not None else "record"
             raise EstimationError(f"{too_few(len(poses.labels))}: {where} more poses")
         found = fit_magnitude(poses.mean * factors, request.site.gravity)
-        fit = _weighted(request, poses, found)
+        fit = _weighted(request, poses, recorded, found)
         require_basis(fit, basis, request.name)
     except EstimationError as error:
         if request.detection is None:
@@ -253,14 +281,13 @@ def _found(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Ob
     )
 
 
-def _recorded(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Observations:
-    """Whole segments as poses; for a schedule, the segments in which a pose will be found."""
-    poses = [
+def _whole(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> list[RecordedSegment]:
+    """The segments that are poses; for a schedule, the segments in which a pose will be found."""
+    return [
         recorded
         for recorded in request.segments
         if not recorded.expected or _gives_pose(recorded.segment, request.detection, request.sensor.sample_rate)
     ]
-    return observe(poses, request.parameters.outputs, request.sensor)
 
 
 def _factors(poses: Observations) -> Array:

@@ -19,6 +19,7 @@ from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.declared_axes import AxisResponse, contradictions
 from planrunner.estimators.derived import Reported, derived
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
+from planrunner.estimators.fit_tables import drift_tables
 from planrunner.estimators.interface import (
     Cell,
     EstimateRequest,
@@ -69,7 +70,7 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
     observations = observe(request.segments, parameters.outputs, request.sensor)
     units = _units(observations)
     design = design_of(parameters.terms, [recorded.segment for recorded in request.segments], request.site)
-    fit = fit_positions(request, design, observations)
+    fit = fit_positions(request, design, observations, request.segments)
     require_basis(fit, basis, request.name)
     rows = [(axis, *row) for axis in range(3) for row in _axis(axis, fit, design.model)]
     factors = np.array([own.factor for own in units])[:, None, None]
@@ -117,7 +118,7 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
             "terms": list(found.model.names),
             "weights": [n.weighting for n in fit.noises],
         },
-        tables=(_table(observations, fit),),
+        tables=(_table(observations, fit), *drift_tables([fit], basis)),
         plots=(residual_plot(observations, fit),),
         notes=tuple(notes),
         warnings=tuple(warnings),

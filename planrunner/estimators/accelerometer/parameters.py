@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from planrunner.estimators.outputs_fit import BASES
+from planrunner.observation.drift import drift, thermometer
 from planrunner.observation.flicker import drift_span
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
 from planrunner.plan.quantity import Quantity
@@ -38,3 +39,5 @@ class AccelerometerMultiPositionParameters(Record):
         default="residual",
     )
     drift_span: Quantity = drift_span()
+    drift: tuple[str, ...] = drift()
+    temperature_channel: str | None = thermometer()

@@ -9,7 +9,7 @@ output that is not recorded as a rate or an acceleration (pulse/s) is K · (inpu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,12 +23,13 @@ from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import FitNote, judge, planned_basis, require_basis
 from planrunner.estimators.declared_axes import AxisResponse, against_nominal, contradictions
 from planrunner.estimators.derived import Derived, Reported, derived
+from planrunner.estimators.drift_order import planned_drift
 from planrunner.estimators.error_model.common import CommonAmplitudes, between_outputs, common_amplitudes
 from planrunner.estimators.error_model.outputs import ModelledOutput, Together, models, shown_by
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
 from planrunner.estimators.error_model.shapes import shaped_part, with_shapes
 from planrunner.estimators.expected import Known
-from planrunner.estimators.fit_tables import bases_table, residual_table
+from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_table
 from planrunner.estimators.full_scale import beyond_full_scale, shares_along
 from planrunner.estimators.interface import (
     Design,
@@ -50,6 +51,7 @@ from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_errors import site_errors, table_errors
 from planrunner.observation.correlated_errors import CorrelatedError, functionals_of
+from planrunner.observation.drift import drift_of
 from planrunner.observation.flicker import flicker_errors
 from planrunner.observation.observations import SIGNIFICANCE, Observations, observe, recorded_times
 from planrunner.plan.schedule import Segment
@@ -96,13 +98,15 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         for group in _planned(request):
             its_own = replace(request, segments=group.segments)
             for one in group.outputs:
-                blocks = planned_blocks(its_own, [one.name], one.names, one.columns.matrix, one.columns.magnitudes)
-                by_name[one.name] = blocks[0]
-                remarks += [*_inseparable(one, group.segments), *planned_basis(its_own, blocks, parameters.uncertainty)]
+                made = planned_blocks(its_own, [one.name], one.names, one.columns.matrix, one.columns.magnitudes)
+                by_name[one.name] = made[0]
+                remarks += [*_inseparable(one, group.segments), *planned_basis(its_own, made, parameters.uncertainty)]
                 remarks += beyond_full_scale(its_own, [one.name], _shares(one, group.segments))
         if any(remark.code == "physics-rank" for remark in remarks):
             return Design((), remarks=tuple(remarks))
-        return Design(tuple(by_name[name] for name in parameters.outputs), remarks=tuple(dict.fromkeys(remarks)))
+        blocks = tuple(by_name[name] for name in parameters.outputs)
+        remarks += planned_drift(request, blocks)
+        return Design(blocks, remarks=tuple(dict.fromkeys(remarks)))
 
     def foresee(self, request: DesignRequest[ErrorModelParameters]) -> Foresight:
         """The coefficients of the expected recording; without uncertainties if a shape is to be found, which only a recording shows."""
@@ -134,6 +138,11 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         states = _recorded_states(request.segments, parameters.temperature_channel)
         groups = models(parameters, units, request.sensor, planned, request.site, states)
         by_name = {one.model.name: one for group in groups for one in _fitted(request, group)}
+        if shown := {
+            course.name for one in by_name.values() for course in one.fit.drift.courses if one.fit.drift.by_evidence
+        }:
+            # What drifts in one output drifts in the others too, even where these alone do not show it.
+            by_name = {one.model.name: one for group in groups for one in _fitted(request, group, shown)}
         outputs = tuple(by_name[name] for name in parameters.outputs)
         basis = parameters.uncertainty
         sizes = [len(one.model.coefficients) for one in outputs]
@@ -192,6 +201,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
                     residual_table(f"Residuals of {one.model.name}", "segment", one.observations, one.fit)
                     for one in made.outputs
                 ),
+                *drift_tables([one.fit for one in made.outputs], basis),
                 bases_table(made.found, basis),
                 *_common_table(made, basis),
             ),
@@ -257,8 +267,13 @@ def _shares(one: ModelledOutput, segments: Sequence[Segment]) -> Array:
     return shares_along(segments, [axis if one.errors.kind == "gyro" else 0 * axis])
 
 
-def _fitted(request: EstimateRequest[ErrorModelParameters], group: Together) -> list[FittedOutput]:
-    """The outputs of a group. How far errors of table and site move an output depends on its amplitudes, which a first fit gives."""
+def _fitted(
+    request: EstimateRequest[ErrorModelParameters], group: Together, shown: Collection[str] = ()
+) -> list[FittedOutput]:
+    """The outputs of a group. shown: names of the courses of a drift that some output shows.
+
+    How far errors of table and site move an output depends on its amplitudes, which a first fit gives.
+    """
     parameters, basis = request.parameters, request.parameters.uncertainty
     recorded = [request.segments[row] for row in group.rows]
     together = observe(recorded, [one.name for one in group.outputs], request.sensor)
@@ -276,11 +291,17 @@ def _fitted(request: EstimateRequest[ErrorModelParameters], group: Together) -> 
         *flicker_errors(together, inputs, parameters.drift_span.value),
         *table_errors(group.model, group.segments, request.site, request.setup, responses),
     )
+    drift = replace(
+        drift_of(parameters.drift, parameters.temperature_channel, together, recorded, request.segments),
+        fits=len(parameters.outputs),
+        shown=frozenset(shown),
+    )
     site = site_errors(group.model, group.segments, request.site, inputs, responses)
     found = []
     for k, (one, (whole, left)) in enumerate(zip(group.outputs, seen, strict=True)):
         effects = _of_output(acting, k)
-        fit = fit_outputs(one.columns.matrix, left, one.columns.magnitudes, one.names, basis, effects=effects)
+        model = one.columns
+        fit = fit_outputs(model.matrix, left, model.magnitudes, one.names, basis, effects=effects, drift=drift)
         require_basis(fit, basis, f"{request.name}, {one.name}")
         found.append(FittedOutput(one, whole, fit, _of_output(site, k)))
     return found

@@ -8,6 +8,7 @@ from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, closest
 from planrunner.estimators.outputs_fit import BASES
+from planrunner.observation.drift import drift
 from planrunner.observation.flicker import drift_span
 from planrunner.plan import source
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Record, Schema, key
@@ -55,7 +56,8 @@ class ErrorModelParameters(Record):
     )
     temperature_channel: str | None = key(
         CHANNEL,
-        "The sensor's own thermometer, whose mean is the temperature of a segment; by default the planned temperature.",
+        "The sensor's own thermometer, whose mean is the temperature of a segment; by default the planned temperature. A drift with "
+        "temperature then uses the only recorded channel that is a temperature.",
         "temperature",
         default=None,
     )
@@ -66,3 +68,4 @@ class ErrorModelParameters(Record):
         default="residual",
     )
     drift_span: Quantity = drift_span()
+    drift: tuple[str, ...] = drift()

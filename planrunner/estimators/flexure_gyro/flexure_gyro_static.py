@@ -15,9 +15,10 @@ from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.declared_axes import against_nominal
 from planrunner.estimators.derived import Derived, Reported, derived
+from planrunner.estimators.drift_order import planned_drift
 from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
-from planrunner.estimators.fit_tables import bases_table, residual_table
+from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_table
 from planrunner.estimators.flexure_gyro import tables
 from planrunner.estimators.interface import (
     Design,
@@ -32,6 +33,7 @@ from planrunner.estimators.planned import matrix_at_rest
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.observation.correlated_errors import functionals_of
+from planrunner.observation.drift import drift, thermometer
 from planrunner.observation.flicker import drift_span
 from planrunner.observation.observations import Observations, observe
 from planrunner.physics.earth import Site
@@ -74,6 +76,8 @@ class FlexureGyroStaticParameters(Record):
         default=True,
     )
     drift_span: Quantity = drift_span()
+    drift: tuple[str, ...] = drift()
+    temperature_channel: str | None = thermometer()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +105,10 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         blocks = design.blocks(request, _two(parameters.outputs))
         if rank.look(design.matrix / design.magnitudes).rank < len(design.magnitudes):
             return Design(blocks)
-        remarks = planned_basis(request, blocks, parameters.uncertainty)
+        remarks = (
+            *planned_basis(request, blocks, parameters.uncertainty),
+            *planned_drift(request, blocks),
+        )
         information, note = tables.information(design)
         return Design(blocks, notes=(note,), extra=information, remarks=remarks)
 
@@ -121,7 +128,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         basis = parameters.uncertainty
         observations = observe(request.segments, _two(parameters.outputs), request.sensor)
         design = static_design(parameters.terms, [one.segment for one in request.segments], request.site)
-        fit = fit_positions(request, design, observations, parameters.pool_outputs)
+        fit = fit_positions(request, design, observations, request.segments, parameters.pool_outputs)
         require_basis(fit, basis, request.name)
         try:
             found = static_coefficients(fit, observations.units, design.model, parameters.terms)
@@ -165,6 +172,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
             },
             tables=(
                 residual_table("Residuals per position", "position", found.observations, fit),
+                *drift_tables([fit], basis),
                 bases_table(found.found, basis, len(flexure_gyro.physical_names(request.parameters.terms))),
             ),
             plots=(residual_plot(found.observations, fit),),

@@ -18,9 +18,10 @@ from planrunner.error_model.terms import ErrorModel, columns_of, error_model, te
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.declared_axes import contradictions
 from planrunner.estimators.derived import Derived, derived
+from planrunner.estimators.drift_order import planned_drift
 from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
-from planrunner.estimators.fit_tables import bases_table, residual_table
+from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_table
 from planrunner.estimators.imu import tables
 from planrunner.estimators.imu.coefficients import PLURAL, Framed, Response, calibration
 from planrunner.estimators.interface import (
@@ -36,6 +37,7 @@ from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.stated_errors import mean_poses
+from planrunner.observation.drift import drift, thermometer
 from planrunner.observation.flicker import drift_span
 from planrunner.observation.observations import Observations, observe
 from planrunner.physics.earth import Site
@@ -92,6 +94,8 @@ class ImuMultiPositionParameters(Record):
         default="residual",
     )
     drift_span: Quantity = drift_span()
+    drift: tuple[str, ...] = drift()
+    temperature_channel: str | None = thermometer()
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +135,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
             made = design.blocks(its_own, channels)
             blocks += made
             remarks += planned_basis(its_own, made, parameters.uncertainty)
+            remarks += planned_drift(request, made)
             if kind == "gyro":
                 remarks += _earth_rate_alone(request, made)
         return Design(tuple(blocks), remarks=tuple(remarks))
@@ -189,6 +194,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
                     residual_table(f"Residuals of the {one.kind} triad", "segment", one.observations, one.fit)
                     for one in triads
                 ),
+                *drift_tables([one.fit for one in triads], basis),
                 bases_table(found, basis),
             ),
             plots=tuple(
@@ -261,7 +267,7 @@ def _fit(
     usable = {id(segment) for segment in design.segments}
     recorded = [one for one in request.segments if id(one.segment) in usable]
     observations = observe(recorded, channels, request.sensor)
-    fit = fit_positions(request, design, observations)
+    fit = fit_positions(request, design, observations, recorded)
     require_basis(fit, request.parameters.uncertainty, f"{request.name}, {kind} triad")
     return Triad(kind, design, observations, fit)
 

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.derived import Derived, Reported, derived
+from planrunner.estimators.drift_order import planned_drift
+from planrunner.estimators.fit_tables import drift_tables
 from planrunner.estimators.interface import (
     Cell,
     Coefficient,
@@ -47,6 +49,7 @@ from planrunner.estimators.tilted.fixture_gains import (
 )
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes
 from planrunner.estimators.tilted.turning_rates import recorded_seconds
+from planrunner.observation.drift import drift, drift_of, thermometer
 from planrunner.observation.flicker import SPAN, flicker_errors
 from planrunner.observation.observations import Observations, observe
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, Text, key
@@ -89,6 +92,8 @@ class FixtureAnglesParameters(Record):
         "residual",
         default="residual",
     )
+    drift: tuple[str, ...] = drift()
+    temperature_channel: str | None = thermometer()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +122,12 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
         for k, name in enumerate(axes.outputs):
             basis = gain_basis(axes, k, how)
             blocks += planned_blocks(request, [name], model.terms(how), model.matrix(basis), model.magnitudes(basis))
-        remarks = (*_remarks(model, how), *planned_basis(request, blocks, request.parameters.uncertainty))
+        parameters = request.parameters
+        remarks = (
+            *_remarks(model, how),
+            *planned_basis(request, blocks, parameters.uncertainty),
+            *planned_drift(request, blocks),
+        )
         return Design(tuple(blocks), remarks=remarks)
 
     def quantities(self, request: EstimateRequest[FixtureAnglesParameters]) -> FixtureQuantities:
@@ -136,7 +146,10 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
             about = basis @ coefficients_by_noise(*asked)[0, len(model.orientations) :]
             flicker = flicker_errors(observations, request.setup.inputs, SPAN.value)
             effects = (*flicker, *held_rates(model, request.setup, about))
-            fit = fit_outputs(*asked, parameters.uncertainty, effects=effects)
+            drift = drift_of(
+                parameters.drift, parameters.temperature_channel, observations, request.segments, request.segments
+            )
+            fit = fit_outputs(*asked, parameters.uncertainty, effects=effects, drift=drift)
             require_basis(fit, parameters.uncertainty, request.name)
             fits.append((observations, fit))
         found = _derived(request, model, axes, fits)
@@ -161,7 +174,10 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
         return Words(
             headline=tuple(item.name for item in found.coefficients),
             settings={"uncertainty": parameters.uncertainty, "azimuth": parameters.azimuth},
-            tables=(_table(found.axes, found.coefficients),),
+            tables=(
+                _table(found.axes, found.coefficients),
+                *drift_tables([fit for _, fit in found.fits], parameters.uncertainty),
+            ),
             plots=tuple(
                 residual_plot(observations, fit, f"Residuals of {name}", "segment")
                 for name, (observations, fit) in zip(found.axes.outputs, found.fits, strict=True)

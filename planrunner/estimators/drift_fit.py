@@ -1,0 +1,166 @@
+"""Drift among the terms of a fit: which courses the data show, and what was fitted.
+
+A course is adopted by evidence if its amplitude in one output, or those in all outputs together, are larger than chance explains, at
+`SIGNIFICANCE` over all that is tried. The scale of chance is the noise within the segments and the declared effects, if they explain what
+is left without the drift; otherwise what is left. At least `LEAST_LEFT` degrees of freedom must remain over all outputs, or any scatter
+would look like a drift. A drift is rarely as even as it looks: once a course in time is adopted, the next order is fitted too where the
+segments allow it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.estimators import rank
+from planrunner.estimators.least_squares import LinearFit
+from planrunner.observation.drift import DriftCourse, DriftCourses
+from planrunner.observation.observations import SIGNIFICANCE, WithinSegmentNoise
+
+Array = NDArray[np.float64]
+
+LEAST_LEFT = 2
+"""Degrees of freedom of all outputs together."""
+_SEPARABLE = 1e-3  # of a course, the part that the terms of the model cannot imitate
+_ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of computing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedDrift:
+    """The courses in a fit. judged: whether a drift could have been found in the data at all. without: (m, p), the coefficients of a fit
+    without drift; explained: (m,), share of the sum of squared residuals that the drift takes away. Both only if courses were adopted."""
+
+    courses: tuple[DriftCourse, ...] = ()
+    by_evidence: bool = False
+    judged: bool = True
+    without: Array | None = None
+    explained: Array | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(f"{course.name} drift {part}".strip() for course in self.courses for part in course.parts)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The units by which the amplitudes are divided, (q,)."""
+        return tuple(course.per for course in self.courses for _ in course.parts)
+
+
+NOTHING_FITTED = FittedDrift()
+
+Fits = Callable[[Array], Sequence[LinearFit]]
+
+
+def joined(matrix: Array, courses: Sequence[DriftCourse]) -> Array:
+    """The terms of the model (n, p), then the columns of the courses."""
+    return np.hstack([matrix, *(course.columns for course in courses)]) if courses else matrix
+
+
+def sizes(magnitudes: Array, columns: Array) -> Array:
+    """The declared magnitudes of `joined`: the root mean squares of the courses."""
+    further = columns[:, len(magnitudes) :]
+    return np.concatenate([magnitudes, np.sqrt(np.mean(further**2, axis=0))]) if further.size else magnitudes
+
+
+def fitted_drift(
+    matrix: Array,
+    magnitudes: Array,
+    drift: DriftCourses,
+    noises: Sequence[WithinSegmentNoise],
+    correlation: Array,
+    fits: Fits,
+) -> FittedDrift:
+    """The courses to fit. correlation: (m, m), between the noise of the outputs. fits: the fits of all outputs by the columns of some
+    matrix, with the noise and the declared effects as weights; its arguments come from `joined`.
+    """
+    if not drift.courses:
+        return NOTHING_FITTED
+    if not drift.by_evidence:
+        return FittedDrift(drift.courses)
+    chosen: tuple[DriftCourse, ...] = ()
+    judged = bool(drift.shown)
+    while tried := _next(matrix, magnitudes, drift, chosen, len(noises)):
+        if drift.shown:
+            chosen = (*chosen, tried[0])
+            continue
+        judged = True
+        before = fits(joined(matrix, chosen))
+        found = {course.name: fits(joined(matrix, (*chosen, course))) for course in tried}
+        chances = [_chance(before, found[course.name], course, noises, correlation) for course in tried]
+        best = tried[int(np.argmin(chances))]
+        if min(chances) * len(tried) * drift.fits >= SIGNIFICANCE or _is_rounding(matrix, best, found[best.name]):
+            break
+        chosen = (*chosen, best)
+    if not chosen:
+        return FittedDrift(by_evidence=True, judged=judged)
+    if not drift.shown and any(course.order for course in chosen):
+        chosen += tuple(one for one in _next(matrix, magnitudes, drift, chosen, len(noises)) if one.order)
+    plain, whole = fits(matrix), fits(joined(matrix, chosen))
+    left, all_ = (np.array([one.chi_squared for one in each]) for each in (whole, plain))
+    share = 1 - left / np.where(all_ > 0, all_, 1.0)
+    return FittedDrift(chosen, True, True, np.array([one.coefficients for one in plain]), share)
+
+
+def _next(
+    matrix: Array, magnitudes: Array, drift: DriftCourses, chosen: Sequence[DriftCourse], outputs: int
+) -> tuple[DriftCourse, ...]:
+    """The courses that may be added: the lowest missing order in time, and the others. The terms and the chosen courses must not imitate
+    them, and enough degrees of freedom must be left."""
+    base, names = joined(matrix, chosen), {course.name for course in chosen}
+    allowed = [one for one in drift.courses if not drift.shown or one.name in drift.shown]
+    missing = [course for course in allowed if course.name not in names]
+    lowest = min((course.order for course in missing if course.order), default=0)
+    scaled = base / sizes(magnitudes, base)
+    basis = np.linalg.svd(scaled, full_matrices=False)[0][:, : rank.look(scaled).rank]
+    found = []
+    for course in missing:
+        left = len(matrix) - base.shape[1] - course.columns.shape[1]
+        own = course.columns - basis @ (basis.T @ course.columns)
+        separable = np.all(np.sum(own**2, axis=0) > _SEPARABLE**2 * np.sum(course.columns**2, axis=0))
+        if left >= 1 and outputs * left >= LEAST_LEFT and separable and course.order in (0, lowest):
+            found.append(course)
+    return tuple(found)
+
+
+def _chance(
+    before: Sequence[LinearFit],
+    after: Sequence[LinearFit],
+    course: DriftCourse,
+    noises: Sequence[WithinSegmentNoise],
+    correlation: Array,
+) -> float:
+    """Probability that the course takes away as much of χ² by chance, in one of the outputs or in all together (F-tests, with Bonferroni's
+    bound; outputs whose noise is correlated count as fewer, by Satterthwaite's formula)."""
+    from scipy.special import fdtrc
+
+    r, left = course.columns.shape[1], after[0].degrees_of_freedom
+    known = all(noise.known for noise in noises)
+    rest, freedom = sum(one.chi_squared for one in after), sum(noise.degrees_of_freedom for noise in noises)
+    explained = known and fdtrc(len(after) * left, freedom, rest / (len(after) * left)) >= SIGNIFICANCE
+    m, smallest, drops = len(after), 1.0, 0.0
+    for one, other, noise in zip(before, after, noises, strict=True):
+        drop = max(one.chi_squared - other.chi_squared, 0.0) / r
+        if explained:
+            chance = float(fdtrc(r, noise.degrees_of_freedom, drop))
+        elif other.chi_squared > 0:
+            chance = float(fdtrc(r, left, drop / (other.chi_squared / left)))
+        else:
+            chance = 0.0 if drop > 0 else 1.0
+        smallest, drops = min(smallest, chance), drops + drop
+    if not explained or m == 1:
+        return m * smallest
+    together = float(fdtrc(r * m**2 / np.sum(correlation**2), freedom, drops / m))
+    return 2 * min(m * smallest, together)
+
+
+def _is_rounding(matrix: Array, course: DriftCourse, after: Sequence[LinearFit]) -> bool:
+    """Whether the course moves no observation by more than rounding does."""
+    p, r = matrix.shape[1], course.columns.shape[1]
+    for one in after:
+        moved = np.max(np.abs(course.columns @ one.coefficients[-r:]))
+        if moved > _ROUNDING * np.max(np.abs(matrix) @ np.abs(one.coefficients[:p])):
+            return False
+    return True

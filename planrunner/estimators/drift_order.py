@@ -1,0 +1,216 @@
+"""The order of planned segments and a drift: how much larger uncertainties become if it is fitted, and which order decouples it.
+
+With the terms' design A and the courses of a drift T, both weighted, the covariance of the coefficients grows from C = (AᵀA)⁻¹ to
+C + G·T·(Tᵀ·M·T)⁻¹·Tᵀ·Gᵀ, with G = C·Aᵀ and M = 1 − A·G (Golub and Van Loan, Matrix Computations, 5.3). A test that is repeated in the
+opposite order is decoupled from a linear drift: the average time of each position is the same.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.estimators import rank
+from planrunner.estimators.interface import DesignBlock, DesignRequest, Remark
+from planrunner.observation.drift import BY_EVIDENCE, ORDERS, WITH_TEMPERATURE, asked, in_time, thermometer_of
+from planrunner.plan.schedule import Segment
+
+Array = NDArray[np.float64]
+
+COUPLED = 2.0
+"""Growth of a standard uncertainty from which an order is remarked upon: a repetition of all segments would gain less than the drift
+costs."""
+_REORDERED = 12  # segments at most, for which another order is proposed
+_ROUNDS = 20  # of exchanges of two segments
+_INSEPARABLE = 1e-3  # of a course, the part that the terms cannot imitate
+
+
+class FittedWithDrift(Protocol):
+    """The keys of an estimator that fits a drift together with its coefficients."""
+
+    @property
+    def uncertainty(self) -> str: ...
+
+    @property
+    def drift(self) -> tuple[str, ...]: ...
+
+    @property
+    def temperature_channel(self) -> str | None: ...
+
+
+def planned_drift(request: DesignRequest[FittedWithDrift], blocks: Sequence[DesignBlock]) -> tuple[Remark, ...]:
+    """Remarks about the drift that the plan asks for, or that the segments could show. Raises `EstimationError` for words that exclude each
+    other, and for a temperature that is not recorded.
+
+    A note if a linear drift were fitted only if the segments show it, a warning if the plan asks for a drift that the order of the segments
+    couples to a coefficient, and an error if its courses cannot be separated from the terms at all.
+    """
+    parameters = request.parameters
+    names, by_evidence = asked(parameters.drift), BY_EVIDENCE in parameters.drift
+    if not by_evidence and set(names) & set(WITH_TEMPERATURE):
+        thermometer_of(
+            {output.name: output.unit for output in request.sensor.outputs}, parameters.temperature_channel, False
+        )
+    orders = 1 if by_evidence else sum(name in ORDERS for name in names)
+    designs = [_Design.of(block, request.segments, orders) for block in _distinct(blocks)] if orders and names else []
+    judged = [one for one in designs if one is not None]
+    if not judged:
+        return ()
+    course = "a linear drift" if orders == 1 else f"a drift ({' and '.join(ORDERS[:orders])})"
+    needed = orders + (parameters.uncertainty == "residual")
+    short = next((one for one in judged if len(one.rows) < one.terms + needed), None)
+    if short is not None:
+        if by_evidence:
+            return ()
+        message = (
+            f"{len(short.rows)} segments cannot determine {short.terms} coefficients, {course} and their uncertainties"
+        )
+        return (Remark("physics-drift", message, _CLOSING, "drift", error=True),)
+    grown = [(one.growth(), one) for one in judged]
+    worst, design = max(grown, key=lambda pair: float(pair[0].max()))
+    largest = float(worst.max())
+    if largest < COUPLED:
+        return ()
+    term = design.block.terms[int(worst.argmax())]
+    if not np.isfinite(largest):
+        message = f"in this order, {course} cannot be separated from the coefficients of {design.block.output}"
+        return (Remark("physics-drift", message, _proposal(judged), "drift", error=not by_evidence, note=by_evidence),)
+    message = (
+        f"in this order, {course} would be hard to distinguish from {term} of {design.block.output}: fitted together with the "
+        f"coefficients, it makes the standard uncertainty {largest:.2g} times as large"
+    )
+    return (Remark("physics-drift", message, _proposal(judged), "drift", note=by_evidence),)
+
+
+_CLOSING = "repeat the first segment at the end, or add segments"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Design:
+    """matrix: (n, p), weighted and scaled; weights: (n,). start, seconds: (N,), s, of all segments of the estimate; rows: (n,), those
+    that this output uses, in the order of the block. orders: of the drift."""
+
+    block: DesignBlock
+    segments: tuple[Segment, ...]
+    matrix: Array
+    weights: Array
+    start: Array
+    seconds: Array
+    rows: NDArray[np.int64]
+    orders: int
+
+    @classmethod
+    def of(cls, block: DesignBlock, planned: Sequence[Segment], orders: int) -> _Design | None:
+        """None for segments whose times are not planned, and for terms that cannot be separated anyway."""
+        if any(segment.dwell is None for segment in planned) or len(block.labels) < 2:
+            return None
+        place = {segment.label: row for row, segment in enumerate(planned)}
+        rows = np.array([place[label] for label in block.labels])
+        weights = 1 / np.where(block.sigma > 0, block.sigma, 1.0)
+        matrix = block.matrix / block.magnitudes * weights[:, None]
+        start = np.array([segment.start for segment in planned])
+        if not np.ptp(start[rows]) or len(rank.look(matrix).null):
+            return None
+        seconds = np.array([one.dwell or 1.0 for one in planned])
+        return cls(block, tuple(planned[row] for row in rows), matrix, weights, start, seconds, rows, orders)
+
+    @property
+    def terms(self) -> int:
+        return self.matrix.shape[1]
+
+    def growth(self, order: Sequence[int] | None = None) -> Array:
+        """Growth of the standard uncertainties, (p,), infinite if the drift cannot be separated. order: of the rows in the planned places;
+        all have the same dwell."""
+        start = self.start
+        if order is not None:
+            start = start.copy()
+            start[self.rows[list(order)]] = np.sort(self.start[self.rows])
+        return _growth(self.matrix, self._courses(start, self.seconds)[self.rows] * self.weights[:, None])
+
+    def closed(self) -> Array:
+        """Growth with the first segment repeated at the end."""
+        order = np.argsort(self.start)
+        pause = float(np.median(np.diff(self.start[order]) - self.seconds[order][:-1]))
+        begun = float(np.max(self.start + self.seconds)) + max(pause, 0.0)
+        first = self.first
+        courses = self._courses(np.append(self.start, begun), np.append(self.seconds, self.seconds[self.rows[first]]))
+        weights = np.append(self.weights, self.weights[first])
+        matrix = np.vstack([self.matrix, self.matrix[first]])
+        return _growth(matrix, courses[[*self.rows, len(self.start)]] * weights[:, None])
+
+    @property
+    def first(self) -> int:
+        """The row that is recorded first."""
+        return int(self.start[self.rows].argmin())
+
+    def _courses(self, start: Array, seconds: Array) -> Array:
+        return np.hstack([course.columns for course in in_time(start, start + seconds, seconds)[: self.orders]])
+
+
+def _growth(matrix: Array, courses: Array) -> Array:
+    scaled = courses / np.sqrt(np.mean(courses**2, axis=0))
+    gains = np.linalg.pinv(matrix)
+    left = scaled - matrix @ (gains @ scaled)
+    if np.linalg.svd(left, compute_uv=False)[-1] < _INSEPARABLE * np.sqrt(len(matrix)):
+        return np.full(matrix.shape[1], np.inf)
+    imitated = np.linalg.solve(np.linalg.cholesky(left.T @ left), (gains @ scaled).T)
+    return np.asarray(np.sqrt(1 + np.sum(imitated**2, axis=0) / np.einsum("ij,ij->i", gains, gains)))
+
+
+def _distinct(blocks: Sequence[DesignBlock]) -> list[DesignBlock]:
+    """One block for each design: outputs of a triad often share it."""
+    found: dict[tuple[object, ...], DesignBlock] = {}
+    for block in blocks:
+        found.setdefault((block.labels, block.matrix.tobytes(), block.sigma.tobytes()), block)
+    return list(found.values())
+
+
+def _proposal(designs: Sequence[_Design]) -> str:
+    """What decouples the drift: a closing segment, another order, or the same segments once more in the opposite order."""
+    first = designs[0].block.labels[designs[0].first]
+    closed = max(float(one.closed().max()) for one in designs)
+    if closed < COUPLED:
+        return f"repeat '{first}' at the end ({closed:.2g} times)"
+    order = _reordered(designs)
+    if order is not None:
+        largest = max(float(one.growth(order).max()) for one in designs)
+        if largest < COUPLED:
+            labels = ", ".join(designs[0].block.labels[row] for row in order)
+            return f"use the order {labels} ({largest:.2g} times)"
+    return "record the segments a second time in the opposite order, so that a linear drift is decoupled from the coefficients"
+
+
+def _reordered(designs: Sequence[_Design]) -> tuple[int, ...] | None:
+    """The order of the segments after exchanges of two that decouple the drift best, one after the other; None if the segments cannot be
+    exchanged freely."""
+    one = designs[0]
+    same = all(other.block.labels == one.block.labels for other in designs)
+    alike = np.ptp(one.seconds[one.rows]) < 1e-6 and len({segment.temperature for segment in one.segments}) == 1
+    if not (same and alike and len(one.segments) <= _REORDERED):
+        return None
+    order = tuple(int(row) for row in np.argsort(one.start[one.rows]))
+
+    def cost(tried: Sequence[int]) -> float:
+        return max(float(design.growth(tried).max()) for design in designs)
+
+    best = cost(order)
+    for _ in range(_ROUNDS):
+        exchanged = [_exchanged(order, *pair) for pair in itertools.combinations(range(len(order)), 2)]
+        costs = [cost(tried) for tried in exchanged]
+        if min(costs) >= best:
+            break
+        best, order = min(costs), exchanged[int(np.argmin(costs))]
+        if best < np.sqrt(COUPLED):
+            break
+    return order
+
+
+def _exchanged(order: tuple[int, ...], one: int, other: int) -> tuple[int, ...]:
+    made = list(order)
+    made[one], made[other] = made[other], made[one]
+    return tuple(made)

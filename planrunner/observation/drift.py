@@ -1,0 +1,210 @@
+"""Courses of a slow drift of the outputs during a test: in time, with temperature, and with its rate of change.
+
+A drift is a nuisance: its courses are fitted together with the coefficients, whose uncertainties then include that it is unknown. Each
+course is the mean over each segment, minus its average over the recorded time of all segments of the estimate. A constant is therefore that
+of the whole test: at the average time, at the average temperature and at its average rate of change. It is the same for outputs that use
+only some of the segments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import closest
+from planrunner.observation.observations import Observations, recorded_times
+from planrunner.observation.refusals import EstimationError
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, key
+from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
+
+Array = NDArray[np.float64]
+
+BY_EVIDENCE, NONE = "by_evidence", "none"
+ORDERS = ("linear", "quadratic", "cubic")
+WITH_TEMPERATURE = ("temperature", "temperature_rate")
+_PER = {"linear": "h", "quadratic": "h^2", "cubic": "h^3", "temperature": "K", "temperature_rate": "(K/h)"}
+_HOUR = 3600.0
+_STEADY = 1e-9  # K: a smaller change of the temperature is rounding
+
+
+def drift() -> tuple[str, ...]:
+    """The key of estimators that fit constants to segments."""
+    words: tuple[str, ...] = key(
+        ListOf(Choice((BY_EVIDENCE, NONE, *ORDERS, *WITH_TEMPERATURE)), single=True, minimum=1),
+        "Drift of the outputs during the test that is fitted together with the coefficients: in time (`quadratic` includes `linear`, and "
+        "`cubic` includes both), with the recorded temperature, or with its rate of change. `by_evidence`: none, unless the segments "
+        "show one.",
+        ["linear", "temperature"],
+        default=(BY_EVIDENCE,),
+    )
+    return words
+
+
+def thermometer() -> str | None:
+    """The key for the channel whose mean is the temperature of a segment."""
+    channel: str | None = key(
+        CHANNEL,
+        "The sensor's own thermometer, for a drift with temperature; by default the only recorded channel that is a temperature.",
+        "sensor_temperature",
+        default=None,
+    )
+    return channel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriftCourse:
+    """columns: (n, r), the same course for r parts of an output, without unit of the output. per: the unit by which a fitted amplitude is
+    divided. parts: names of the parts, if there are several. order: of a course in time, otherwise 0."""
+
+    name: str
+    per: str
+    columns: Array
+    order: int = 0
+    parts: tuple[str, ...] = ("",)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriftCourses:
+    """The courses that may be fitted. by_evidence: only if the data show them; otherwise all of them. fits: number of fits in which the
+    same drift is sought, each by itself. shown: names of the courses that one of these fits shows; they are fitted where the segments
+    allow it."""
+
+    courses: tuple[DriftCourse, ...] = ()
+    by_evidence: bool = True
+    fits: int = 1
+    shown: frozenset[str] = frozenset()
+
+
+NO_DRIFT = DriftCourses()
+
+
+def asked(words: Sequence[str]) -> tuple[str, ...]:
+    """The courses that a plan asks for, with the lower orders in time; those that may be tried for `by_evidence`. Raises
+    `EstimationError` for words that exclude each other."""
+    alone = [word for word in words if word in (BY_EVIDENCE, NONE)]
+    if alone and len(set(words)) > 1:
+        other = next(word for word in words if word != alone[0])
+        raise EstimationError(
+            f"`drift: {alone[0]}` excludes `{other}`", f"write only one of them: {', '.join(words)}", "drift"
+        )
+    if NONE in words:
+        return ()
+    if BY_EVIDENCE in words:
+        return (*ORDERS, "temperature")
+    highest = max((ORDERS.index(word) + 1 for word in words if word in ORDERS), default=0)
+    return (*ORDERS[:highest], *(word for word in WITH_TEMPERATURE if word in words))
+
+
+def drift_of(
+    words: Sequence[str],
+    channel: str | None,
+    observations: Observations,
+    segments: Sequence[RecordedSegment],
+    test: Sequence[RecordedSegment],
+) -> DriftCourses:
+    """The courses for the observations of recorded segments.
+
+    channel: the thermometer, if the plan names one. segments: those of the observations, in their order; none if the observations are
+    parts of segments, whose temperature is unknown. test: all segments of the estimate. Raises `EstimationError` for a temperature that is
+    not recorded, if the plan asks for it.
+    """
+    names, by_evidence = asked(words), BY_EVIDENCE in words
+    if not names or (by_evidence and observations.expected):
+        return NO_DRIFT
+    if segments:
+        place = {id(one): row for row, one in enumerate(test)}
+        rows = [place[id(one)] for one in segments]
+        start, end = recorded_times(test)
+        seconds = (end - start) * [one.share for one in test]
+    else:
+        rows, start, end, seconds = (
+            [*range(len(observations.start))],
+            observations.start,
+            observations.end,
+            observations.seconds,
+        )
+    courses = list(in_time(start, end, seconds))
+    if set(names) & set(WITH_TEMPERATURE):
+        name = thermometer_of(_common(test if segments else ()), channel, by_evidence)
+        if name is not None:
+            courses += _with_temperature((start + end) / 2, _temperatures(test, name), seconds)
+    used = [replace(one, columns=one.columns[rows]) for one in courses if one.name in names]
+    if by_evidence:  # times that are not known, or a temperature that does not change, show nothing
+        used = [one for one in used if np.any(one.columns)]
+    return DriftCourses(tuple(used), by_evidence)
+
+
+def in_time(start: Array, end: Array, seconds: Array) -> tuple[DriftCourse, ...]:
+    """Powers of the time since the middle of the test, h. start, end: (n,), s; seconds: (n,), the recorded time that counts."""
+    middle = (float(start.min()) + float(end.max())) / 2
+    low, high = (start - middle) / _HOUR, (end - middle) / _HOUR
+    made = []
+    for order, name in enumerate(ORDERS, start=1):
+        # (bⁿ⁺¹ − aⁿ⁺¹)/((n + 1)·(b − a)) without the difference, which cancels for short segments.
+        means = sum(low**k * high ** (order - k) for k in range(order + 1)) / (order + 1)
+        made.append(DriftCourse(name, _PER[name], _centred(np.asarray(means), seconds), order))
+    return tuple(made)
+
+
+def _with_temperature(middle: Array, kelvin: Array, seconds: Array) -> tuple[DriftCourse, ...]:
+    """middle: (n,), s; kelvin: (n,), of the segments. Its rate of change is that of the line through the neighbouring segments."""
+    if len(kelvin) < 2 or np.ptp(kelvin) < _STEADY:
+        return ()
+    order = np.argsort(middle, kind="stable")
+    rate = np.empty(len(kelvin))
+    rate[order] = np.gradient(kelvin[order], middle[order] / _HOUR)
+    pairs = zip(WITH_TEMPERATURE, (kelvin, rate), strict=True)
+    return tuple(DriftCourse(name, _PER[name], _centred(values, seconds)) for name, values in pairs)
+
+
+def _centred(values: Array, seconds: Array) -> Array:
+    return np.asarray(values - np.average(values, weights=seconds))[:, None]
+
+
+def thermometer_of(units: Mapping[str, str], channel: str | None, by_evidence: bool) -> str | None:
+    """The channel of the temperature; None if there is none and the plan does not insist.
+
+    units: of the channels that every segment has; channel: as named in the plan. Raises `EstimationError`.
+    """
+    thermometers = [name for name in sorted(units) if _is_temperature(units[name])]
+    if channel is not None:
+        if channel in thermometers:
+            return channel
+        message = f"'{channel}' is not a temperature that is recorded in every segment"
+        raise EstimationError(message, closest(channel, thermometers), "temperature_channel")
+    if len(thermometers) == 1:
+        return thermometers[0]
+    if by_evidence:
+        return None
+    if thermometers:
+        hint = "name the sensor's own thermometer in `temperature_channel`"
+        raise EstimationError(f"there are several thermometers: {', '.join(thermometers)}", hint, "drift")
+    message = "a drift with temperature needs a thermometer that is recorded in every segment"
+    raise EstimationError(message, "record one, or write `drift: linear`", "drift")
+
+
+def _is_temperature(text: str) -> bool:
+    try:
+        return unit(text).dimension == DIMENSIONS["temperature"]
+    except UnknownUnitError:
+        return False
+
+
+def _common(segments: Sequence[RecordedSegment]) -> dict[str, str]:
+    """Units of the channels that every segment has."""
+    if not segments:
+        return {}
+    shared = set.intersection(*(set(one.statistics.channels) for one in segments))
+    return {name: text for name, text in segments[0].units.items() if name in shared}
+
+
+def _temperatures(segments: Sequence[RecordedSegment], channel: str) -> Array:
+    """Means, K, (n,)."""
+    means = np.array([one.statistics.mean[one.statistics.of(channel)] for one in segments])
+    scales = [unit(one.units[channel]) for one in segments]
+    return np.asarray(means * [one.factor for one in scales] + [one.offset for one in scales])
