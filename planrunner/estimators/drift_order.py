@@ -121,7 +121,7 @@ class _Design:
 
     @property
     def terms(self) -> int:
-        return self.matrix.shape[1]
+        return int(self.matrix.shape[1])
 
     def growth(self, order: Sequence[int] | None = None) -> Array:
         """Growth of the standard uncertainties, (p,), infinite if the drift cannot be separated. order: of the rows in the planned places;

@@ -88,7 +88,7 @@ class OutputsFit:
         """Standard uncertainties of the amplitudes of the drift with noise and all effects in the weights, shape (m, q). On the residual
         basis they are multiplied by the square roots of the variance factors."""
         variances = np.einsum("apap->ap", self.all_cofactors["residual"])
-        return np.sqrt(variances[:, self.matrix.shape[1] :])
+        return np.asarray(np.sqrt(variances[:, self.matrix.shape[1] :]))
 
     def drift_freedom(self, output: int, basis: str) -> float:
         """Degrees of freedom of the amplitudes of an output's drift."""
@@ -244,7 +244,7 @@ class _Weighting:
 
     def plain(self, noises: Sequence[WithinSegmentNoise]) -> list[LinearFit]:
         """Fits weighted by noise and effects."""
-        return self._fits(np.array([noise.sigma for noise in noises]))
+        return self._weighted(np.array([noise.sigma for noise in noises]))
 
     def known(self, noises: Sequence[WithinSegmentNoise], residual: bool) -> _Fitted:
         """Fit weighted by noise and effects; residual: with a part between segments if the residuals require it."""
