@@ -19,6 +19,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.observation.observations import Observations, recorded_times
 from planrunner.observation.refusals import EstimationError
+from planrunner.observation.temperature import CHANGED
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, key
 from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
 
@@ -132,7 +133,9 @@ def drift_of(
     if set(names) & set(WITH_TEMPERATURE):
         name = thermometer_of(_common(test if segments else ()), channel, by_evidence)
         if name is not None:
-            courses += _with_temperature((start + end) / 2, _temperatures(test, name), seconds)
+            kelvin = _temperatures(test, name)
+            if not by_evidence or np.ptp(kelvin[rows]) >= CHANGED:  # a thermometer's noise must not explain anything
+                courses += _with_temperature((start + end) / 2, kelvin, seconds)
     used = [replace(one, columns=one.columns[rows]) for one in courses if one.name in names]
     if by_evidence:  # times that are not known, or a temperature that does not change, show nothing
         used = [one for one in used if np.any(one.columns)]

@@ -116,6 +116,22 @@ def test_a_drift_that_follows_the_thermometer_is_fitted_as_such() -> None:
             assert abs(item.value - truth[name]) < 5 * item.standard_uncertainty, name
 
 
+def test_a_thermometer_whose_reading_hardly_changes_explains_nothing() -> None:
+    """A residual that happens to be proportional to hundredths of a kelvin is no drift with temperature."""
+    pattern = np.random.default_rng(8).standard_normal(len(CAMPAIGNS["scale_factor"].steps))
+
+    def followed(size: float) -> list[str]:
+        campaign = CAMPAIGNS["scale_factor"]
+        _, made = recorded(campaign, STEADY, np.random.default_rng(2))
+        course = pattern[made.step]
+        drifting = made.values + 5 * campaign.mean * course[:, None]
+        estimate = found(campaign, STEADY, replace(made, values=drifting, celsius=20 + size * course))
+        return [text for text in estimate.warnings if "a drift (temperature)" in text]
+
+    assert followed(1.0)
+    assert not followed(0.01)
+
+
 def test_a_temperature_that_does_not_change_adds_nothing() -> None:
     campaign = asking("scale_factor", "temperature")
     world = World(celsius=lambda share: np.full(len(share), 23.0))
