@@ -222,7 +222,8 @@ def drift_words(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
     return [], [
         f"The outputs seem to drift during the test: a drift ({names}) explains {shares} of the scatter about the model. A term that is "
         "missing in the model and follows the order of the segments would look the same. "
-        f"The drift is fitted together with the coefficients; without it a coefficient would change by {moved:.2g} standard uncertainties. {holds}."
+        "The drift is fitted together with the coefficients; "
+        f"without it a coefficient would change by {moved:.2g} standard uncertainties. {holds}."
         f"{left} Write `drift: {_written(drift.courses)}` to confirm the drift, or `drift: none` to leave it out."
     ]
 

@@ -1,10 +1,11 @@
 """Drift among the terms of a fit: which courses the data show, and what was fitted.
 
 A course is adopted by evidence if its amplitude in one output, or those in all outputs together, are larger than chance explains, at
-`SIGNIFICANCE` over all that is tried. The scale of chance is the noise within the segments and the declared effects, if they explain what
-is left without the drift; otherwise what is left. At least `LEAST_LEFT` degrees of freedom must remain over all outputs, or any scatter
-would look like a drift. A drift is rarely as even as it looks: once a course in time is adopted, the next order is fitted too where the
-segments allow it.
+`SIGNIFICANCE` over all that is tried. The scale of chance is the noise within the segments and the declared effects, if they explain
+what is left without the drift; otherwise what is left. In the end the noise and the effects must explain what is left: residuals that a
+drift does not explain are those of an incomplete model, and a part of their pattern always looks like a drift. At least `LEAST_LEFT`
+degrees of freedom must remain over all outputs, or any scatter would look like a drift. A drift is rarely as even as it looks: once a
+course in time is adopted, the next order is fitted too where the segments allow it.
 """
 
 from __future__ import annotations
@@ -99,6 +100,8 @@ def fitted_drift(
     if not drift.shown and any(course.order for course in chosen):
         chosen += tuple(one for one in _next(matrix, magnitudes, drift, chosen, len(noises)) if one.order)
     plain, whole = fits(matrix), fits(joined(matrix, chosen))
+    if not drift.shown and not _explained(whole, noises):
+        return FittedDrift(by_evidence=True, judged=True)
     left, all_ = (np.array([one.chi_squared for one in each]) for each in (whole, plain))
     share = 1 - left / np.where(all_ > 0, all_, 1.0)
     return FittedDrift(chosen, True, True, np.array([one.coefficients for one in plain]), share)
@@ -132,14 +135,13 @@ def _chance(
     noises: Sequence[WithinSegmentNoise],
     correlation: Array,
 ) -> float:
-    """Probability that the course takes away as much of χ² by chance, in one of the outputs or in all together (F-tests, with Bonferroni's
-    bound; outputs whose noise is correlated count as fewer, by Satterthwaite's formula)."""
+    """Probability that the course takes away as much of χ² by chance, in one of the outputs or in all together (F-tests, Bonferroni's bound;
+    outputs whose noise is correlated count as fewer, by Satterthwaite's formula)."""
     from scipy.special import fdtrc
 
     r, left = course.columns.shape[1], after[0].degrees_of_freedom
-    known = all(noise.known for noise in noises)
-    rest, freedom = sum(one.chi_squared for one in after), sum(noise.degrees_of_freedom for noise in noises)
-    explained = known and fdtrc(len(after) * left, freedom, rest / (len(after) * left)) >= SIGNIFICANCE
+    explained = _explained(after, noises)
+    freedom = sum(noise.degrees_of_freedom for noise in noises)
     m, smallest, drops = len(after), 1.0, 0.0
     for one, other, noise in zip(before, after, noises, strict=True):
         drop = max(one.chi_squared - other.chi_squared, 0.0) / r
@@ -154,6 +156,17 @@ def _chance(
         return m * smallest
     together = float(fdtrc(r * m**2 / np.sum(correlation**2), freedom, drops / m))
     return 2 * min(m * smallest, together)
+
+
+def _explained(after: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> bool:
+    """Whether the noise within the segments explains the residuals of all outputs together (F-test); not if it is unknown."""
+    from scipy.special import fdtrc
+
+    if not all(noise.known for noise in noises):
+        return False
+    left = sum(one.degrees_of_freedom for one in after)
+    ratio = sum(one.chi_squared for one in after) / left
+    return bool(fdtrc(left, sum(noise.degrees_of_freedom for noise in noises), ratio) >= SIGNIFICANCE)
 
 
 def _is_rounding(matrix: Array, course: DriftCourse, after: Sequence[LinearFit]) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,9 +147,10 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
             about = basis @ coefficients_by_noise(*asked)[0, len(model.orientations) :]
             flicker = flicker_errors(observations, request.setup.inputs, SPAN.value)
             effects = (*flicker, *held_rates(model, request.setup, about))
-            drift = drift_of(
+            courses = drift_of(
                 parameters.drift, parameters.temperature_channel, observations, request.segments, request.segments
             )
+            drift = replace(courses, fits=len(axes.outputs))
             fit = fit_outputs(*asked, parameters.uncertainty, effects=effects, drift=drift)
             require_basis(fit, parameters.uncertainty, request.name)
             fits.append((observations, fit))
