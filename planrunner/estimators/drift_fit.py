@@ -135,7 +135,7 @@ def _chance(
     noises: Sequence[WithinSegmentNoise],
     correlation: Array,
 ) -> float:
-    """Probability that the course takes away as much of χ² by chance, in one of the outputs or in all together (F-tests, Bonferroni's bound;
+    """Probability that the course takes away as much of χ² by chance, in one output or in all together (F-tests, Bonferroni's bound;
     outputs whose noise is correlated count as fewer, by Satterthwaite's formula)."""
     from scipy.special import fdtrc
 
