@@ -136,6 +136,16 @@ def _imported(name: str) -> ModuleType:
             gc.enable()
 
 
+_ONE_THREAD = ("check", "show")
+"""Commands whose matrices are so small that the threads of OpenBLAS only take time to start."""
+
+
+def _start_no_threads(command: str) -> None:
+    """Keeps numpy from starting threads that a command does not need, unless the user sets their number."""
+    if command in _ONE_THREAD and "numpy" not in sys.modules:  # which reads it when it is imported
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
 def _run(arguments: list[str], asked: AnswerForm) -> int:
     _Parser.asked = asked
     parser = _Parser(
@@ -153,6 +163,7 @@ def _run(arguments: list[str], asked: AnswerForm) -> int:
         summary = COMMANDS[name]
         command = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
         if name == chosen:
+            _start_no_threads(name)
             module = _imported(f"planrunner.cli.{name.replace('-', '_')}")
             module.add_arguments(command)
             command.add_argument(

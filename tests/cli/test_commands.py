@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from planrunner.cli import _start_no_threads
 from planrunner.plan.quantity import parse_quantity
 from tests import in_process
 
@@ -256,3 +259,24 @@ def test_there_is_nothing_to_export_where_nothing_was_estimated(tmp_path: Path) 
     nothing = planrunner("export", only_run(tmp_path), cwd=tmp_path)
     assert nothing.returncode == 2
     assert "error[estimate-missing]: no estimate of this analysis has a result" in nothing.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "stated", "loaded", "threads"),
+    [
+        ("check", None, False, "1"),
+        ("check", "3", False, "3"),  # as the user asks
+        ("check", None, True, None),  # another program has imported numpy, whose threads are its own
+        ("run", None, False, None),
+    ],
+)
+def test_a_short_command_starts_no_threads_for_matrices(
+    command: str, stated: str | None, loaded: bool, threads: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", stated or "")
+    if stated is None:
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    if not loaded:
+        monkeypatch.delitem(sys.modules, "numpy")
+    _start_no_threads(command)
+    assert os.environ.get("OPENBLAS_NUM_THREADS") == threads
