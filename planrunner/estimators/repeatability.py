@@ -58,19 +58,21 @@ class RepeatabilityParameters(Record):
 
     coefficients: tuple[str, ...] = key(
         ListOf(Text("", "a coefficient's name or a pattern"), minimum=1, single=True),
-        "Coefficients of the estimates in `uses`, with * and ?; by default all coefficients that they have in common.",
+        "Names of coefficients of the estimates in `uses`, or patterns with the wildcards * and ?; "
+        "by default all coefficients that they have in common.",
         "K_gyro_*",
         default_factory=tuple,
     )
     channels: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),
-        "Channels whose segment means are compared, instead of other estimates.",
+        "Channels whose segment means are compared; use this in place of `coefficients` of other estimates.",
         ["gyro_x"],
         default_factory=tuple,
     )
     groups: dict[str, tuple[str, ...]] = key(
         MapOf(ListOf(Text("", "a name or a pattern"), minimum=1, single=True)),
-        "Groups, such as a day or a switch-on: labels of segments, or names of estimates in `uses`, with * and ?.",
+        "Groups, such as a day or a switch-on: labels of segments, or names of estimates in `uses`, "
+        "or patterns with the wildcards * and ?.",
         {"monday": "monday*", "tuesday": ["tuesday*"]},
         default_factory=dict,
     )

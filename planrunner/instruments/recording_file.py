@@ -220,13 +220,13 @@ class HeldRecording:
         return len(self.time)
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """As for a file; one batch at most."""
+        """As `rows` of a recording file, but yields one batch at most."""
         part = span.of(self.time, self.interval)
         if part.start < part.stop:
             yield self.time[part], {name: values[part] for name, values in self.columns.items()}
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """As for a file; one batch at most."""
+        """As `all_rows` of a recording file, but yields one batch at most."""
         if len(self.time):
             yield 1, self.time, dict(self.columns)
 

@@ -29,8 +29,8 @@ def drift_span() -> Quantity:
     """The key of estimators that report constants."""
     span: Quantity = key(
         QuantityOf("time", "positive"),
-        "Time span for which constants are reported. With a declared bias instability, the uncertainty of a constant is that "
-        "of its average over this span around the test, or over the test itself if the test is longer.",
+        "A reported constant is the mean over this time span, which has the test in its middle and is at least as long as the test. "
+        "The span affects the uncertainties only if a bias instability is declared.",
         "24 h",
         default=SPAN,
     )

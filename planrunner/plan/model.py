@@ -51,7 +51,8 @@ class DiagnosisSpec(Record):
 
     nominal: tuple[str, ...] = key(
         ListOf(Choice(NOMINAL_TERMS)),
-        "Terms that the simulation fits to the recording; a term that is left out is a candidate like any other effect.",
+        "Terms of the simulated model that are fitted to the recording; a term that is left out is treated as a possible "
+        "explanation of the gap, like any other effect.",
         ["accel_bias"],
         default=NOMINAL_TERMS,
     )
@@ -63,7 +64,8 @@ class DiagnosisSpec(Record):
     )
     segments: tuple[str, ...] | Detection = key(
         SelectionKind(),
-        "Labels of the segments to diagnose, with * and ?; or {detect: still} for a sensor tumbled by hand, whose orientation is unknown.",
+        "Labels of the segments to diagnose, or patterns with the wildcards * and ?; or {detect: still} for a sensor tumbled by hand, "
+        "whose orientation is unknown.",
         "P*",
         default=("*",),
     )
@@ -143,7 +145,8 @@ class MountedAxis(Record):
     )
     azimuth: Quantity | None = key(
         QuantityOf("angle", uncertain=True),
-        "Azimuth of the input axis about the rotation axis with the table at home, measured from the sensor's x axis, right-handed about "
+        "Azimuth of the input axis about the rotation axis when the table is in its home position. "
+        "It is measured from the sensor's x axis, right-handed about "
         "z.",
         "120 deg",
         default=None,
@@ -161,11 +164,14 @@ class MountedAxis(Record):
 
 
 class EstimateSpec(Record):
-    """One estimate: an estimator on a choice of segments. The estimator has additional keys."""
+    """One estimate: an estimator applied to selected segments. The estimator has additional keys."""
 
     estimator: str = key(Text(NAME, "an estimator's name"), "Estimator to use.", "flexure_gyro_static")
     segments: tuple[str, ...] | Detection = key(
-        SelectionKind(), "Labels of the segments to use, with * and ?; or {detect: still}.", "P*", default=("*",)
+        SelectionKind(),
+        "Labels of the segments to use, or patterns with the wildcards * and ?; or {detect: still}.",
+        "P*",
+        default=("*",),
     )
     uses: tuple[str, ...] = key(
         ListOf(Text(NAME, "an estimate's name"), single=True),
@@ -176,7 +182,8 @@ class EstimateSpec(Record):
     outliers: str = key(
         Choice(("exclude", "keep", "refuse")),
         "What happens to samples that screening finds to be wrong (spikes, bursts, stuck, clipped and repeated samples): `exclude` leaves "
-        "them out and states what changes, `keep` uses them, `refuse` makes no estimate; all three name them.",
+        "them out and states how the results change; `keep` uses them; `refuse` makes no estimate. "
+        "In all three cases, the samples are listed.",
         "keep",
         default="exclude",
     )
@@ -228,12 +235,13 @@ class Limit(Record):
         "The coefficient and its estimate.",
         "drift.D_X_F",
     )
-    within: str | None = key(SymmetricKind(), "Symmetric about zero.", "±0.5 deg/h", default=None)
+    within: str | None = key(SymmetricKind(), "Limits that are symmetric about zero.", "±0.5 deg/h", default=None)
     at_least: Quantity | None = key(QuantityOf(None), "Lower limit.", 0.99, default=None)
     at_most: Quantity | None = key(QuantityOf(None), "Upper limit.", 1.01, default=None)
     rule: Literal["simple", "guarded"] = key(
         Choice(("simple", "guarded")),
-        "Decision rule (JCGM 106): simple compares the value, guarded keeps the expanded uncertainty inside as well.",
+        "Decision rule (JCGM 106): simple requires the value to be within the limit; guarded requires it to be within the limit "
+        "by at least the guard band.",
         "guarded",
         default="guarded",
     )

@@ -324,10 +324,10 @@ RICH_KEYS = {
         "30 arcsec",
     ),
     "distribution": (
-        "Shape of the distribution within the half-width; 'normal' takes it as two standard deviations.",
+        "Shape of the distribution within the half-width; 'normal' means that the half-width is two standard deviations.",
         "rectangular",
     ),
-    "degrees_of_freedom": ("Degrees of freedom of the uncertainty; infinite without it.", 9),
+    "degrees_of_freedom": ("Degrees of freedom of the uncertainty; infinite if this key is left out.", 9),
 }
 
 

@@ -1,4 +1,4 @@
-"""Generates the reference of all keys, `docs/plan-keys.md`, from the records that read plans.
+"""Generates the reference of all keys, `docs/plan-keys.md`, from the record classes with which plans are read.
 
 `python -m planrunner.plan.reference docs` writes it. A test checks that the file is up to date.
 """
@@ -41,8 +41,9 @@ from planrunner.plan.sweep import ForEachKind
 _HEAD = """\
 # Every key of a plan
 
-Written from the records that read plans (`python -m planrunner.plan.reference docs`); do not edit.
+Generated from the source code with `python -m planrunner.plan.reference docs`; do not edit.
 [plan-language.md](plan-language.md) explains the keys with complete examples. A key in **bold** is required.
+Write an angle, a time or another physical quantity as a number with its unit.
 """
 
 _SECTIONS: tuple[tuple[str, str, type[Record]], ...] = (
@@ -55,7 +56,7 @@ _SECTIONS: tuple[tuple[str, str, type[Record]], ...] = (
     ("`motion`: `rock`", "", model.RockSpec),
     ("`temperature`: a ramp", "", model.Ramp),
     ("`dwell`: whole turns or cycles", "", model.Turns),
-    ("`settle`, `soak`: by what is measured", "", StabilitySpec),
+    ("`settle`, `soak`: until readings have settled", "", StabilitySpec),
     ("`watch`", "", WatchSpec),
     ("An estimate", "", model.EstimateSpec),
     ("`segments` found in the data", "", selection.Detection),
@@ -100,7 +101,7 @@ def _quantity_section() -> str:
     lines = [
         "## A quantity as a mapping",
         "",
-        "In place of any quantity written as text.",
+        "This mapping can replace any quantity that is written as text.",
         "",
         "| key | meaning | example |",
         "|---|---|---|",
@@ -130,10 +131,10 @@ def type_words(kind: Kind) -> str:
             return "`true` or `false`"
         case QuantityOf():
             sign = {"positive": ", above zero", "not negative": ", zero or more"}.get(kind.sign, "")
-            return f"a quantity of {kind.dimension or 'any dimension'}{sign}"
+            return f"{_quantity_words(kind.dimension)}{sign}"
         case ListOf():
             item = type_words(kind.item)
-            return f"{item}, or a list of such" if kind.single else f"a list, each item: {item}"
+            return f"one value or a list, each value: {item}" if kind.single else f"a list, each item: {item}"
         case MapOf():
             names = f" ({', '.join(kind.names)})" if kind.names else ""
             return f"names{names}, each with {type_words(kind.item)}"
@@ -153,16 +154,22 @@ def type_words(kind: Kind) -> str:
     return kind.what if isinstance(kind, Described) else "see the description"
 
 
+def _quantity_words(dimension: str | None) -> str:
+    if dimension is None:
+        return "a quantity with any unit"
+    return f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension}"
+
+
 _OWN: dict[type, str] = {
     OrientationKind: "an orientation",
-    selection.SelectionKind: "a label or pattern, a list of such, or spans found in the data",
+    selection.SelectionKind: "one label or pattern, a list of labels or patterns, or spans found in the data",
     model.SegmentKind: "a segment",
     model.RunItemKind: "`required` or `optional`",
-    model.SymmetricKind: "± and a quantity",
+    model.SymmetricKind: "± and a number with its unit",
 }
 _RECORDS: dict[type[Record], str] = {
     model.Sensor: "a sensor",
-    model.MountedAxis: "a mounted axis",
+    model.MountedAxis: "the direction of that axis",
     State: "a state",
     MotionSpec: "a motion",
     RockSpec: "rocking",

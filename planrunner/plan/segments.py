@@ -33,7 +33,7 @@ NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 
 
 class Ramp(Record):
-    """A temperature that moves while the segment records."""
+    """A temperature that changes while the segment records."""
 
     ramp_to: Quantity = key(
         QuantityOf("temperature", elsewhere=TEMPERATURE_UNCERTAINTY),
@@ -74,7 +74,7 @@ class State(Record):
     )
     motion: MotionSpec | str | None = key(
         WordOr(("rest",), RecordOf(MotionSpec)),
-        "What the table does while recording; at rest without it.",
+        "What the table does while the segment records; if this key is left out, the table is at rest.",
         {"rate": "10 deg/s"},
         default=None,
         traits=StateTraits(swept=True, decisive=True, replaces="rate"),
@@ -189,7 +189,7 @@ class SegmentSpec(State):
     )
     order: str = key(
         Choice(("as_written", "reversed", "serpentine", "shuffled")),
-        "Order of the sweep: serpentine reverses every other inner pass; shuffled draws from 'shuffle_seed'.",
+        "Order of the sweep: serpentine reverses every other inner pass; shuffled is a random order, drawn with the seed 'shuffle_seed'.",
         "as_written",
         default="as_written",
     )

@@ -13,7 +13,7 @@ from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, RecordOf, 
 from planrunner.plan.quantity import Quantity
 
 # Each pattern is compared with every label, so their number is limited.
-_PATTERN = Text(r"[^\x00-\x1f]{1,80}", "a label or a pattern with * and ?")
+_PATTERN = Text(r"[^\x00-\x1f]{1,80}", "a label, or a pattern with the wildcards * and ?")
 _PATTERNS = ListOf(_PATTERN, single=True, minimum=1, maximum=100)
 
 

@@ -42,7 +42,7 @@ class Tolerated(Record):
 
 
 class StabilitySpec(Tolerated):
-    """Waiting until readings have settled: each within its limit, for a while at a stretch."""
+    """Waiting until readings have settled: each must stay within its limit for the time `for`, without interruption."""
 
     for_: Quantity = key(
         QuantityOf("time", "positive"),
@@ -51,7 +51,7 @@ class StabilitySpec(Tolerated):
         name="for",
     )
     within: Quantity = key(
-        QuantityOf("time", "positive"), "The run stops if they have not settled after this time.", "10 min"
+        QuantityOf("time", "positive"), "The run stops if the readings have not settled after this time.", "10 min"
     )
 
 
@@ -69,14 +69,15 @@ class WatchSpec(Tolerated):
     )
     doubts: str = key(
         Choice(("limit", "note")),
-        "How samples that the instrument marks as doubtful (status bits) are treated: as an exceeded limit, or noted only.",
+        "How samples that the instrument marks as doubtful (status bits) are treated: `limit` counts them as an exceeded limit, "
+        "`note` only notes them.",
         "note",
         default="limit",
     )
     retakes: int = key(
         Number(0, 10, integer=True),
-        "How often a segment that exceeds a limit is recorded again before the run stops; its data are kept, with the "
-        "reason.",
+        "How many times a segment that exceeds a limit is recorded again before the run stops; the data of each rejected "
+        "attempt are kept, with the reason.",
         2,
         default=0,
     )
@@ -128,7 +129,7 @@ MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSI
 
 
 class MotionSpec(Record):
-    """What the table does while the segment records. One of rate, rock and cycle; at rest without any."""
+    """What the table does while the segment records. Give one of rate, rock and cycle; without any of them, the table is at rest."""
 
     rate: Quantity | None = key(
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY),
@@ -186,7 +187,7 @@ class MotionSpec(Record):
     )
     sense: str = key(
         Choice(("counterclockwise", "clockwise")),
-        "Sense of positive angles, seen by an observer whom the rotation axis points to.",
+        "Sense of positive angles, as seen by an observer towards whom the rotation axis points.",
         "clockwise",
         default="counterclockwise",
     )

@@ -196,7 +196,8 @@ class Boolean:
 class QuantityOf:
     """A number with a unit of the named dimension (None: any). `sign` may be 'any', 'positive' or 'not negative'.
 
-    uncertain: whether an uncertainty may be stated, because results use it. elsewhere: otherwise, in words, where to state it.
+    uncertain: whether an uncertainty may be stated, because results use it. elsewhere: if not, a text that says where to state the
+    uncertainty.
     """
 
     dimension: str | None

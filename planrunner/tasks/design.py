@@ -39,8 +39,8 @@ def _subject(checked: Checked) -> Subject:
 
 
 def write_plan(text: str, original: str, path: Path, bench: str | None = None) -> Checked:
-    """Writes a designed plan after it passed its checks. original: file of the plan for which it was designed. Raises `InputError` with the
-    faults, and `EstimationError` if it would overwrite the original."""
+    """Writes a designed plan after it has passed its checks. original: file of the plan that the designed plan improves. Raises
+    `InputError` with the faults, and `EstimationError` if it would overwrite the original."""
     if path.exists() and path.samefile(original):
         raise EstimationError(f"{path} is the plan itself: write to another file")
     data = text.encode()

@@ -36,7 +36,10 @@ _NO_TEXT = ("null", "true", "false")  # words that YAML does not read as text
 
 @dataclass(frozen=True)
 class Frame:
-    """Values that a proposed plan takes from the executed plan. settle, soak: s; before: s, from its beginning to its first sample."""
+    """Values that a proposed plan takes from the executed plan.
+
+    settle, soak: s. before: time [s] from the beginning of the executed plan to its first sample.
+    """
 
     title: str
     bench: str

@@ -95,7 +95,7 @@ class AllanDeviationParameters(Record):
         MapOf(ScaleFactorKind()),
         "Scale factor of an output that is not a rate or acceleration: a quantity, or a coefficient of an estimate in "
         "`uses`. The noise coefficients are then those of the rate or acceleration.",
-        {"torquer_x": "0.2012 (deg/h)/(pulse/s)", "torquer_y": "drift.SF_Y"},
+        {"torquer_x": "0.2012 (deg/h)/(pulse/s)", "torquer_y": "drift.SF_X"},
         default_factory=dict,
     )
     bridge: Quantity = key(
@@ -104,7 +104,7 @@ class AllanDeviationParameters(Record):
         "0 s",
         default=parse_quantity("0 s"),
     )
-    confidence: float = key(Number(0.5, 0.999), "Probability of the confidence intervals.", 0.95, default=0.95)
+    confidence: float = key(Number(0.5, 0.999), "Confidence level of the intervals.", 0.95, default=0.95)
 
 
 class AllanDeviation:

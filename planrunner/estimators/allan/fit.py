@@ -58,7 +58,8 @@ class NoiseFit:
 
 
 def model_matrix(factors: Integers, order: int = ALLAN) -> Array:
-    """(k, 4): Allan (or Hadamard) variance at each averaging factor for unit squares, in the order of `TERMS`."""
+    """(k, 4): Allan (or Hadamard) variance at each averaging factor if the square of one coefficient is 1 and the others
+    are 0; one column per coefficient, in the order of `TERMS`."""
     m = factors.astype(float)
     quantisation, flat, walk = _FACTORS[order]
     return np.column_stack([quantisation / m**2, 1 / m, np.full(m.size, flat), walk * m])

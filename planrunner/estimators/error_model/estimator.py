@@ -86,7 +86,9 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
     """The plug-in."""
 
     name = "error_model"
-    summary = "Amplitudes of any effects of the catalogue from positions, rates and temperatures"
+    summary = (
+        "Amplitudes of any effects in the catalogue of error effects, estimated from positions, rates and temperatures"
+    )
     Parameters = ErrorModelParameters
 
     def design(self, request: DesignRequest[ErrorModelParameters]) -> Design:

@@ -50,7 +50,8 @@ class ErrorModelParameters(Record):
     )
     axes: dict[str, str] = key(
         MapOf(Choice(AXES)),
-        "The axis of the sensor along which an output measures, where its name does not contain it or means another.",
+        "The axis of the sensor along which an output measures; required if the name of the output does not contain this axis, or "
+        "contains the letter of another axis.",
         {"torquer_x": "y"},
         default_factory=dict,
     )

@@ -28,8 +28,8 @@ def residual_influences(
     """Influences on the residuals (sets·2·v,): the sets in their order; for each set, the residuals of one rate at all positions, then
     those of the other rate.
 
-    units: of the outputs; matrix: (v, p) of the verification positions, SI; observed: (v, 2), outputs, giving residuals in units of `rate`
-    rad/s.
+    units: units of the outputs. matrix: (v, p), of the verification positions, SI. observed: (v, 2), the measured outputs. rate: unit of
+    the residuals, in rad/s.
     """
     found: list[Influence] = []
 

@@ -1,4 +1,4 @@
-"""Residuals after compensation on verification positions, for two or more sets of coefficients (CN100554884C, model G0).
+"""Residuals in verification positions after compensation with each of two or more sets of coefficients (CN100554884C, model G0).
 
 Each set recovers ω_Y and ω_X from the outputs; the differences from the components of the Earth rate are its residuals. The measured ratio
 of the residual sums of squares is compared with the ratio expected from the positions of the sets.
@@ -74,13 +74,13 @@ class CompensationResidualParameters(Record):
         20_000,
         default=20_000,
     )
-    seed: int = key(Number(0, 2**31, integer=True), "Seed of those simulated experiments.", 1, default=1)
+    seed: int = key(Number(0, 2**31, integer=True), "Seed of the simulated experiments.", 1, default=1)
 
 
 class CompensationResidual:
     """The plug-in."""
 
-    summary = "Residuals of two or more coefficient sets after compensation on verification positions"
+    summary = "Residuals in verification positions after compensation with each of two or more sets of coefficients"
     Parameters = CompensationResidualParameters
 
     def design(self, request: DesignRequest[CompensationResidualParameters]) -> Design:

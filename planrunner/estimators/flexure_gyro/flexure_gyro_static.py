@@ -70,7 +70,7 @@ class FlexureGyroStaticParameters(Record):
     )
     pool_outputs: bool = key(
         Boolean(),
-        "On the residual basis, use one factor between residual scatter and noise for both outputs, which doubles "
+        "With `uncertainty: residual`, use one common ratio of residual scatter to noise for both outputs, which doubles "
         "the degrees of freedom.",
         True,
         default=True,

@@ -36,7 +36,7 @@ _DIMENSION = {"gyro": DIMENSIONS["angular rate"], "accel": DIMENSIONS["accelerat
 @dataclass(frozen=True, slots=True)
 class Response:
     """How three outputs respond. kind: gyro or accel. units: (3,), in which they are recorded. values: (3, p), coefficients of the model's
-    terms in those units per SI column."""
+    terms, in those units per SI unit of each column."""
 
     kind: str
     units: tuple[Unit, ...]

@@ -82,8 +82,8 @@ class ImuMultiPositionParameters(Record):
     misalignment: str = key(
         Choice(("full", "lower_triangular")),
         "full: all six misalignments, in the axes of the planned orientations. lower_triangular: three of them, in the frame of the "
-        "accelerometers (of the gyros if there are no accelerometers), whose x axis is the first input axis and whose y axis is in the "
-        "plane of the first two; and the rotation from that frame to the planned axes.",
+        "accelerometers, and the rotation from that frame to the planned axes. The x axis of that frame is the first input axis, and its "
+        "y axis is in the plane of the first two input axes. If there are no accelerometers, the frame is that of the gyros.",
         "lower_triangular",
         default="full",
     )

@@ -47,7 +47,7 @@ class RockingDriftParameters(Record):
     release: Quantity = key(
         QuantityOf("time", "positive"),
         "t0, time from the beginning of the record to the first window; by this time the element must have "
-        "left the levelling dead region.",
+        "left the dead zone of the levelling loop.",
         "60 s",
         default=parse_quantity("60 s"),
     )
@@ -85,8 +85,8 @@ class RockingDriftParameters(Record):
     )
     rotation_order: str = key(
         Choice(("xzy", "zxy")),
-        "Order of the turns from site to element with y up: R_x·R_z·R_y or R_z·R_x·R_y; docs/platform-rocking.md has "
-        "the other states.",
+        "Order of the rotations from the site frame to the element frame with y up: R_x·R_z·R_y or R_z·R_x·R_y; for the "
+        "other orientations, see docs/platform-rocking.md.",
         "xzy",
         default="xzy",
     )
@@ -99,7 +99,7 @@ class RockingDriftParameters(Record):
     )
     azimuth_uncertainty: Quantity | None = key(
         QuantityOf("angle", "not negative"),
-        "Standard uncertainty of that azimuth in one run; by default, with encoders, the table's position uncertainty.",
+        "Standard uncertainty of the element's azimuth at t0 in one run; by default, with encoders, the table's position uncertainty.",
         "7 arcsec",
         default=None,
     )
@@ -123,7 +123,7 @@ class RockingDriftParameters(Record):
     )
     gimbal_axes: tuple[str, ...] = key(
         ListOf(Choice(("x", "y", "z")), minimum=3, maximum=3),
-        "Axis of the carrying part about which each gimbal turns, outermost first.",
+        "Axis about which each gimbal turns, outermost gimbal first; the axis belongs to the part that carries the gimbal.",
         ["x", "y", "z"],
         default=("x", "y", "z"),
     )
@@ -132,8 +132,8 @@ class RockingDriftParameters(Record):
     )
     pairings: int = key(
         Number(1, 100_000, integer=True),
-        "Pairs of a static and a dynamic run that are compared in each state: all pairs, or at most this many drawn "
-        "at random.",
+        "Largest number of pairs of a static and a dynamic run that are compared in each orientation. If there are more "
+        "pairs, this number of them is drawn at random.",
         200,
         default=200,
     )

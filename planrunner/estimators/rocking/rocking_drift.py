@@ -54,7 +54,8 @@ class RockingDrift:
     """The plug-in."""
 
     summary = (
-        "Drift of a platform while its base rocks, from gravity in its accelerometers, compared with gimbal angles"
+        "Drift of a platform while its base rocks, determined from gravity as measured by its accelerometers, "
+        "and compared with the drift from the gimbal angles"
     )
     Parameters = RockingDriftParameters
 

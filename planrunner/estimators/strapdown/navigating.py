@@ -84,8 +84,9 @@ class StrapdownNavigationParameters(Record):
         default=("accel_x", "accel_y", "accel_z"),
     )
     align: str = key(
-        Text(r"[^\x00-\x1f]{1,80}", "a label or a pattern with * and ?"),
-        "Label of the alignment segment; the segments before it are warm-up, the segments after it are navigated.",
+        Text(r"[^\x00-\x1f]{1,80}", "a label, or a pattern with the wildcards * and ?"),
+        "Label of the alignment segment; the segments before it are warm-up, and the "
+        "navigation is computed over the segments after it.",
         "align",
         default="align*",
     )
@@ -97,7 +98,7 @@ class StrapdownNavigationParameters(Record):
     )
     gravity: str = key(
         Choice(("site", "wgs84")),
-        "Gravity: the site's value, changed with latitude and height like normal gravity, or normal gravity itself.",
+        "Gravity: the site's value, which is varied with latitude and height in the same way as normal gravity, or normal gravity itself.",
         "wgs84",
         default="site",
     )
@@ -115,7 +116,7 @@ class StrapdownNavigationParameters(Record):
     )
     accelerometer_uncertainty: Quantity | None = key(
         QuantityOf("acceleration", "positive"),
-        "Standard uncertainty of each accelerometer's constant error, for the same two purposes.",
+        "Standard uncertainty of each accelerometer's constant error, for the uncertainty of the alignment and the expected errors.",
         "50 ug",
         default=None,
     )

@@ -12,13 +12,14 @@ class TemperatureModelParameters(Record):
 
     coefficients: tuple[str, ...] = key(
         ListOf(Text("", "a coefficient's name or a pattern"), minimum=1, single=True),
-        "Coefficients of the estimates in `uses`, with * and ?; by default all coefficients that depend on temperature.",
+        "Names of coefficients of the estimates in `uses`, or patterns with the wildcards * and ?; "
+        "by default all coefficients that depend on temperature.",
         "gyro_bias_*",
         default_factory=tuple,
     )
     channels: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),
-        "Channels to fit over temperature, instead of other estimates.",
+        "Channels to fit as functions of temperature, in place of coefficients of other estimates.",
         ["gyro_x"],
         default_factory=tuple,
     )
@@ -33,21 +34,21 @@ class TemperatureModelParameters(Record):
     )
     order: int | None = key(
         Number(0, 12, integer=True),
-        "Order of the polynomial, or number of knots of the spline minus one; by default chosen by held-out error.",
+        "Order of the polynomial, or number of knots of the spline minus one; by default the order is chosen by cross-validation.",
         2,
         default=None,
     )
     highest_order: int = key(Number(1, 12, integer=True), "Highest order to try.", 4, default=4)
     folds: int = key(
         Number(0, 100, integer=True),
-        "Number of contiguous temperature ranges, of which each is held out in turn; 0 holds out each single temperature in turn.",
+        "Number of contiguous temperature ranges, each of which is held out in turn; with 0, each temperature is held out in turn.",
         5,
         default=0,
     )
     rule: str = key(
         Choice(RULES),
-        "one_standard_error: the simplest curve within one standard error of the smallest held-out error; smallest: "
-        "the curve with the smallest held-out error.",
+        "one_standard_error: the simplest curve within one standard error of the smallest held-out error; "
+        "smallest_error: the curve with the smallest held-out error.",
         "smallest_error",
         default="one_standard_error",
     )

@@ -106,7 +106,7 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
     """The plug-in."""
 
     name = "temperature_model"
-    summary = "Coefficients or outputs over temperature: polynomial or spline, order chosen by held-out error"
+    summary = "Coefficients or outputs as functions of temperature: a polynomial or a spline, whose order is chosen by cross-validation"
     Parameters = TemperatureModelParameters
 
     def design(self, request: DesignRequest[TemperatureModelParameters]) -> Design:

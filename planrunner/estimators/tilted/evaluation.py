@@ -1,4 +1,5 @@
-"""From means to scale factors of tilted axes: F_j − F_r over the input of each axis, per repeat, then over repeats and temperatures.
+"""From means to scale factors of tilted axes: F_j − F_r divided by the input of each axis for each repeat, then combined over repeats and
+temperatures.
 
 One function of the recorded means and of the conditions under which they were recorded; uncertainties follow from it.
 """

@@ -21,15 +21,15 @@ class ScaleFactorTiltedParameters(Record):
         default_factory=tuple,
     )
     zero: tuple[str, ...] = key(
-        ListOf(Text(r"[^\x00-\x1f]{1,80}", "a label or a pattern with * and ?"), minimum=1, single=True),
+        ListOf(Text(r"[^\x00-\x1f]{1,80}", "a label, or a pattern with the wildcards * and ?"), minimum=1, single=True),
         "Labels of the segments at rest before and after the rates.",
         ["start-zero", "end-zero"],
         default=("start-zero", "end-zero"),
     )
     earth_rate: str = key(
         Choice(("corrected", "averaged", "ignored")),
-        "Component of the Earth's rotation across the rotation axis: corrected, from latitude, fixture angles "
-        "and azimuths; averaged, over whole turns, which are then required; or ignored. Only `corrected` removes it from F0.",
+        "How the component of the Earth rate perpendicular to the table's rotation axis is treated: corrected, with latitude, fixture "
+        "angles and azimuths; averaged over whole turns, which are then required; or ignored. Only `corrected` removes it from F0.",
         "corrected",
         default="corrected",
     )

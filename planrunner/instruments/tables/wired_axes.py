@@ -63,7 +63,7 @@ class WiredTableKeys(TableKeys):
 
 @dataclass(frozen=True, slots=True)
 class CountedAxis:
-    """One axis as its controller counts it: `number`, its reading [deg] at joint zero, and 1 or −1 for its sense."""
+    """One axis as numbered by its controller. zero: the controller's reading [deg] when the joint angle is zero; sense: 1 or −1."""
 
     number: int
     zero: float

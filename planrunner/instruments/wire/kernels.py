@@ -52,8 +52,8 @@ def _word(data, place, little):  # type: ignore[no-untyped-def]
 
 @compiled()
 def value(data, start, length, padding, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """The check of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are cut to 32 bits; with
-    an unsigned index it need not check for a negative one."""
+    """The check value of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are cut to 32 bits;
+    with an unsigned index it need not check for a negative one."""
     if kind == XOR:
         together = np.int64(0)
         for item in range(length):
