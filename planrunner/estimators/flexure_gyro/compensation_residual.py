@@ -57,7 +57,7 @@ Array = NDArray[np.float64]
 AXES = ("ω_Y", "ω_X")
 _DEG_H = unit("deg/h").factor
 _NO_SET = "'{}' is not a set of the twelve static coefficients: `uses` names flexure_gyro_static estimates without product terms"
-_SUMS = "Residual sums of squares, measured and expected"
+_SUMS = "Ratios of the residual sums of squares, measured and expected"
 _CLAIM = (
     "The source of this method claims a ratio of 4 to 8 between the traditional and the optimal positions. "
     "The ratios given here are predicted from equal noise in all positions; single experiments with few verification positions scatter "

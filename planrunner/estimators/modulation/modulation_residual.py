@@ -297,7 +297,7 @@ def _predicted(
         ]
         rms = [float(np.sqrt(np.mean(one**2))) for one in radial]
         rows.append((item.name, item.rms, *rms))
-    titles = ("rms radial", "predicted", "of which from horizontal errors")
+    titles = ("rms radial", "predicted", "predicted from horizontal errors alone")
     columns = (TableColumn("Navigation"), *(TableColumn(title, Role.VALUE, "m") for title in titles))
     return [Table("Position errors predicted from the declared constant errors", columns, tuple(rows))]
 
