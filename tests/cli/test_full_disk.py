@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from planrunner.archive.run_folder import RunWriter
+from planrunner.instruments.interfaces import SummaryChannels
 from planrunner.plan.schedule import Segment
 from tests import in_process
 
@@ -57,10 +58,16 @@ def fill_up_during_a_run(plan: Path, disk: Path, monkeypatch: pytest.MonkeyPatch
     """Standard error of a run whose disk shrinks to what is in use before its fifth segment, and its folder."""
     begin = RunWriter.begin
 
-    def shrunk(self: RunWriter, segment: Segment, clock: float, channels: Mapping[str, str]) -> None:
+    def shrunk(
+        self: RunWriter,
+        segment: Segment,
+        clock: float,
+        channels: Mapping[str, str],
+        summary: SummaryChannels | None = None,
+    ) -> None:
         if segment.index == 4:
             remount(disk, f"size={shutil.disk_usage(disk).used + 3 * 2**20}")
-        begin(self, segment, clock, channels)
+        begin(self, segment, clock, channels, summary)
 
     with monkeypatch.context() as patch:
         patch.setattr(RunWriter, "begin", shrunk)

@@ -15,6 +15,7 @@ import pytest
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.cli import main
+from planrunner.instruments.interfaces import SummaryChannels
 from planrunner.plan.schedule import Segment
 
 FLAGSHIP = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
@@ -83,8 +84,14 @@ def test_signals_stop_a_run_that_can_go_on(
     """They come while the second segment records. To processes of their own: tests/lab."""
     begin, left = RunWriter.begin, list(signals)
 
-    def interrupted(self: RunWriter, segment: Segment, clock: float, channels: Mapping[str, str]) -> None:
-        begin(self, segment, clock, channels)
+    def interrupted(
+        self: RunWriter,
+        segment: Segment,
+        clock: float,
+        channels: Mapping[str, str],
+        summary: SummaryChannels | None = None,
+    ) -> None:
+        begin(self, segment, clock, channels, summary)
         while segment.index == 1 and left:
             signal.raise_signal(left.pop())
 
