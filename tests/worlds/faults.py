@@ -66,7 +66,7 @@ def flicker(made: Recorded, draw: np.random.Generator, size: float) -> Array:
         total, last = _MINUTE * before, begin - 1 / made.sampling
         keep = np.exp(-1 / (constant * made.sampling))
         for rows in pieces:
-            between = float(made.time[rows[0]]) - last - 1 / made.sampling  # nothing is recorded
+            between = max(0.0, float(made.time[rows[0]]) - last - 1 / made.sampling)  # nothing is recorded
             left, was = np.exp(-between / constant), state
             state = left * state + np.sqrt(1 - left**2) * draw.standard_normal(len(state))
             total = total + between * (state + was) / 2
