@@ -120,5 +120,6 @@ def test_intervals_of_a_navigation_with_flicker_hold_the_truth(campaign: str) ->
     """Errors at the end, which are linear in the sensors' errors: within four binomial standard deviations of 95 %."""
     found = tally(CAMPAIGNS[campaign], WORLDS["flicker, declared"], 60, 5)
     assert not found.failed
+    print({name: held / 60 for name, held in found.held.items()})
     for name in ("heading", "pitch", "roll", "east_error", "north_error", "east_velocity_error"):
         assert found.held[name] >= 60 * (0.95 - 4 * math.sqrt(0.95 * 0.05 / 60)), name

@@ -411,10 +411,10 @@ _TILTED_WHITE = 200.0  # pulse/s/√Hz: 0.005 deg/s/√Hz
 
 
 class TiltedTriad:
-    """pulse/s: K·(rate along the input axis + bias), each axis wrong by its fixture's error."""
+    """pulse/s: K·(rate along the input axis + bias), each axis wrong by its fixture's error, arcsec."""
 
-    def __init__(self, draw: np.random.Generator) -> None:
-        lean = np.radians(_LEAN + _FIXTURE / 3600 * draw.standard_normal(3))
+    def __init__(self, draw: np.random.Generator, fixture: float = _FIXTURE) -> None:
+        lean = np.radians(_LEAN + fixture / 3600 * draw.standard_normal(3))
         around = np.radians(_AROUND)
         self.axes = np.stack([np.sin(lean) * np.cos(around), np.sin(lean) * np.sin(around), np.cos(lean)], axis=1)
         self.scale = _PULSES * (1 + 0.01 * draw.standard_normal(3))
@@ -471,12 +471,17 @@ instruments:
 
 
 def _quiet(campaign: Campaign, share: float) -> Campaign:
-    """The same campaign with less noise, and intervals from the scatter within the segments."""
+    """The same campaign with less noise in a better fixture, and intervals from the scatter within the segments."""
+    fixture = f"± {_FIXTURE} arcsec"
+    assert fixture in campaign.plan
     noise = f"angle_random_walk: {_TILTED_WHITE / _PULSES} deg"
     assert noise in campaign.bench
     return replace(
         campaign,
-        plan=campaign.plan.replace("uncertainty: residual", "uncertainty: within_segment"),
+        plan=campaign.plan.replace("uncertainty: residual", "uncertainty: within_segment").replace(
+            fixture, f"± {share * share * _FIXTURE} arcsec"
+        ),
+        device=partial(TiltedTriad, fixture=share * share * _FIXTURE),
         bench=campaign.bench.replace(noise, f"angle_random_walk: {share * _TILTED_WHITE / _PULSES} deg"),
         white=share * campaign.white,
     )
