@@ -4,7 +4,7 @@ Built-in and third-party plug-ins are found in the same way; another distributio
 without importing anything; the module of a plug-in is imported when its name is used.
 
 The project's own entry points are read from the file in which its installation lists them. `importlib.metadata`, which reads those of all
-distributions, imports thirty modules and takes longer than checking a plan; it is used for other names.
+distributions and imports 28 further modules, is used for other names.
 """
 
 from __future__ import annotations

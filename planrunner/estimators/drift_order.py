@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.kept import kept
 from planrunner.estimators import rank
 from planrunner.estimators.interface import DesignBlock, DesignRequest, Remark
 from planrunner.observation.drift import BY_EVIDENCE, ORDERS, WITH_TEMPERATURE, asked, in_time, thermometer_of
@@ -112,6 +113,7 @@ class _Design:
         place = {segment.label: row for row, segment in enumerate(planned)}
         rows = np.array([place[label] for label in block.labels])
         weights = 1 / np.where(block.sigma > 0, block.sigma, 1.0)
+        weights /= weights.max()  # plans that differ in their dwell alone have the same design
         matrix = block.matrix / block.magnitudes * weights[:, None]
         start = np.array([segment.start for segment in planned])
         if not np.ptp(start[rows]) or len(rank.look(matrix).null):
@@ -123,25 +125,26 @@ class _Design:
     def terms(self) -> int:
         return int(self.matrix.shape[1])
 
-    def growth(self, order: Sequence[int] | None = None) -> Array:
-        """Growth of the standard uncertainties, (p,), infinite if the drift cannot be separated. order: of the rows in the planned places;
-        all have the same dwell."""
-        start = self.start
-        if order is not None:
-            start = start.copy()
-            start[self.rows[list(order)]] = np.sort(self.start[self.rows])
-        return _growth(self.matrix, self._courses(start, self.seconds)[self.rows] * self.weights[:, None])
+    def growth(self) -> Array:
+        """Growth of the standard uncertainties in the planned order, (p,), infinite if the drift cannot be separated."""
+        return _growth(self.matrix, self._courses(self.start, self.seconds)[self.rows], self.weights)
+
+    def reordered(self, orders: NDArray[np.int64]) -> Array:
+        """Growth in k other orders, (k, p). orders: (k, n), of the rows in the planned places; all have the same dwell."""
+        # The middle of the test and the average of a course stay, so that the courses are those of the places.
+        places = self._courses(self.start, self.seconds)[self.rows[np.argsort(self.start[self.rows])]]
+        return _growth(self.matrix, places[np.argsort(orders, axis=1)], self.weights)
 
     def closed(self) -> Array:
         """Growth with the first segment repeated at the end."""
         order = np.argsort(self.start)
-        pause = float(np.median(np.diff(self.start[order]) - self.seconds[order][:-1]))
-        begun = float(np.max(self.start + self.seconds)) + max(pause, 0.0)
-        first = self.first
-        courses = self._courses(np.append(self.start, begun), np.append(self.seconds, self.seconds[self.rows[first]]))
-        weights = np.append(self.weights, self.weights[first])
-        matrix = np.vstack([self.matrix, self.matrix[first]])
-        return _growth(matrix, courses[[*self.rows, len(self.start)]] * weights[:, None])
+        ends = (self.start + self.seconds)[order]
+        pause = float(np.median(self.start[order][1:] - ends[:-1]))
+        row = self.rows[self.first]
+        start = np.append(self.start, ends.max() + max(pause, 0.0))
+        courses = self._courses(start, np.append(self.seconds, self.seconds[row]))
+        closed = [*range(len(self.rows)), self.first]
+        return _growth(self.matrix[closed], courses[[*self.rows, -1]], self.weights[closed])
 
     @property
     def first(self) -> int:
@@ -149,17 +152,26 @@ class _Design:
         return int(self.start[self.rows].argmin())
 
     def _courses(self, start: Array, seconds: Array) -> Array:
-        return np.hstack([course.columns for course in in_time(start, start + seconds, seconds)[: self.orders]])
+        courses = [course.columns for course in in_time(start, start + seconds, seconds, self.orders)]
+        return np.hstack(courses) if len(courses) > 1 else courses[0]
 
 
-def _growth(matrix: Array, courses: Array) -> Array:
-    scaled = courses / np.sqrt(np.mean(courses**2, axis=0))
+def _growth(matrix: Array, courses: Array, weights: Array) -> Array:
+    """Growth for the courses (…, n, r) of any number of orders, (…, p). matrix: (n, p), weighted; weights: (n,), of the courses."""
+    weighted = courses * weights[:, None]
+    scaled = weighted / np.sqrt((weighted**2).sum(axis=-2, keepdims=True) / len(matrix))
+    gains, own, beside = _projections(matrix)
+    _, values, directions = np.linalg.svd(beside @ scaled, full_matrices=False)  # Tᵀ·M·T = V·S²·Vᵀ
+    separable = values[..., -1:] >= _INSEPARABLE * np.sqrt(len(matrix))
+    share = gains @ scaled @ directions.swapaxes(-1, -2) / np.where(separable, values, 1.0)[..., None, :]
+    return np.where(separable, np.sqrt(1 + (share**2).sum(axis=-1) / own), np.inf)
+
+
+@kept(64)
+def _projections(matrix: Array) -> tuple[Array, Array, Array]:
+    """Of a design A: G = A⁺ (p, n), the diagonal of G·Gᵀ (p,), and M = 1 − A·G (n, n)."""
     gains = np.linalg.pinv(matrix)
-    left = scaled - matrix @ (gains @ scaled)
-    if np.linalg.svd(left, compute_uv=False)[-1] < _INSEPARABLE * np.sqrt(len(matrix)):
-        return np.full(matrix.shape[1], np.inf)
-    imitated = np.linalg.solve(np.linalg.cholesky(left.T @ left), (gains @ scaled).T)
-    return np.asarray(np.sqrt(1 + np.sum(imitated**2, axis=0) / np.einsum("ij,ij->i", gains, gains)))
+    return gains, np.einsum("ij,ij->i", gains, gains), np.eye(len(matrix)) - matrix @ gains
 
 
 def _distinct(blocks: Sequence[DesignBlock]) -> list[DesignBlock]:
@@ -176,41 +188,36 @@ def _proposal(designs: Sequence[_Design]) -> str:
     closed = max(float(one.closed().max()) for one in designs)
     if closed < COUPLED:
         return f"repeat '{first}' at the end ({closed:.2g} times)"
-    order = _reordered(designs)
-    if order is not None:
-        largest = max(float(one.growth(order).max()) for one in designs)
-        if largest < COUPLED:
-            labels = ", ".join(designs[0].block.labels[row] for row in order)
-            return f"use the order {labels} ({largest:.2g} times)"
+    exchanged = _reordered(designs)
+    if exchanged is not None and exchanged[1] < COUPLED:
+        labels = ", ".join(designs[0].block.labels[row] for row in exchanged[0])
+        return f"use the order {labels} ({exchanged[1]:.2g} times)"
     return "record the segments a second time in the opposite order, so that a linear drift is decoupled from the coefficients"
 
 
-def _reordered(designs: Sequence[_Design]) -> tuple[int, ...] | None:
-    """The order of the segments after exchanges of two that decouple the drift best, one after the other; None if the segments cannot be
-    exchanged freely."""
+def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | None:
+    """The order of the segments after exchanges of two that decouple the drift best, one after the other, and the largest growth in it;
+    None if the segments cannot be exchanged freely."""
     one = designs[0]
     same = all(other.block.labels == one.block.labels for other in designs)
     alike = np.ptp(one.seconds[one.rows]) < 1e-6 and len({segment.temperature for segment in one.segments}) == 1
     if not (same and alike and len(one.segments) <= _REORDERED):
         return None
-    order = tuple(int(row) for row in np.argsort(one.start[one.rows]))
-
-    def cost(tried: Sequence[int]) -> float:
-        return max(float(design.growth(tried).max()) for design in designs)
-
-    best = cost(order)
+    order = np.argsort(one.start[one.rows])
+    pairs = np.array(list(itertools.combinations(range(len(order)), 2)))
+    best = float(_largest(designs, order[None])[0])
     for _ in range(_ROUNDS):
-        exchanged = [_exchanged(order, *pair) for pair in itertools.combinations(range(len(order)), 2)]
-        costs = [cost(tried) for tried in exchanged]
-        if min(costs) >= best:
+        exchanged = np.tile(order, (len(pairs), 1))
+        np.put_along_axis(exchanged, pairs, order[pairs[:, ::-1]], axis=1)
+        largest = _largest(designs, exchanged)
+        if largest.min() >= best:
             break
-        best, order = min(costs), exchanged[int(np.argmin(costs))]
+        best, order = float(largest.min()), exchanged[int(largest.argmin())]
         if best < np.sqrt(COUPLED):
             break
-    return order
+    return order, best
 
 
-def _exchanged(order: tuple[int, ...], one: int, other: int) -> tuple[int, ...]:
-    made = list(order)
-    made[one], made[other] = made[other], made[one]
-    return tuple(made)
+def _largest(designs: Sequence[_Design], orders: NDArray[np.int64]) -> Array:
+    """The largest growth of all designs in each of k orders, (k,)."""
+    return np.max([design.reordered(orders).max(axis=1) for design in designs], axis=0)

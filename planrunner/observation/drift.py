@@ -142,12 +142,13 @@ def drift_of(
     return DriftCourses(tuple(used), by_evidence)
 
 
-def in_time(start: Array, end: Array, seconds: Array) -> tuple[DriftCourse, ...]:
-    """Powers of the time since the middle of the test, h. start, end: (n,), s; seconds: (n,), the recorded time that counts."""
+def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)) -> tuple[DriftCourse, ...]:
+    """Powers of the time since the middle of the test, h, up to the highest order. start, end: (n,), s; seconds: (n,), the recorded time
+    that counts."""
     middle = (float(start.min()) + float(end.max())) / 2
     low, high = (start - middle) / _HOUR, (end - middle) / _HOUR
     made = []
-    for order, name in enumerate(ORDERS, start=1):
+    for order, name in enumerate(ORDERS[:highest], start=1):
         # (bⁿ⁺¹ − aⁿ⁺¹)/((n + 1)·(b − a)) without the difference, which cancels for short segments.
         means = sum(low**k * high ** (order - k) for k in range(order + 1)) / (order + 1)
         made.append(DriftCourse(name, _PER[name], _centred(np.asarray(means), seconds), order))
@@ -166,7 +167,7 @@ def _with_temperature(middle: Array, kelvin: Array, seconds: Array) -> tuple[Dri
 
 
 def _centred(values: Array, seconds: Array) -> Array:
-    return np.asarray(values - np.average(values, weights=seconds))[:, None]
+    return np.asarray(values - values @ seconds / seconds.sum())[:, None]
 
 
 def thermometer_of(units: Mapping[str, str], channel: str | None, by_evidence: bool) -> str | None:

@@ -50,7 +50,7 @@ def _checked(*paths: Path) -> list[object]:
 
 
 def test_plans_checked_one_after_the_other_are_as_checked_alone(plan_file: Write, tmp_path: Path) -> None:
-    """The other plan has another temperature and dwell, some other positions, and a product term."""
+    """The other plan has another temperature and dwell, another position, and another basis of uncertainty."""
     other = tmp_path / "other.yaml"
     text = plan_file(
         ("temperature: 25 degC", "temperature: 40 degC"),
