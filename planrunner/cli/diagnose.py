@@ -199,6 +199,10 @@ def _show(context: DiagnosisContext) -> None:
     mark = stamp(context.origin)
     if mark is not None and mark.alarming:
         console.print(f"{mark.word}: {mark.about}", style="bold red")
+    for one in diagnosis_page.named_effects(found):
+        console.print(one.heading, style="bold")
+        console.print(f"  {one.remedy}")
+        console.print(f"  {one.physics}", style="dim")
     console.print(diagnosis_page.verdict(found), style="bold")
     console.print(diagnosis_page.closure_words(found))
     for table in diagnosis_page.tables(found).values():

@@ -54,6 +54,7 @@ def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
     given = {
         "title": context.title,
         "facts": named(context.facts),
+        "named": named_effects(found),
         "verdict": verdict(found),
         "stamp": stamped(context.origin),
         "reach": closure_words(found),
@@ -65,6 +66,32 @@ def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
         "footer": " ".join((FOOTER, priors_words(found))),
     }
     return render("diagnosis.html", given, folder)
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """One named effect for people: a heading with who acts, what to do, and the physics."""
+
+    heading: str
+    remedy: str
+    physics: str
+
+
+def named_effects(found: Data) -> list[Named]:
+    """The named effects in the order of the verdict; of effects that the plan cannot distinguish only the likeliest."""
+    open_ = "Most likely, but not certain: " if found["verdict"]["kind"] == "indistinguishable" else ""
+    return [
+        Named(
+            _capital(f"{open_}{one['name']} ({one['effect']}). Who acts: {one['actor']}."),
+            one["remedy"],
+            one["physics"],
+        )
+        for one in found.get("named", [])
+    ]
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 # -- sentences -------------------------------------------------------------------------------------------------------

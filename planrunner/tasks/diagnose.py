@@ -20,6 +20,7 @@ from planrunner.archive.reading_progress import announced
 from planrunner.archive.recording import Find, FindKind, RecordedSegment, in_time_order
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.statistics import statistics_of
+from planrunner.base import plugins
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
 from planrunner.base.progress import Announce
@@ -37,8 +38,10 @@ from planrunner.tasks.check import Sound, check_plan
 from planrunner.tasks.run import sound_run
 
 if TYPE_CHECKING:
+    from planrunner.error_model.effects.interface import Effect
     from planrunner.error_model.observed import Observed
     from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
+    from planrunner.reporting.advice import Advice
     from planrunner.tasks.propose import Next
 
 DIAGNOSIS_FORMAT = 1
@@ -66,10 +69,23 @@ class Diagnosed:
     findings: Findings
     following: Next | None = None
 
+    def advice(self) -> list[Advice]:
+        """What to do about each effect of the verdict."""
+        from planrunner.reporting.advice import advice
+
+        fitted = self.diagnosis.parameters
+        return [advice(_loaded(name), fitted) for name in self.diagnosis.verdict.effects if name != "unknown"]
+
     def to_json(self) -> JsonObject:
         """The diagnosis according to `schemas/diagnosis.schema.json`."""
-        found = {"planrunner_diagnosis": DIAGNOSIS_FORMAT, **self.diagnosis.to_json()}
+        named = [one.to_json() for one in self.advice()]
+        found = {"planrunner_diagnosis": DIAGNOSIS_FORMAT, "named": named, **self.diagnosis.to_json()}
         return found | {"next": None if self.following is None else self.following.to_json()}
+
+
+def _loaded(name: str) -> Effect:
+    made: Effect = plugins.load(plugins.EFFECTS, name)()
+    return made
 
 
 def diagnose_recorded(

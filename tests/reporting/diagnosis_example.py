@@ -27,6 +27,10 @@ def diagnosis(kind: str = "effect", **changes: Any) -> dict[str, Any]:
         posterior = {kind: 0.97, other: 0.01, "gyro_g_sensitivity": 0.02}
     found = {
         "planrunner_diagnosis": 1,
+        "named": [
+            {"effect": name, "name": f"plain {name}", "physics": "Some physics.", "actor": "sensor", "remedy": "Act: k_zx 0.00412."}
+            for name in effects
+        ],
         "gap": {
             name: {"before": 0.004 if name[0] == "g" else 0.0021, "noise_floor": 0.002, "unit": "deg/s" if name[0] == "g" else "m/s^2"}
             for name in CHANNELS

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Variant, per_axis, single
 from planrunner.error_model.effects.nominal import towards_others
 from planrunner.error_model.effects.products import products
@@ -17,6 +18,12 @@ class AccelBiasTemperature:
     """Bias + c·ΔT per axis, ΔT from 25 degC."""
 
     id, stage = "accel_bias_temperature", "sensor"
+    about = About(
+        "accelerometer bias depends on temperature",
+        "The bias of each accelerometer changes in proportion to the temperature.",
+        Actor.SENSOR,
+        "Compensate the bias over temperature, or hold the temperature of the sensor constant: {found}.",
+    )
     shown_by = "two temperatures"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -27,6 +34,12 @@ class AccelScaleTemperature:
     """Scale factor × (1 + k·ΔT) per axis."""
 
     id, stage = "accel_scale_temperature", "sensor"
+    about = About(
+        "accelerometer scale factor depends on temperature",
+        "The scale factor of each accelerometer changes in proportion to the temperature.",
+        Actor.SENSOR,
+        "Compensate the scale factor over temperature, or calibrate at the temperature of use: {found}.",
+    )
     shown_by = "the axis up and down at two temperatures"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -38,6 +51,12 @@ class AccelSecondOrder:
     """Output + k·f² per axis."""
 
     id, stage = "accel_second_order", "sensor"
+    about = About(
+        "accelerometer output has a quadratic term",
+        "The output of each accelerometer contains a term that grows with the square of the specific force.",
+        Actor.SENSOR,
+        "Compensate the quadratic term (K2): {found}.",
+    )
     shown_by = "the axis up, level and down"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -48,6 +67,12 @@ class AccelThirdOrder:
     """Output + k·f³ per axis (K3)."""
 
     id, stage, hypothesis = "accel_third_order", "sensor", False
+    about = About(
+        "accelerometer output has a cubic term",
+        "The output of each accelerometer contains a term that grows with the cube of the specific force.",
+        Actor.SENSOR,
+        "Compensate the cubic term (K3): {found}.",
+    )
     shown_by = "the axis at four inclinations, some of them oblique"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -58,6 +83,12 @@ class AccelAsymmetry:
     """Output + k·|f| per axis: a scale factor that differs between the senses of specific force."""
 
     id, stage, hypothesis = "accel_asymmetry", "sensor", False
+    about = About(
+        "accelerometer scale factor differs between the signs of specific force",
+        "Each accelerometer has one scale factor for positive and another for negative specific force.",
+        Actor.SENSOR,
+        "Use a separate scale factor for each sign: {found}.",
+    )
     shown_by = "the axis up, level and down"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -68,6 +99,12 @@ class AccelCrossCoupling:
     """Output + K·[f_x·f_y, f_y·f_z, f_z·f_x], K a 3×3 matrix."""
 
     id, stage, hypothesis = "accel_cross_coupling", "sensor", False
+    about = About(
+        "accelerometer responds to products of two axes",
+        "The product of the specific forces along two axes appears in the output of the accelerometers.",
+        Actor.SENSOR,
+        "Compensate the cross-coupling: {found}.",
+    )
     shown_by = "orientations in which gravity lies between two axes of the sensor"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -81,6 +118,12 @@ class AccelMisalignmentTemperature:
     """Output + m·ΔT·(specific force along another axis of the sensor), six per triad."""
 
     id, stage, hypothesis = "accel_misalignment_temperature", "sensor", False
+    about = About(
+        "accelerometer axes move with temperature",
+        "The input axes of the accelerometers tilt in proportion to the temperature.",
+        Actor.SENSOR,
+        "Compensate the misalignment over temperature: {found}.",
+    )
     shown_by = "the other axes up and down at two temperatures"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -91,6 +134,13 @@ class AccelThermalGradient:
     """Output + k·dT/dt per axis."""
 
     id, stage, hypothesis = "accel_thermal_gradient", "sensor", False
+    about = About(
+        "accelerometer bias depends on the rate of temperature change",
+        "While the temperature changes, gradients within the sensor shift the bias of each accelerometer.",
+        Actor.PLAN,
+        "Record at constant temperature after a longer soak, or compensate with the rate of temperature "
+        "change: {found}.",
+    )
     shown_by = "a recorded temperature ramp and, in addition, a segment at constant temperature"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -102,6 +152,12 @@ class AccelBiasDrift:
     """Bias + d·t per axis, t since power-on."""
 
     id, stage, hypothesis = "accel_bias_drift", "sensor", False
+    about = About(
+        "accelerometer bias drifts with time",
+        "The bias of each accelerometer changes in proportion to the time since power-on.",
+        Actor.PLAN,
+        "Repeat a reference state during the run and fit the drift, or warm the sensor up for longer: {found}.",
+    )
     shown_by = "the same orientation, rate and temperature early in the run and again late"
 
     def variants(self, observed: Observed) -> list[Variant]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Array, Shaped, Variant, per_axis, single
 from planrunner.error_model.effects.nominal import towards_others
 from planrunner.error_model.effects.products import products
@@ -17,6 +20,12 @@ class GyroBiasTemperature:
     """Bias + c1·ΔT + c2·ΔT² per axis, ΔT from 25 degC."""
 
     id, stage = "gyro_bias_temperature", "sensor"
+    about = About(
+        "gyro bias depends on temperature",
+        "The bias of each gyro follows the temperature as a parabola.",
+        Actor.SENSOR,
+        "Compensate the bias over temperature, or hold the temperature of the sensor constant: {found}.",
+    )
     shown_by = "three temperatures, or two if only `.c1` is fitted"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -29,6 +38,12 @@ class GyroScaleTemperature:
     """Scale factor × (1 + k·ΔT) per axis."""
 
     id, stage = "gyro_scale_temperature", "sensor"
+    about = About(
+        "gyro scale factor depends on temperature",
+        "The scale factor of each gyro changes in proportion to the temperature.",
+        Actor.SENSOR,
+        "Compensate the scale factor over temperature, or calibrate at the temperature of use: {found}.",
+    )
     shown_by = "rates about the axis at two temperatures"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -40,6 +55,12 @@ class GyroScaleNonlinearity:
     """Output + k·ω³ per axis: the lowest odd term beyond a scale factor."""
 
     id, stage = "gyro_scale_nonlinearity", "sensor"
+    about = About(
+        "gyro scale factor is not linear",
+        "The output of each gyro contains a term that grows with the cube of the rate.",
+        Actor.SENSOR,
+        "Compensate the cubic term, or use the sensor at lower rates: {found}.",
+    )
     shown_by = "three rates about the axis, in both directions"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -50,6 +71,12 @@ class GyroScaleAsymmetry:
     """Output + k·|ω| per axis: a scale factor that differs between the senses of rotation."""
 
     id, stage = "gyro_scale_asymmetry", "sensor"
+    about = About(
+        "gyro scale factor differs between the directions of rotation",
+        "Each gyro has one scale factor for positive rates and another for negative rates.",
+        Actor.SENSOR,
+        "Use a separate scale factor for each direction of rotation: {found}.",
+    )
     shown_by = "rates about the axis in both directions, and a segment at rest or a second rate"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -60,6 +87,12 @@ class GyroGSensitivity:
     """Output + K·f, K a 3×3 matrix (mass unbalance and its cross axes)."""
 
     id, stage = "gyro_g_sensitivity", "sensor"
+    about = About(
+        "gyro bias depends on gravity",
+        "Specific force shifts the output of the gyros, for example because a mass is not balanced.",
+        Actor.SENSOR,
+        "Compensate the g-sensitivity with the measured specific force: {found}.",
+    )
     shown_by = "each axis of the sensor up and down"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -73,6 +106,14 @@ class GyroG2Sensitivity:
     """Output + K·[f_x², f_y², f_z², f_x·f_y, f_y·f_z, f_z·f_x], K a 3×6 matrix (anisoelasticity)."""
 
     id, stage = "gyro_g2_sensitivity", "sensor"
+    about = About(
+        "gyro bias depends on the square of gravity",
+        "Products of two components of specific force shift the output of the gyros, because their "
+        "suspension is not equally stiff along all axes.",
+        Actor.SENSOR,
+        "Compensate the g²-sensitivity with the measured specific force, or isolate the sensor from "
+        "vibration: {found}.",
+    )
     shown_by = (
         "each axis level, upright and oblique; cardinal orientations excite only the squares, and the sum of the squares cannot be "
         "separated from a bias"
@@ -85,10 +126,22 @@ class GyroG2Sensitivity:
         return single(columns)
 
 
+def _waiting(tau: float) -> Mapping[str, str]:
+    """The time after which less than a hundredth of a warm-up with a time constant in s remains."""
+    return {"wait": f"{tau * np.log(100.0) / 60:.2g} min"}
+
+
 class GyroWarmUp(Shaped):
     """Output + a·exp(−t/τ) per axis, t since power-on."""
 
     id, stage, shape_name, shape_unit = "gyro_warm_up", "sensor", "tau", "s"
+    about = About(
+        "gyro bias changes while the sensor warms up",
+        "After power-on, the bias of each gyro approaches its final value exponentially.",
+        Actor.PLAN,
+        "Begin the first segment {wait} or more after power-on, or compensate the warm-up: {found}.",
+        _waiting,
+    )
     shown_by, over_segments = "the same state at several times since power-on, beginning early", True
 
     def grid(self, observed: Observed) -> Array:
@@ -107,6 +160,12 @@ class GyroThermalHysteresis:
     """Output + h·(sign of the last temperature change; 0 before the first) per axis."""
 
     id, stage = "gyro_thermal_hysteresis", "sensor"
+    about = About(
+        "gyro bias depends on how the temperature was reached",
+        "At the same temperature, the bias of each gyro differs after heating and after cooling.",
+        Actor.PLAN,
+        "Approach every temperature from the same side, or include the difference in the uncertainty: {found}.",
+    )
     shown_by = "the same temperature reached from below and from above"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -120,6 +179,13 @@ class GyroThermalGradient:
     """Output + k·dT/dt per axis."""
 
     id, stage = "gyro_thermal_gradient", "sensor"
+    about = About(
+        "gyro bias depends on the rate of temperature change",
+        "While the temperature changes, gradients within the sensor shift the bias of each gyro.",
+        Actor.PLAN,
+        "Record at constant temperature after a longer soak, or compensate with the rate of temperature "
+        "change: {found}.",
+    )
     shown_by = "a recorded temperature ramp and, in addition, a segment at rest at constant temperature"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -130,6 +196,12 @@ class GyroScaleQuadratic:
     """Output + k·ω² per axis: the lowest even term beyond a scale factor that is smooth at rest."""
 
     id, stage, hypothesis = "gyro_scale_quadratic", "sensor", False
+    about = About(
+        "gyro output has a quadratic term",
+        "The output of each gyro contains a term that grows with the square of the rate.",
+        Actor.SENSOR,
+        "Compensate the quadratic term: {found}.",
+    )
     shown_by = "rates about the axis in both directions, and a segment at rest or a second rate"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -140,6 +212,12 @@ class GyroBiasTemperatureCubic:
     """Bias + c3·ΔT³ per axis, ΔT from 25 degC."""
 
     id, stage, hypothesis = "gyro_bias_temperature_cubic", "sensor", False
+    about = About(
+        "gyro bias follows a cubic of temperature",
+        "The bias of each gyro contains a term that grows with the cube of the temperature difference.",
+        Actor.SENSOR,
+        "Compensate the bias over temperature with a polynomial of third degree: {found}.",
+    )
     shown_by = "four temperatures, if fitted together with `gyro_bias_temperature`"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -150,6 +228,12 @@ class GyroMisalignmentTemperature:
     """Output + m·ΔT·(rate about another axis of the sensor), six per triad."""
 
     id, stage, hypothesis = "gyro_misalignment_temperature", "sensor", False
+    about = About(
+        "gyro axes move with temperature",
+        "The input axes of the gyros tilt in proportion to the temperature.",
+        Actor.SENSOR,
+        "Compensate the misalignment over temperature: {found}.",
+    )
     shown_by = "turns about the other axes at two temperatures"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -160,6 +244,12 @@ class GyroBiasDrift:
     """Bias + d·t per axis, t since power-on."""
 
     id, stage, hypothesis = "gyro_bias_drift", "sensor", False
+    about = About(
+        "gyro bias drifts with time",
+        "The bias of each gyro changes in proportion to the time since power-on.",
+        Actor.PLAN,
+        "Repeat a reference state during the run and fit the drift, or warm the sensor up for longer: {found}.",
+    )
     shown_by = "the same orientation, rate and temperature early in the run and again late"
 
     def variants(self, observed: Observed) -> list[Variant]:

@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Array, Shaped, Variant, on_stimulus, whole
 from planrunner.error_model.observed import Observed
 
 DEG = np.pi / 180
 
 
+def _frequencies(tau: float) -> Mapping[str, str]:
+    """The bandwidth 1/(2πτ) of a first-order lag, and the frequency at which it lags by one degree."""
+    bandwidth = 1 / (2 * np.pi * max(abs(tau), 1e-9))
+    return {"bandwidth": f"{bandwidth:.3g} Hz", "slow": f"{bandwidth * np.tan(DEG):.2g} Hz"}
+
+
 class GyroBandwidth(Shaped):
     """First-order lag 1/(τs + 1) of the output, steady when a segment begins; visible where the rate changes."""
 
     id, stage, shape_name, shape_unit = "gyro_bandwidth", "output", "tau", "s"
+    about = About(
+        "gyro output lags behind the rate",
+        "A low-pass filter of first order makes the output of the gyros smaller and later if the rate changes.",
+        Actor.SENSOR,
+        "Raise the bandwidth of the gyros, now {bandwidth}, or rock at {slow} or slower, where the lag is "
+        "below 1 deg: {found}.",
+        _frequencies,
+    )
 
     def grid(self, observed: Observed) -> Array:
         return np.geomspace(5e-4, 0.2, 14) if observed.acceleration.any() else np.empty(0)
@@ -39,6 +54,12 @@ class GyroDeadZone(Shaped):
     """Lock-in: 0 for |y| < d, else sign(y)·√(y² − d²)."""
 
     id, stage, shape_name, shape_unit = "gyro_dead_zone", "output", "d", "deg/s"
+    about = About(
+        "gyro does not respond to small rates",
+        "Below a threshold the output of the gyros stays at zero, as in the lock-in of ring lasers without dither.",
+        Actor.SENSOR,
+        "Dither the sensor, or record at rates well above the threshold: {found}.",
+    )
 
     def grid(self, observed: Observed) -> Array:
         return np.geomspace(1e-3, 2.0, 18) if observed.of_kind("gyro") else np.empty(0)
@@ -52,6 +73,12 @@ class GyroSaturation(Shaped):
     """Output clipped at ±limit."""
 
     id, stage, shape_name, shape_unit = "gyro_saturation", "output", "limit", "deg/s"
+    about = About(
+        "gyro output is clipped",
+        "The output of the gyros cannot exceed a limit below the largest rate of the plan.",
+        Actor.PLAN,
+        "Keep the rates of the plan below the limit, or set a larger measurement range in the sensor: {found}.",
+    )
 
     def grid(self, observed: Observed) -> Array:
         if not observed.of_kind("gyro") or not observed.rate.any():
@@ -95,6 +122,12 @@ class GyroBiasRandomWalk:
     """A bias that walks at random beyond the declared noise: covariance q²·min(t, t') between moments."""
 
     id, stage, noise = "gyro_bias_random_walk", "covariance", "random walk"
+    about = About(
+        "gyro bias wanders",
+        "The bias of each gyro changes at random, and the changes add up over time.",
+        Actor.SENSOR,
+        "Repeat readings at rest more often, and let the sensor stabilise for longer before the run: {found}.",
+    )
 
     def variants(self, observed: Observed) -> list[Variant]:
         return []
@@ -104,6 +137,12 @@ class GyroNoiseExcess:
     """White noise density larger than declared."""
 
     id, stage, noise = "gyro_noise_excess", "covariance", "white"
+    about = About(
+        "gyro noise is larger than declared",
+        "The white noise of the gyros is stronger than the bench file declares.",
+        Actor.BOOKKEEPING,
+        "Correct the noise in the bench file, or look for vibration and electrical interference: {found}.",
+    )
 
     def variants(self, observed: Observed) -> list[Variant]:
         return []
@@ -113,6 +152,12 @@ class GyroQuantization:
     """Resolution coarser than declared: every output is a multiple of a larger count."""
 
     id, stage, noise = "gyro_quantization", "covariance", "resolution"
+    about = About(
+        "gyro counts are coarser than declared",
+        "The output of the gyros is rounded to multiples of a count that is larger than the bench file declares.",
+        Actor.BOOKKEEPING,
+        "Correct the resolution in the bench file, or set a finer output of the sensor: {found}.",
+    )
 
     def variants(self, observed: Observed) -> list[Variant]:
         return []

@@ -8,6 +8,7 @@ shape, or change the noise; an estimate takes effects without a shape, and those
         id = "my_effect"                      # the entry point's name
         stage = "sensor"                      # stimulus, sensor, output, acquisition, covariance
         shown_by = "two temperatures"         # which segments determine it, for the messages of an estimate
+        about = About(…)                      # plain name, physics, who acts and what to do: see `about.py`
         def variants(self, observed) -> list[Variant]
 
 A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect of stage

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Array, Column, Variant, on_stimulus, per_axis, single, whole
 from planrunner.error_model.observed import Observed
 
@@ -61,6 +62,36 @@ _SHOWN_BY = {
 }
 
 
+def _about(kind: str, part: str) -> About:
+    named, word = _ABOUT[part], _NAMES[kind]
+    return replace(
+        named, name=named.name.format(word), physics=named.physics.format(word), remedy=named.remedy.format()
+    )
+
+
+_NAMES = {"gyro": "gyro", "accel": "accelerometer"}
+_ABOUT = {
+    "bias": About(
+        "{} bias",
+        "The output of each {} contains a constant that the simulation does not fit.",
+        Actor.SENSOR,
+        "Correct the bias, or add it to `nominal` in the diagnosis of the plan: {{found}}.",
+    ),
+    "scale_factor": About(
+        "{} scale factor is wrong",
+        "The output of each {} is larger or smaller than its input by a constant factor that the simulation does not fit.",
+        Actor.SENSOR,
+        "Correct the scale factor, or add it to `nominal` in the diagnosis of the plan: {{found}}.",
+    ),
+    "misalignment": About(
+        "{} axes are not where they are declared",
+        "Each {} responds to inputs along the other axes, because its input axis is tilted.",
+        Actor.SENSOR,
+        "Correct the misalignment, or add it to `nominal` in the diagnosis of the plan: {{found}}.",
+    ),
+}
+
+
 class _OfTriad:
     """One part of the nominal model of one triad."""
 
@@ -69,6 +100,7 @@ class _OfTriad:
     def __init__(self, kind: str, part: str):
         self.id, self.kind, self.part = f"{kind}_{part}", kind, part
         self.shown_by = _SHOWN_BY[part]
+        self.about = _about(kind, part)
 
     def variants(self, observed: Observed) -> list[Variant]:
         return single(PARTS[self.part](observed, self.kind))
@@ -78,6 +110,12 @@ class EarthRate:
     """The Earth's rotation, if the nominal simulation omits it."""
 
     id, stage, shown_by = "earth_rate", "stimulus", "orientations that turn the axis away from the Earth's axis"
+    about = About(
+        "simulation omits the rotation of the Earth",
+        "The gyros measure the rotation of the Earth, which the simulation does not contain.",
+        Actor.BOOKKEEPING,
+        "Add `earth_rate` to `nominal` in the diagnosis of the plan: {found}.",
+    )
 
     def variants(self, observed: Observed) -> list[Variant]:
         parts = on_stimulus(observed, observed.earth_rate, None)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import (
     Array,
     Column,
@@ -26,6 +27,12 @@ class MagneticSensitivity:
     """Gyro output + K·m, K a 3×3 matrix, m the Earth's field in sensor axes, which turns with the sensor."""
 
     id, stage = "magnetic_sensitivity", "sensor"
+    about = About(
+        "gyro output depends on the magnetic field",
+        "The magnetic field of the Earth shifts the output of the gyros as the sensor turns in it.",
+        Actor.SENSOR,
+        "Shield the sensor magnetically, or compensate with a magnetometer: {found}.",
+    )
     shown_by = (
         "orientations that turn the sensor in the field, which the bench declares as `magnetic_field` of its site"
     )
@@ -38,6 +45,12 @@ class AccelMagneticSensitivity:
     """Accelerometer output + K·m, K a 3×3 matrix, m the Earth's field in sensor axes."""
 
     id, stage, hypothesis = "accel_magnetic_sensitivity", "sensor", False
+    about = About(
+        "accelerometer output depends on the magnetic field",
+        "The magnetic field of the Earth shifts the output of the accelerometers as the sensor turns in it.",
+        Actor.SENSOR,
+        "Shield the sensor magnetically, or compensate with a magnetometer: {found}.",
+    )
     shown_by = MagneticSensitivity.shown_by
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -59,6 +72,12 @@ class SiteLatitude:
     """The Earth rate was computed for the wrong latitude: Ω·(0, −sin φ, cos φ) per rad where the error is small."""
 
     id, stage = "site_latitude", "stimulus"
+    about = About(
+        "latitude of the site is wrong",
+        "The simulation computes the rotation of the Earth for another latitude than that of the recording.",
+        Actor.SITE,
+        "Add the error to the latitude of the site in the bench file: {found}.",
+    )
     shown_by = "orientations that turn the axis in the meridian"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -76,6 +95,12 @@ class LeverArm:
     """Accelerometers off the axis of rotation: ω×(ω×r) + α×r, r in sensor axes, ω and α the table's."""
 
     id, stage = "lever_arm", "stimulus"
+    about = About(
+        "accelerometers are not on the axis of rotation",
+        "While the table turns, the accelerometers measure centripetal and tangential acceleration.",
+        Actor.BENCH,
+        "Mount the accelerometers on the axis of rotation, or correct for the lever arm: {found}.",
+    )
     shown_by, explains_turning = "rates that turn the accelerometers", True
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -94,6 +119,12 @@ class TimeLatency(Shaped):
     """Sensor data are late by a constant delay: they show an earlier stimulus."""
 
     id, stage, shape_name, shape_unit = "time_latency", "acquisition", "delay", "s"
+    about = About(
+        "sensor data are late",
+        "The time stamps of the sensor are late, so its samples show an earlier motion of the table.",
+        Actor.BENCH,
+        "Correct the time stamps by the delay, or synchronise the sensor with the table: {found}.",
+    )
 
     def grid(self, observed: Observed) -> Array:
         return np.geomspace(5e-4, 0.1, 10) if observed.acceleration.any() else np.empty(0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Array, Column, Variant, on_stimulus, single
 from planrunner.error_model.observed import Observed
 from planrunner.plan.schedule import Rest
@@ -36,6 +37,13 @@ class TableTilt:
     """The table's base is not level: two angles about east and north."""
 
     id, stage = "table_tilt", "stimulus"
+    about = About(
+        "table is not level",
+        "The base of the table is tilted, so the sensor sees gravity and the rotation of the Earth from "
+        "other directions than planned.",
+        Actor.BENCH,
+        "Level the table: {found}.",
+    )
     shown_by = "orientations that turn the sensor about the vertical"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -50,6 +58,13 @@ class TableAzimuth:
     """The table's north is not north: one angle about up."""
 
     id, stage = "table_azimuth", "stimulus"
+    about = About(
+        "north of the table is not true north",
+        "The table is turned about the vertical, so the sensor sees the rotation of the Earth from other "
+        "directions than planned.",
+        Actor.BENCH,
+        "Align the table with north, or correct the azimuth of the site in the bench file: {found}.",
+    )
     shown_by = "orientations that turn the axis about the vertical"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -63,6 +78,12 @@ class TablePositionError:
     """Each orientation has a small random error that is the same each time it is set: three angles in sensor axes."""
 
     id, stage, each = "table_position_error", "stimulus", "orientation"
+    about = About(
+        "table misses its positions",
+        "Each orientation has a small error that is the same every time it is set.",
+        Actor.BENCH,
+        "Calibrate the positions of the table and fixture, or declare their uncertainty in the bench file: {found}.",
+    )
 
     def variants(self, observed: Observed) -> list[Variant]:
         keys = [tuple(np.round(attitude, 6).ravel() + 0.0) for attitude in observed.attitude]
@@ -83,6 +104,12 @@ class TableRateRipple:
     """Rate × (1 + a·cos(nθ + φ)), n = 1 or 2 per turn, which the encoder does not show."""
 
     id, stage, shape_name, shape_unit = "table_rate_ripple", "stimulus", "n", "per turn"
+    about = About(
+        "rate of the table has a ripple",
+        "The rate of the table varies with its angle, and the recorded angle does not show this.",
+        Actor.BENCH,
+        "Record whole turns, or have the drive and the encoder checked: {found}.",
+    )
 
     def variants(self, observed: Observed) -> list[Variant]:
         if not observed.rate.any():
@@ -107,6 +134,12 @@ class TableWobble:
     """
 
     id, stage = "table_wobble", "stimulus"
+    about = About(
+        "axis of the table wobbles",
+        "While the table turns, its axis is tilted by a constant angle that turns with the table.",
+        Actor.BENCH,
+        "Have the bearing and the mounting face of the table checked: {found}.",
+    )
     shown_by = "turns and, in addition, segments at rest"
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -125,6 +158,12 @@ class TableRateError:
     """True rate = commanded × (1 + ε): a nominal model with free scale factors absorbs it."""
 
     id, stage = "table_rate_error", "stimulus"
+    about = About(
+        "table turns at another rate than commanded",
+        "The true rate of the table differs from the commanded rate by a constant factor.",
+        Actor.BENCH,
+        "Calibrate the rate of the table, or record its angle: {found}.",
+    )
     shown_by = "rates; the scale factor must not be fitted at the same time"
 
     def variants(self, observed: Observed) -> list[Variant]:

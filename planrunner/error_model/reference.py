@@ -1,0 +1,52 @@
+"""Generates the list of effects, `docs/effects.md`, from the catalogue.
+
+`python -m planrunner.error_model.reference docs` writes it. A test checks that the file is up to date.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from planrunner.base import plugins
+from planrunner.error_model.effects.about import Actor, about
+from planrunner.error_model.effects.interface import Effect, NoHypothesis
+
+_BEGINNING = """\
+# Effects: who acts, and what to do
+
+`python -m planrunner.error_model.reference docs` writes this page from the classes of the effects. `planrunner diagnose` names effects
+of this list, says who acts and what to do, and fills in the parameters that it found. `planrunner simulate --with EFFECT` adds an effect
+to a simulation, and the estimator [`error_model`](error-models.md) fits its parameters.
+
+Effects marked with † serve simulations and estimates only. The diagnosis does not weigh them unless it is asked to.
+"""
+ACTORS = {
+    Actor.BENCH: "the operator of the table, the chamber, the mounting and their synchronisation",
+    Actor.SENSOR: "the maker of the unit, or its compensation",
+    Actor.PLAN: "the author of the plan: states and times",
+    Actor.SITE: "the declared place on the Earth",
+    Actor.BOOKKEEPING: "the author of the files: labels, units, signs, declared noise",
+}
+
+
+def reference() -> str:
+    """The page."""
+    effects: list[Effect] = [plugins.load(plugins.EFFECTS, name)() for name in plugins.names(plugins.EFFECTS)]
+    parts = [_BEGINNING]
+    for actor, words in ACTORS.items():
+        rows = [_row(effect) for effect in effects if about(effect).actor is actor]
+        parts.append(f"## Who acts: {actor.value}\n\nThis is {words}.\n")
+        parts.append("| effect | in plain words | physics | what to do |\n| --- | --- | --- | --- |\n" + "".join(rows))
+    return "\n".join(parts)
+
+
+def _row(effect: Effect) -> str:
+    told = about(effect)
+    remedy = told.remedy.partition(": {found}")[0].replace("{", "*").replace("}", "*")
+    mark = " †" if isinstance(effect, NoHypothesis) else ""
+    return f"| `{effect.id}`{mark} | {told.name} | {told.physics} | {remedy.rstrip('.')}. |\n"
+
+
+if __name__ == "__main__":
+    (Path(sys.argv[1]) / "effects.md").write_text(reference(), encoding="utf-8")

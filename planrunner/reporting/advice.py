@@ -1,0 +1,68 @@
+"""What a diagnosis says of each effect that it names: plain name, physics, who acts, and what to do, with the fitted parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+from planrunner.base.documents import JsonObject
+from planrunner.error_model.effects.about import Actor, about
+from planrunner.error_model.effects.interface import Effect, HasShape
+from planrunner.gap.answer.parameters import ParameterEstimate
+from planrunner.reporting.rounding import rounded
+
+MOST = 3
+"""Parameters in a sentence; the table of parameters contains all."""
+CLEAR = 2.0
+"""Multiple of its standard uncertainty from which a parameter is worth a place in the sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """On one named effect. remedy: a sentence that contains the fitted parameters."""
+
+    effect: str
+    name: str
+    physics: str
+    actor: Actor
+    remedy: str
+
+    def to_json(self) -> JsonObject:
+        """According to `named` of `schemas/diagnosis.schema.json`."""
+        plain: JsonObject = asdict(self) | {"actor": self.actor.value}
+        return plain
+
+
+def advice(effect: Effect, fitted: Sequence[ParameterEstimate]) -> Advice:
+    """Advice on an effect. fitted: estimates of all named effects."""
+    own = [one for one in fitted if one.effect == effect.id]
+    shape_name = effect.shape_name if isinstance(effect, HasShape) else None
+    shape = next((one for one in own if one.name == shape_name), None)
+    told = about(effect)
+    return Advice(
+        effect.id,
+        told.name,
+        told.physics,
+        told.actor,
+        told.advice(found(own, shape_name), None if shape is None else shape.value),
+    )
+
+
+def found(own: Sequence[ParameterEstimate], shape_name: str | None = None) -> str:
+    """Estimates in words: the shape, then the clearest amplitudes."""
+    shape = [one for one in own if one.name == shape_name]
+    amplitudes = sorted((one for one in own if one.name != shape_name), key=_clearness, reverse=True)
+    clear = [one for one in amplitudes if _clearness(one) >= CLEAR] or amplitudes[:1]
+    left = len(clear) - MOST
+    words = [_value(one) for one in (*shape, *clear[:MOST])] + ([f"and {left} more"] if left > 0 else [])
+    return ", ".join(words) or "no parameter was fitted"
+
+
+def _clearness(one: ParameterEstimate) -> float:
+    size = abs(one.value)
+    return size / one.standard_uncertainty if one.standard_uncertainty > 0 else float("inf") if size else 0.0
+
+
+def _value(one: ParameterEstimate) -> str:
+    unit = "" if one.unit == "1" else f" {one.unit}"
+    return f"{one.name} {rounded(one.value, one.standard_uncertainty)}{unit}"
