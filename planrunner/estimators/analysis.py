@@ -12,6 +12,7 @@ from planrunner.archive.reading_progress import announced
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.findings import InputError
 from planrunner.base.progress import Announce
+from planrunner.estimators.coarse_counts import coarse_counts
 from planrunner.estimators.foresight import detection_of, patterns_of
 from planrunner.estimators.interface import (
     Estimate,
@@ -30,6 +31,7 @@ from planrunner.instruments.models import SensorModel
 from planrunner.observation.screening import screened
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
+from planrunner.plan.meaning import channels_of
 from planrunner.plan.model import USUAL, EstimateSpec, Limit, MonteCarloSpec
 from planrunner.plan.selection import select
 from planrunner.uncertainty.budget import Measured, combine
@@ -136,7 +138,8 @@ def _estimate(
         draws = estimator.chain(request, estimate) if isinstance(estimator, Chains) else linear_chain(estimate)
         how = spec.validate if isinstance(spec.validate, MonteCarloSpec) else USUAL
         estimate = validated(estimate, draws, how, first_order=not chained)
-    return replace(estimate, warnings=(*estimate.warnings, *lost_samples(chosen, sensor.sample_rate)))
+    rounded = coarse_counts(counted, channels_of(spec.parameters), sensor)
+    return replace(estimate, warnings=(*estimate.warnings, *rounded, *lost_samples(chosen, sensor.sample_rate)))
 
 
 _RESTS_ON = {

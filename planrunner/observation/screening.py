@@ -82,7 +82,7 @@ def screened(recording: Sequence[RecordedSegment], sensor: SensorModel) -> tuple
     """The segments with their finds; those that have not been screened while they were read are read again."""
     watch = watch_of(sensor)
     found = [item if item.finds is not None or item.expected else _screened(item, watch) for item in recording]
-    channels = [output.name for output in sensor.outputs if _is_screened(output)]
+    channels = [output.name for output in sensor.outputs if varies(output)]
     return with_standing(found, sensor, channels, CHANCE)
 
 
@@ -96,7 +96,8 @@ def _screened(item: RecordedSegment, watch: WatcherOf) -> RecordedSegment:
 _STANDING = (DIMENSIONS["temperature"], DIMENSIONS["angle"])
 
 
-def _is_screened(output: OutputModel) -> bool:
+def varies(output: OutputModel) -> bool:
+    """Whether an output has noise at any time: thermometers and encoders may stand still."""
     return not output.constant and unit(output.unit).dimension not in _STANDING
 
 
@@ -106,7 +107,7 @@ def watch_of(sensor: SensorModel) -> WatcherOf:
     def watch(segment: Segment, units: Mapping[str, str], rows: int) -> Screening:
         counts, scales = {}, {}
         for output in sensor.outputs:
-            if output.name in units and _is_screened(output):
+            if output.name in units and varies(output):
                 counts[output.name], scales[output.name] = output.noise.resolution, output.full_scale
         steady = isinstance(segment.motion, Rest | Spin) and segment.attitude is not None
         return Screening(counts, scales, rows, steady=steady)

@@ -201,8 +201,10 @@ WARNINGS = (
         " differ: the output warms up or drifts unsteadily."
     ),
     _(
-        "%(name)s: the noise in '%(segment)s' is too small for counts of %(count)s: the deviations are those of the "
-        "rounding, and the coefficients can be far too large or too small. Record with a finer resolution."
+        "%(name)s: the noise in '%(segment)s' is too small for counts of %(count)s, so rounding errors do not average "
+        "out. They are the same whenever the sensor senses the same input: repeats do not reduce them, and scatter may "
+        "not show them. The uncertainties may be too small, and noise coefficients are those of the rounding. Record "
+        "with a finer resolution."
     ),
     _(
         "%(name)s: the repeats scatter %(ratio)s times as much as their standard uncertainties allow (chance of that: "

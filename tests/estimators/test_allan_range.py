@@ -12,7 +12,6 @@ from recorded import from_samples, segment, sensor
 
 from planrunner.estimators.allan.allan_deviation import AllanDeviation, AllanDeviationParameters
 from planrunner.estimators.interface import Estimate, EstimateRequest
-from planrunner.instruments.models import NoiseModel
 from planrunner.physics.earth import Site
 
 SITE = Site(math.radians(40.0))
@@ -20,11 +19,11 @@ HERTZ = 50.0
 Array = np.ndarray
 
 
-def estimate(values: Array, hertz: float = HERTZ, noise: NoiseModel | None = None, **keys: Any) -> Estimate:
+def estimate(values: Array, hertz: float = HERTZ, **keys: Any) -> Estimate:
     time = np.arange(values.size) / hertz
     recorded = from_samples(segment("rest"), time, {"gyro": values}, {"gyro": "pulse/s"}, rows=10_007)
     parameters = AllanDeviationParameters(outputs=("gyro",), **keys)
-    device = sensor("gyro", unit="pulse/s", noise=noise)
+    device = sensor("gyro", unit="pulse/s")
     return AllanDeviation().estimate(EstimateRequest("noise", (recorded,), parameters, SITE, device))
 
 
@@ -97,11 +96,3 @@ def test_a_random_walk_beneath_a_drift_keeps_its_interval() -> None:
         drifting += any("drifts steadily" in text for text in found.notes)
     assert drifting >= 10
     assert held >= 9  # 95 %: fewer than nine in one of two thousand tries
-
-
-def test_counts_that_hide_the_noise_are_named() -> None:
-    values = white(5, 2**14)
-    found = estimate(50 * np.round(values / 50 + 0.2), noise=NoiseModel(resolution=50.0))
-    assert [text for text in found.warnings if "too small for counts" in text]
-    fine = estimate(np.round(values), noise=NoiseModel(resolution=1.0))
-    assert not [text for text in fine.warnings if "counts" in text]

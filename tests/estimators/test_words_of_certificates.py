@@ -38,12 +38,14 @@ from planrunner.estimators.accelerometer import gravity_magnitude
 from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
 from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.allan import allan_deviation
+from planrunner.estimators.coarse_counts import coarse_counts
 from planrunner.estimators.declared_axes import AxisResponse, against_nominal, contradictions
 from planrunner.estimators.flexure_gyro.tables import descriptions
 from planrunner.estimators.imu.coefficients import Response, calibration
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Setup
 from planrunner.estimators.lost_samples import lost_samples
 from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation
+from planrunner.instruments.models import NoiseModel
 from planrunner.plan.units import unit
 from planrunner.reporting import translated_words
 from planrunner.reporting.language import languages, sentences, spoken, translations
@@ -218,6 +220,11 @@ def lost(count: int) -> tuple[str, ...]:
     return lost_samples([replace(one, statistics=replace(one.statistics, rejected=3, largest_gap=5.0))] * count, 100.0)
 
 
+def rounded() -> tuple[str, ...]:
+    device = sensor("gyro", unit="pulse/s", noise=NoiseModel(resolution=50.0))
+    return coarse_counts([from_means(segment("R1"), {"gyro": 1.0}, "pulse/s", 0.1)], [], device)
+
+
 def responding(*rows: Sequence[float], text: str = "g", kind: str = "accel") -> list[str]:
     """Of a triad with these ratios along x, y and z."""
     return contradictions(
@@ -233,6 +240,7 @@ WARNED: dict[str, Callable[[], Sequence[str]]] = {
     "noise beyond the model": lambda: (
         allan.run(allan.record(allan.white(4000) + 50 * np.sin(np.arange(4000) / 40))).warnings
     ),
+    "counts": rounded,
     "no start zero": lambda: tilted.estimate(series("start-zero"), TRIAD).warnings,
     "no end zero": lambda: tilted.estimate(series("end-zero"), TRIAD).warnings,
     "fewer rates": lambda: tilted.estimate(series("R+10"), TRIAD).warnings,

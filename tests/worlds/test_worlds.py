@@ -77,6 +77,18 @@ def test_uncertainty_from_within_turning_segments_is_that_of_the_noise() -> None
     assert np.mean(np.square(errors)) == pytest.approx(1.0, abs=4 / 6)
 
 
+@pytest.mark.parametrize("estimator", [name for name in CAMPAIGNS if "from stop to stop" not in name])
+def test_counts_larger_than_the_noise_are_warned_of(estimator: str) -> None:
+    """Equal inputs have equal rounding errors, which no scatter shows; noise of half a count averages them out."""
+    campaign = CAMPAIGNS[estimator]
+    for name, warned in (("counts of 5 times the noise", True), ("white noise", False)):
+        world = WORLDS[name]
+        _, made = recorded(campaign, world, np.random.default_rng(4))
+        one = estimated(campaign, known(campaign, world), made)
+        assert not isinstance(one, str), one
+        assert any("is too small for counts" in text for text in one.warnings) == warned
+
+
 @pytest.mark.parametrize("estimator", CAMPAIGNS)
 def test_every_coefficient_of_a_device_is_estimated(estimator: str) -> None:
     """Names, units and signs agree: in white noise each is found within five standard uncertainties, which are small beside the truth."""

@@ -43,7 +43,6 @@ from planrunner.estimators.interface import (
     Unpredicted,
 )
 from planrunner.estimators.root_of_square import root_of
-from planrunner.observation.observations import dithered
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Rest
@@ -220,26 +219,10 @@ def _output(request: EstimateRequest[AllanDeviationParameters], name: str) -> _R
     if name in parameters.scale_factors:
         result.sensed = sensed_by(parameters.scale_factors[name], name, result.unit, request.uses)
     _fit(result, phase, parameters)
-    result.warnings += _rounded(request, name, result.unit)
     for kind in parameters.deviations:
         result.tables.append(_table(name, result.unit, kind, rows[kind], parameters.confidence))
     _describe_gaps(result, phase)
     return result
-
-
-def _rounded(request: EstimateRequest[AllanDeviationParameters], name: str, own: str) -> list[str]:
-    """A warning if counts hide the noise, so that deviations are those of the rounding."""
-    output = request.sensor.output(name)
-    for recorded in request.segments if output else ():
-        statistics = recorded.statistics
-        place = statistics.of(name)
-        if statistics.count > 1 and not dithered(request.sensor, name, float(statistics.covariance[place, place])):
-            assert output is not None
-            return [
-                f"{name}: the noise in '{recorded.label}' is too small for counts of {output.noise.resolution:.4g} {own}: the deviations "
-                "are those of the rounding, and the coefficients can be far too large or too small. Record with a finer resolution."
-            ]
-    return []
 
 
 def _never_changes(name: str) -> str:

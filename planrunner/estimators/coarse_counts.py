@@ -1,0 +1,40 @@
+"""Warnings about outputs whose counts are too coarse for their noise, so that rounding errors do not average out."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.instruments.models import SensorModel
+from planrunner.observation.observations import dithered
+from planrunner.observation.screening import varies
+
+
+def coarse_counts(
+    segments: Sequence[RecordedSegment], channels: Collection[str], sensor: SensorModel
+) -> tuple[str, ...]:
+    """A sentence for each of these channels, or for each output of the sensor if none is given, that noise does not dither in some segment.
+
+    Equal inputs then have equal rounding errors, which neither the noise within the segments nor the scatter of repeats shows.
+    """
+    found = []
+    for output in sensor.outputs:
+        if not output.noise.resolution or not varies(output) or (channels and output.name not in channels):
+            continue
+        coarse = [one.label for one in segments if _coarse(one, output.name, sensor)]
+        if coarse:
+            found.append(
+                f"{output.name}: the noise in '{coarse[0]}' is too small for counts of {output.noise.resolution:.4g} {output.unit}, so "
+                "rounding errors do not average out. They are the same whenever the sensor senses the same input: repeats do not reduce "
+                "them, and scatter may not show them. The uncertainties may be too small, and noise coefficients are those of the "
+                "rounding. Record with a finer resolution."
+            )
+    return tuple(found)
+
+
+def _coarse(recorded: RecordedSegment, channel: str, sensor: SensorModel) -> bool:
+    statistics = recorded.statistics
+    if channel not in statistics.channels or statistics.count < 2:
+        return False
+    place = statistics.of(channel)
+    return not dithered(sensor, channel, float(statistics.covariance[place, place]))
