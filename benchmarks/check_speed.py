@@ -1,4 +1,4 @@
-"""Speed of `check`: 100 distinct plans in one process, and one plan in a process of its own."""
+"""Speed of `check`: 100 distinct plans in one process and with one command, and one plan in a process of its own."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.measuring import ROOT
+from planrunner.base.processes import processors
 
 # Modules are compiled once, as in an installation, even where this environment keeps no compiled ones.
 COMPILED = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
@@ -76,12 +77,16 @@ def run(size: Size = FULL) -> dict[str, object]:
         began = time.perf_counter()
         predicted = sum(all(design.known for design in check_plan(path).designs.values()) for path in paths)
         shown = time.perf_counter() - began
+        command = [sys.executable, "-m", "planrunner", "check", *map(str, paths), "--jobs"]
+        by_one, by_all = (process(size.turns, *command, jobs) for jobs in ("1", str(processors())))
     assert sound == predicted == size.plans
     whole = process(size.turns, sys.executable, "-m", "planrunner", "check", str(PLAN))
     imports = process(size.turns, sys.executable, "-c", BARE)
     return {
         f"{size.plans} distinct plans in one process [s] (target ≤ 0.5)": together,
         "the same again, with the predictions that no limit needs [s]": shown,
+        f"`planrunner check` of {size.plans} plans, whole command with imports and printing, --jobs 1 [s]": by_one,
+        f"the same, --jobs {processors()} (all processors) [s]": by_all,
         "`planrunner check` of one plan, whole process [s]": whole,
         '`python -c "import yaml, jsonschema"` [s]': imports,
         "ratio (target ≤ 2.5)": whole / imports,

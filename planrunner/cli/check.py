@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Finding
+from planrunner.base.processes import shared_out
 from planrunner.bench.attendance import check_unattended
 from planrunner.bench.model import runs_on_virtual_clock, safe_order
 from planrunner.cli import exit_codes
+from planrunner.cli.jobs import number_of_jobs
 from planrunner.cli.operator import add_attendance
 from planrunner.cli.printing import columns, print_findings, print_json
 from planrunner.cli.progress import reading_progress
@@ -26,28 +31,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="folder that contains the recordings to play back: check the recording and try the estimates on it",
     )
+    parser.add_argument(
+        "--jobs",
+        metavar="N",
+        type=number_of_jobs,
+        help="processes that share several plans (default: as many as pay, at most one per processor; 1 with --data)",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print a list of findings as JSON")
     add_attendance(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    checks = [check_plan(Path(plan), bench=args.bench) for plan in args.plans]
-    for checked in checks:
-        if args.unattended and checked.bench is not None and checked.schedule is not None:
-            check_unattended(checked.bench, checked.schedule, checked.findings)
-        if args.data is not None and checked.models is not None and checked.models.replays:
-            from planrunner.tasks.check_recording import check_recording
-
-            with reading_progress(args.quiet) as notice:
-                check_recording(checked, args.data, notice)
+    # Recordings are read one after the other, with progress, and none has to share the memory.
+    jobs = 1 if args.data is not None else args.jobs
+    answers = shared_out(partial(_answer, args), args.plans, jobs)
     if args.json:
-        print_json([finding.to_json() for checked in checks for finding in checked.findings])
+        print_json([finding.to_json() for answer in answers for finding in answer.findings])
     else:
-        for checked in checks:
-            print_findings(checked.findings)
-            print(summary(checked, looked_over=args.data is not None))
-    return exit_codes.DONE if all(checked.ok for checked in checks) else exit_codes.WRONG_INPUT
+        for answer in answers:
+            print_findings(answer.findings)
+            print(answer.summary)
+    return exit_codes.DONE if all(answer.ok for answer in answers) else exit_codes.WRONG_INPUT
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """What is printed for a plan. summary: empty for `--json`."""
+
+    findings: tuple[Finding, ...]
+    ok: bool
+    summary: str
+
+
+def _answer(args: argparse.Namespace, plan: str) -> _Answer:
+    checked = check_plan(Path(plan), bench=args.bench)
+    if args.unattended and checked.bench is not None and checked.schedule is not None:
+        check_unattended(checked.bench, checked.schedule, checked.findings)
+    if args.data is not None and checked.models is not None and checked.models.replays:
+        from planrunner.tasks.check_recording import check_recording
+
+        with reading_progress(args.quiet) as notice:
+            check_recording(checked, args.data, notice)
+    said = "" if args.json else summary(checked, looked_over=args.data is not None)
+    return _Answer(tuple(checked.findings), checked.ok, said)
 
 
 def sound_plan(plan: str, bench: str | None) -> Sound:

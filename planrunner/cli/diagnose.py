@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import InputError, Mark, closest
 from planrunner.cli import exit_codes
+from planrunner.cli.jobs import number_of_jobs
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.cli.progress import reading_progress
 
@@ -66,17 +67,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--jobs",
         metavar="N",
-        type=_jobs,
+        type=number_of_jobs,
         default=1,
         help="threads of the linear algebra (default: 1, usually the fastest)",
     )
-
-
-def _jobs(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"must be at least 1: {value}")
-    return value
 
 
 def run(args: argparse.Namespace) -> int:

@@ -39,6 +39,7 @@ class _Known:
 _KINDS = {
     "IntegrityError": _Known(exit_codes.INTEGRITY, "run-integrity"),
     "NotOrdinaryError": _Known(exit_codes.INTEGRITY, "run-integrity"),
+    "ProcessEndedError": _Known(exit_codes.FAULT, "process-ended"),
     "InstrumentError": _Known(exit_codes.FAULT, "run-instrument"),
     "EstimationError": _Known(exit_codes.WRONG_INPUT, "estimate-failed"),
     "ReportError": _Known(exit_codes.WRONG_INPUT, "report-failed"),

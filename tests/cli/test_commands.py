@@ -122,6 +122,27 @@ def test_check_prints_findings_and_json(tmp_path: Path) -> None:
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.parametrize("form", [[], ["--json"]])
+def test_plans_that_processes_share_are_checked_as_by_one(tmp_path: Path, form: list[str]) -> None:
+    text, plans = FLAGSHIP.read_text(encoding="utf-8"), []
+    for number, (old, new) in enumerate([("2 min", "90 s"), ("segments: P*", "segments: Q*"), ("25 degC", "30 degC")]):
+        plans.append(tmp_path / f"{number}.yaml")
+        plans[-1].write_text(text.replace(old, new), encoding="utf-8")
+    arguments = ["check", *map(str, plans), str(tmp_path / "absent.yaml"), str(FLAGSHIP), *form]
+    alone = planrunner(*arguments, "--jobs", "1", cwd=tmp_path)
+    command = [sys.executable, "-m", "planrunner", *arguments, "--jobs", "3"]
+    shared = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert (shared.returncode, shared.stdout, shared.stderr) == (2, alone.stdout, alone.stderr)
+    assert "absent.yaml" in alone.stdout + alone.stderr and "meaning-undefined-label" in alone.stdout + alone.stderr
+
+
+@pytest.mark.parametrize("jobs", ["0", "two"])
+def test_an_impossible_number_of_jobs_is_refused(jobs: str, tmp_path: Path) -> None:
+    done = planrunner("check", FLAGSHIP, "--jobs", jobs, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--jobs" in done.stderr
+
+
 def test_a_failed_limit_decides_the_exit_code(tmp_path: Path) -> None:
     plan = tmp_path / "strict.yaml"
     plan.write_text(

@@ -1,0 +1,154 @@
+"""Work on many items that several processes share.
+
+The items are distributed before the processes start, and each process sends all its results at once when it is done. Therefore no process
+waits for another one. If the first process is killed, the others end after their share. If another one is killed, its pipe closes, which
+is an error in the first process and never a wait without end.
+
+A process is a fork where that is safe: on Linux, while this process has a single thread. It then has everything that this process has
+imported and computed. Elsewhere it is a new interpreter, which takes as long to start as many items.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from planrunner.base.interruption import ENDING, signals
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+    from multiprocessing.process import BaseProcess
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_PAYS = {"fork": 4, "spawn": 64}
+"""Items of some milliseconds for which one more process is worth starting."""
+
+
+class ProcessEndedError(Exception):
+    """A process that shared the work ended before it was done, for example because the memory is used up."""
+
+
+def processors() -> int:
+    """The processors that this process may use."""
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def shared_out(work: Callable[[T], R], items: Sequence[T], jobs: int | None = None) -> list[R]:
+    """The results of `work` for all items, in their order.
+
+    work: a function of a module, or a `partial` of one, whose argument and result can be pickled. jobs: number of processes, this one
+    included; None: as many as the processors allow and the number of items is worth. Exceptions of `work` are raised here, that of the
+    first such item. Raises `ProcessEndedError`.
+    """
+    method = "fork" if _may_fork() else "spawn"
+    most = min(processors(), len(items) // _PAYS[method]) if jobs is None else min(jobs, len(items))
+    if most < 2:
+        return [work(item) for item in items]
+    done = [work(items[0])]  # what is computed for the first item is there for all forks
+    left = items[1:]
+    shares = [left[first::most] for first in range(most)]
+    with contextlib.ExitStack() as open_:
+        others = [open_.enter_context(_Started(method, work, share)) for share in shares[1:] if share]
+        results = [_up_to_a_failure(work, shares[0]), *(other.results() for other in others)]
+    for number in range(len(left)):
+        share, place = results[number % most], number // most
+        # One is missing if the work failed on it or before it: it fails here again, as without other processes.
+        done.append(share[place] if place < len(share) else work(left[number]))
+    return done
+
+
+def _up_to_a_failure(work: Callable[[T], R], share: Sequence[T]) -> list[R]:
+    """The results for the items before the first one that fails."""
+    results: list[R] = []
+    with contextlib.suppress(Exception):
+        for item in share:
+            results.append(work(item))
+    return results
+
+
+def _may_fork() -> bool:
+    """Whether this process has only one thread; locks that other threads hold would stay locked in a fork."""
+    if sys.platform != "linux":
+        return False
+    try:
+        return len(os.listdir("/proc/self/task")) == 1
+    except OSError:
+        return False
+
+
+class _Started(Generic[T, R]):
+    """A process with a share of the items. It is ended when the context is left."""
+
+    def __init__(self, method: str, work: Callable[[T], R], share: Sequence[T]):
+        from multiprocessing import get_context
+
+        context = get_context(method)
+        self._answer, end = context.Pipe(duplex=False)
+        self._process: BaseProcess = context.Process(target=_do, args=(end, work, share), daemon=True)  # type: ignore[attr-defined]
+        try:
+            with _signals_held_back():
+                self._process.start()
+        except OSError as error:
+            self._answer.close()
+            raise ProcessEndedError(f"a further process cannot be started ({error.strerror}); use fewer jobs") from None
+        finally:
+            end.close()  # so that it is open in that process alone, and closed when that ends
+
+    def __enter__(self) -> _Started[T, R]:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.join()
+        self._answer.close()
+
+    def results(self) -> list[R]:
+        """Those of its share, up to the first item on which the work failed. Raises `ProcessEndedError`."""
+        try:
+            found: list[R] = self._answer.recv()
+        except (EOFError, OSError):
+            self._process.join()
+            code = self._process.exitcode or 0
+            how = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+            message = f"one of the processes that share the work ended {how}; the memory may be used up: use fewer jobs"
+            raise ProcessEndedError(message) from None
+        return found
+
+
+def _do(end: Connection, work: Callable[[T], R], share: Sequence[T]) -> None:
+    """The work of another process."""
+    _leave_ctrl_c_to_the_first_process()
+    results = _up_to_a_failure(work, share)
+    with contextlib.suppress(BrokenPipeError):  # the first process was killed
+        end.send(results)
+    end.close()
+
+
+@contextlib.contextmanager
+def _signals_held_back() -> Iterator[None]:
+    """Lets a process start with the signals blocked that end a command, so that none meets the handlers of this one there."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals(ENDING))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _leave_ctrl_c_to_the_first_process() -> None:
+    """Ctrl-C in a terminal reaches all processes; the first one ends the others."""
+    for number in signals(ENDING):
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, signal.SIG_IGN if number == signal.SIGINT else signal.SIG_DFL)
+    if sys.platform != "win32":
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, signals(ENDING))
