@@ -8,6 +8,7 @@ import numpy as np
 
 from planrunner.archive.recording import BATCHES
 from planrunner.base.dataclass import dataclass
+from planrunner.estimators.drift_fit import SuspectedDrift
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark, UnfitDataError
 from planrunner.estimators.outlying_segments import LEAST_REDUNDANCY, Outlier, outliers, unchecked
 from planrunner.estimators.outputs_fit import OutputsFit
@@ -195,15 +196,17 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
 
 
 def drift_words(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
-    """A note about a drift that the plan asks for, a warning about one that the segments show, and a note if they could show none."""
+    """A note about a drift that the plan asks for, warnings about one that the segments show or do not exclude, and a note if they could
+    show none."""
     drift = fit.drift
     if not drift.courses:
+        doubted = [_suspected(fit, one, basis) for one in drift.suspected]
         if drift.judged:
-            return [], []
+            return [], doubted
         return [
             f"{', '.join(fit.outputs)}: a drift during the test cannot be distinguished from the coefficients or from scatter, so none is "
             "fitted: repeat the first segment at the end, or add segments."
-        ], []
+        ], doubted
     names = " and ".join(dict.fromkeys(course.name for course in drift.courses))
     holds = "The coefficients are averages over the recorded time of the test"
     if drift.without is None or drift.explained is None:
@@ -226,6 +229,33 @@ def drift_words(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
         f"without it a coefficient would change by {moved:.2g} standard uncertainties. {holds}."
         f"{left} Write `drift: {_written(drift.courses)}` to confirm the drift, or `drift: none` to leave it out."
     ]
+
+
+def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> str:
+    """A warning about a drift that is not fitted, although the data do not exclude one that matters."""
+    output, name = fit.outputs[found.output], found.course.name
+    if found.course.changed:
+        size = (
+            f"fitted together with the coefficients, it would make the standard uncertainty {found.growth:.2g} times as large"
+            if np.isfinite(found.growth)
+            else "these segments cannot separate the two at all"
+        )
+        return (
+            f"The temperature changed by {found.course.changed:.3g} K during the test, in such an order of the segments that "
+            f"a drift with temperature is hard to distinguish from {found.name} of {output}: {size}. The data neither show nor "
+            "exclude such a drift, and no uncertainty includes it. Write `drift: temperature` to include it, or `drift: none` if "
+            "the outputs do not depend on the temperature. A steadier temperature, or the segments a second time in the opposite "
+            "order, makes the two easier to distinguish."
+        )
+    k, p = found.output, fit.matrix.shape[1]
+    spread = float(np.sqrt(np.diag(fit.covariance(basis))[k * p + found.term]))
+    return (
+        f"The outputs may drift during the test: fitted together with the coefficients, a drift ({name}) would change "
+        f"{found.name} of {output} by {abs(found.change) / spread:.2g} standard uncertainties (probability by chance: "
+        f"{found.probability:.2g}). This evidence is too weak to fit the drift, so no uncertainty includes it. Write "
+        f"`drift: {name}` to include it, or `drift: none` to exclude it; the first segment repeated at the end would show "
+        "which is true."
+    )
 
 
 def _written(courses: Sequence[DriftCourse]) -> str:

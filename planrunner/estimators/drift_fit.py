@@ -6,17 +6,24 @@ what is left without the drift; otherwise what is left. In the end the noise and
 drift does not explain are those of an incomplete model, and a part of their pattern always looks like a drift. At least `LEAST_LEFT`
 degrees of freedom must remain over all outputs, or any scatter would look like a drift. A drift is rarely as even as it looks: once a
 course in time is adopted, the next order is fitted too where the segments allow it.
+
+A course that is not adopted is suspected in two cases, which the report names. Its evidence is a little weaker, and it would move a
+coefficient by more than its standard uncertainty. Or it follows a recorded temperature that changed, and the segments couple it to a
+coefficient: an amplitude that the data cannot exclude would then move the coefficient by several standard uncertainties, whatever the data
+show.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import rank
+from planrunner.estimators.drift_order import COUPLED
 from planrunner.estimators.least_squares import LinearFit
 from planrunner.observation.drift import DriftCourse, DriftCourses
 from planrunner.observation.observations import SIGNIFICANCE, WithinSegmentNoise
@@ -25,20 +32,41 @@ Array = NDArray[np.float64]
 
 LEAST_LEFT = 2
 """Degrees of freedom of all outputs together."""
+SUSPECTED = 2 * SIGNIFICANCE
+"""Probability by chance below which a course that is not adopted is suspected. Together with the other tests of a fit, one warning is then
+given by chance in less than one of twenty fits of two outputs."""
 _SEPARABLE = 1e-3  # of a course, the part that the terms of the model cannot imitate
 _ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of computing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SuspectedDrift:
+    """A course that is not fitted, although the data do not exclude a drift that matters. output, term: place of the coefficient that it
+    affects most, and the term's name. growth: of the standard uncertainty of this coefficient if the course is fitted, infinite if the
+    segments cannot separate both. change: of this coefficient, in the unit of the fit; 0 if they cannot be separated. probability: of an
+    amplitude at least as large as the fitted one by chance; 1 if it was not tested."""
+
+    course: DriftCourse
+    output: int
+    term: int
+    name: str
+    growth: float
+    change: float = 0.0
+    probability: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FittedDrift:
     """The courses in a fit. judged: whether a drift could have been found in the data at all. without: (m, p), the coefficients of a fit
-    without drift; explained: (m,), share of the sum of squared residuals that the drift takes away. Both only if courses were adopted."""
+    without drift; explained: (m,), share of the sum of squared residuals that the drift takes away. Both only if courses were adopted.
+    suspected: only if none was adopted."""
 
     courses: tuple[DriftCourse, ...] = ()
     by_evidence: bool = False
     judged: bool = True
     without: Array | None = None
     explained: Array | None = None
+    suspected: tuple[SuspectedDrift, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,13 +97,14 @@ def sizes(magnitudes: Array, columns: Array) -> Array:
 def fitted_drift(
     matrix: Array,
     magnitudes: Array,
+    names: Sequence[str],
     drift: DriftCourses,
     noises: Sequence[WithinSegmentNoise],
     correlation: Array,
     fits: Fits,
 ) -> FittedDrift:
-    """The courses to fit. correlation: (m, m), between the noise of the outputs. fits: the fits of all outputs by the columns of some
-    matrix, with the noise and the declared effects as weights; its arguments come from `joined`.
+    """The courses to fit. names: (p,), of the terms. correlation: (m, m), between the noise of the outputs. fits: the fits of all outputs
+    by the columns of some matrix, with the noise and the declared effects as weights; its arguments come from `joined`.
     """
     if not drift.courses:
         return NOTHING_FITTED
@@ -83,6 +112,7 @@ def fitted_drift(
         return FittedDrift(drift.courses)
     chosen: tuple[DriftCourse, ...] = ()
     judged = bool(drift.shown)
+    hinted: tuple[DriftCourse, float] | None = None
     while tried := _next(matrix, magnitudes, drift, chosen, len(noises)):
         if drift.shown:
             chosen = (*chosen, tried[0])
@@ -92,16 +122,23 @@ def fitted_drift(
         found = {course.name: fits(joined(matrix, (*chosen, course))) for course in tried}
         chances = [_chance(before, found[course.name], course, noises, correlation) for course in tried]
         best = tried[int(np.argmin(chances))]
-        if min(chances) * len(tried) * drift.fits >= SIGNIFICANCE or _is_rounding(matrix, best, found[best.name]):
+        probability = min(chances) * len(tried) * drift.fits
+        if _is_rounding(matrix, best, found[best.name]):
+            break
+        if probability >= SIGNIFICANCE:
+            hinted = (best, probability)
             break
         chosen = (*chosen, best)
     if not chosen:
-        return FittedDrift(by_evidence=True, judged=judged)
+        return FittedDrift(
+            by_evidence=True, judged=judged, suspected=_suspected(matrix, magnitudes, names, drift, hinted, fits)
+        )
     if not drift.shown and any(course.order for course in chosen):
         chosen += tuple(one for one in _next(matrix, magnitudes, drift, chosen, len(noises)) if one.order)
     plain, whole = fits(matrix), fits(joined(matrix, chosen))
     if not drift.shown and not _explained(whole, noises):
-        return FittedDrift(by_evidence=True, judged=True)
+        suspected = _suspected(matrix, magnitudes, names, drift, None, fits)
+        return FittedDrift(by_evidence=True, judged=True, suspected=suspected)
     left, all_ = (np.array([one.chi_squared for one in each]) for each in (whole, plain))
     share = 1 - left / np.where(all_ > 0, all_, 1.0)
     return FittedDrift(chosen, True, True, np.array([one.coefficients for one in plain]), share)
@@ -117,15 +154,60 @@ def _next(
     missing = [course for course in allowed if course.name not in names]
     lowest = min((course.order for course in missing if course.order), default=0)
     scaled = base / sizes(magnitudes, base)
-    basis = np.linalg.svd(scaled, full_matrices=False)[0][:, : rank.look(scaled).rank]
     found = []
     for course in missing:
         left = len(matrix) - base.shape[1] - course.columns.shape[1]
-        own = course.columns - basis @ (basis.T @ course.columns)
-        separable = np.all(np.sum(own**2, axis=0) > _SEPARABLE**2 * np.sum(course.columns**2, axis=0))
-        if left >= 1 and outputs * left >= LEAST_LEFT and separable and course.order in (0, lowest):
+        enough = left >= 1 and outputs * left >= LEAST_LEFT
+        if enough and course.order in (0, lowest) and _separable(scaled, course):
             found.append(course)
     return tuple(found)
+
+
+def _separable(scaled: Array, course: DriftCourse) -> bool:
+    """Whether columns (n, P), divided by their magnitudes, do not imitate the course."""
+    basis = np.linalg.svd(scaled, full_matrices=False)[0][:, : rank.look(scaled).rank]
+    own = course.columns - basis @ (basis.T @ course.columns)
+    return bool(np.all(np.sum(own**2, axis=0) > _SEPARABLE**2 * np.sum(course.columns**2, axis=0)))
+
+
+def _suspected(
+    matrix: Array,
+    magnitudes: Array,
+    names: Sequence[str],
+    drift: DriftCourses,
+    hinted: tuple[DriftCourse, float] | None,
+    fits: Fits,
+) -> tuple[SuspectedDrift, ...]:
+    """The courses that are suspected, where none is adopted. hinted: the likeliest of the tested ones, and its probability by chance."""
+    found = []
+    for course in drift.courses:
+        probability = hinted[1] if hinted is not None and hinted[0] is course else 1.0
+        if probability >= SUSPECTED and not course.changed:
+            continue
+        one, moved = _affected(matrix, magnitudes, names, course, fits)
+        if (course.changed and one.growth >= COUPLED) or (probability < SUSPECTED and moved > 1):
+            found.append(replace(one, probability=probability))
+    return tuple(found)
+
+
+def _affected(
+    matrix: Array, magnitudes: Array, names: Sequence[str], course: DriftCourse, fits: Fits
+) -> tuple[SuspectedDrift, float]:
+    """The coefficient that a course affects most, and the largest change of a coefficient in its standard uncertainties."""
+    n, p = matrix.shape
+    before = fits(matrix)
+    spreads = np.array([np.sqrt(np.diag(one.cofactor)) for one in before])
+    if n < p + course.columns.shape[1] or not _separable(matrix / magnitudes, course):
+        gained = np.linalg.lstsq(matrix / magnitudes, course.columns, rcond=None)[0]
+        imitated = np.sum(np.abs(gained), axis=1) / magnitudes / spreads
+        k, term = np.unravel_index(int(np.argmax(imitated)), imitated.shape)
+        return SuspectedDrift(course, int(k), int(term), names[int(term)], float("inf")), 0.0
+    after = fits(joined(matrix, (course,)))
+    growth = np.array([np.sqrt(np.diag(one.cofactor)[:p]) for one in after]) / spreads
+    changes = np.array([one.coefficients[:p] - own.coefficients for one, own in zip(after, before, strict=True)])
+    k, term = np.unravel_index(int(np.argmax(growth)), growth.shape)
+    one = SuspectedDrift(course, int(k), int(term), names[int(term)], float(growth[k, term]), float(changes[k, term]))
+    return one, float(np.max(np.abs(changes) / spreads))
 
 
 def _chance(

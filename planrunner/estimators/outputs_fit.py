@@ -193,7 +193,7 @@ def fit_outputs(
     def fits(columns: Array) -> Sequence[LinearFit]:
         return weighting_of(columns, ("drift",) * (columns.shape[1] - len(names))).plain(noises)
 
-    drifting = fitted_drift(matrix, magnitudes, drift, noises, observations.correlation, fits)
+    drifting = fitted_drift(matrix, magnitudes, names, drift, noises, observations.correlation, fits)
     columns = joined(matrix, drifting.courses)
     weighting = weighting_of(columns, drifting.names)
     found = weighting.equal(noises) if equal else weighting.known(noises, basis == "residual")

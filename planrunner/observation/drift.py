@@ -60,13 +60,15 @@ def thermometer() -> str | None:
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftCourse:
     """columns: (n, r), the same course for r parts of an output, without unit of the output. per: the unit by which a fitted amplitude is
-    divided. parts: names of the parts, if there are several. order: of a course in time, otherwise 0."""
+    divided. parts: names of the parts, if there are several. order: of a course in time, otherwise 0. changed: K, by how much the recorded
+    temperature that it follows changed between segments, if that counts as a change; otherwise 0."""
 
     name: str
     per: str
     columns: Array
     order: int = 0
     parts: tuple[str, ...] = ("",)
+    changed: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,8 +136,10 @@ def drift_of(
         name = thermometer_of(_common(test if segments else ()), channel, by_evidence)
         if name is not None:
             kelvin = _temperatures(test, name)
-            if not by_evidence or np.ptp(kelvin[rows]) >= CHANGED:  # a thermometer's noise must not explain anything
-                courses += _with_temperature((start + end) / 2, kelvin, seconds)
+            changed = float(np.ptp(kelvin[rows]))
+            if not by_evidence or changed >= CHANGED:  # a thermometer's noise must not explain anything
+                found = _with_temperature((start + end) / 2, kelvin, seconds)
+                courses += [replace(one, changed=changed if changed >= CHANGED else 0.0) for one in found]
     used = [replace(one, columns=one.columns[rows]) for one in courses if one.name in names]
     if by_evidence:  # times that are not known, or a temperature that does not change, show nothing
         used = [one for one in used if np.any(one.columns)]

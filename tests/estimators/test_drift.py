@@ -132,6 +132,66 @@ def test_a_thermometer_whose_reading_hardly_changes_explains_nothing() -> None:
     assert not followed(0.01)
 
 
+def unclear(estimate: Estimate) -> list[str]:
+    """Warnings about a drift with temperature that the segments neither show nor exclude."""
+    return [text for text in estimate.warnings if "hard to distinguish from" in text]
+
+
+def test_a_temperature_that_follows_the_order_of_the_positions_is_warned_of() -> None:
+    """In the eight positions almost the whole course of the temperature looks like coefficients, so that the data show no drift."""
+    campaign, world = CAMPAIGNS["flexure_gyro_static"], WORLDS["temperature drift, recorded"]
+    for seed in range(3):
+        _, made = recorded(campaign, world, np.random.default_rng(seed))
+        assert unclear(found(campaign, world, made)) or found(campaign, world, made).tables[1].title.startswith("Drift")
+        for word in ("temperature", "none"):
+            assert not unclear(found(asking("flexure_gyro_static", word), world, made))
+    steady = World(celsius=lambda share: 20 + 0.5 * share)
+    _, made = recorded(campaign, steady, np.random.default_rng(1))
+    assert not unclear(found(campaign, steady, made))
+
+
+def test_the_warning_gives_the_growth_of_the_uncertainty() -> None:
+    """Ten rates, and a temperature that rises with the rate and a little on its own: by 1/√(1 − r²) with its correlation r."""
+    campaign = CAMPAIGNS["scale_factor"]
+    _, made = recorded(campaign, STEADY, np.random.default_rng(2))
+    rates = np.array([step.rate for step in campaign.steps])
+    for apart in (0.2, 3.0):
+        kelvin = 3 * rates / rates.std() + apart * np.resize([1.0, -1.0, -1.0, 1.0], len(rates))
+        expected = 1 / np.sqrt(1 - np.corrcoef(kelvin, rates)[0, 1] ** 2)
+        texts = unclear(found(campaign, STEADY, replace(made, celsius=20 + kelvin[made.step])))
+        assert bool(texts) == (expected >= 2)
+        assert all("rate of gyro_z" in text and f"{expected:.2g} times" in text for text in texts)
+
+
+def test_a_temperature_that_cannot_be_separated_from_a_coefficient_is_warned_of() -> None:
+    campaign = CAMPAIGNS["scale_factor"]
+    _, made = recorded(campaign, STEADY, np.random.default_rng(2))
+    rates = np.array([step.rate for step in campaign.steps])
+    [text] = unclear(found(campaign, STEADY, replace(made, celsius=20 + 0.01 * rates[made.step])))
+    assert "rate of gyro_z" in text and "cannot separate" in text
+
+
+def test_a_drift_whose_evidence_is_weak_is_warned_of_and_not_fitted() -> None:
+    """As a drift grows, the report first says nothing, then warns, and then fits it."""
+    campaign, world = CAMPAIGNS["flexure_gyro_static"], STEADY
+    _, made = recorded(campaign, world, np.random.default_rng(6))
+    course = (made.time - made.time.mean()) / np.ptp(made.time)
+
+    def said(size: float) -> str:
+        estimate = found(campaign, world, replace(made, values=made.values + size * made.mean * course[:, None]))
+        fitted = bool([table for table in estimate.tables if "Drift" in table.title])
+        assert fitted == bool([text for text in estimate.warnings if "seem to drift" in text])
+        weak = [text for text in estimate.warnings if "may drift" in text]
+        return "fitted" if fitted else "weak" if weak else "nothing"
+
+    stages = [said(size) for size in np.arange(0.0, 16.0, 0.5)]
+    assert [one for one, other in zip(stages, ["", *stages], strict=False) if one != other] == [
+        "nothing",
+        "weak",
+        "fitted",
+    ]
+
+
 def test_a_temperature_that_does_not_change_adds_nothing() -> None:
     campaign = asking("scale_factor", "temperature")
     world = World(celsius=lambda share: np.full(len(share), 23.0))

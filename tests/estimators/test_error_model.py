@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import simulated_imu as imu
-from recorded import from_means, sensor
+from recorded import from_means, from_samples, sensor
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.design.identifiability import identify
@@ -163,6 +163,20 @@ def test_it_gives_what_temperature_model_gives() -> None:
     assert ours == pytest.approx([item.value for item in named.coefficients], rel=1e-9)
     spreads = [item.standard_uncertainty for item in found.coefficients]
     assert spreads == pytest.approx([item.standard_uncertainty for item in named.coefficients], rel=1e-9)
+
+
+def test_no_drift_with_temperature_is_sought_beside_the_effect_that_the_plan_names() -> None:
+    """From 40 to 90 degC, a bias that depends on the temperature alone looks almost like one that depends on its square."""
+    draw, recorded = np.random.default_rng(6), []
+    for place, celsius in enumerate(np.arange(40.0, 95.0, 10.0)):
+        segment = replace(imu.rest("east north up", temperature=celsius + 273.15), label=f"T{place}")
+        channels = {"gz": 0.3 + 1e-3 * draw.standard_normal(500), "inside": np.full(500, celsius)}
+        time = 100.0 * place + np.arange(500) / 10
+        recorded.append(from_samples(segment, time, channels, {"gz": "deg/s", "inside": "degC"}))
+    for amplitude, asked in (("c1", False), ("c2", True)):
+        effects = {"gz": ("gyro_bias", f"gyro_bias_temperature.{amplitude}")}
+        found = estimate(recorded, effects, temperature_channel="inside", uncertainty="within_segment")
+        assert bool([text for text in found.warnings if "hard to distinguish from" in text]) == asked
 
 
 def test_it_gives_what_flexure_gyro_static_gives() -> None:

@@ -17,7 +17,7 @@ G = 9.80665  # m/s²
 class AccelBiasTemperature:
     """Bias + c·ΔT per axis, ΔT from 25 degC."""
 
-    id, stage = "accel_bias_temperature", "sensor"
+    id, stage, with_temperature = "accel_bias_temperature", "sensor", "c"
     about = About(
         "accelerometer bias depends on temperature",
         "The bias of each accelerometer changes in proportion to the temperature.",

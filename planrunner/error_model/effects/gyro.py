@@ -19,7 +19,7 @@ G = 9.80665  # m/s²
 class GyroBiasTemperature:
     """Bias + c1·ΔT + c2·ΔT² per axis, ΔT from 25 degC."""
 
-    id, stage = "gyro_bias_temperature", "sensor"
+    id, stage, with_temperature = "gyro_bias_temperature", "sensor", "c1"
     about = About(
         "gyro bias depends on temperature",
         "The bias of each gyro follows the temperature as a parabola.",

@@ -90,6 +90,14 @@ class ExplainsTurning(Effect, Protocol):
 
 
 @runtime_checkable
+class FollowsTemperature(Effect, Protocol):
+    """An effect that has an amplitude proportional to the temperature, and nothing else: the drift of a bias with temperature.
+    with_temperature: name of the amplitude, without the letter of its axis."""
+
+    with_temperature: str
+
+
+@runtime_checkable
 class NoHypothesis(Effect, Protocol):
     """An effect for simulations and estimates, which the diagnosis does not weigh unless it is named."""
 

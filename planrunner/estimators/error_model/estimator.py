@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
-from planrunner.error_model.effects.interface import ShapedOverSegments
+from planrunner.error_model.effects.interface import FollowsTemperature, ShapedOverSegments
 from planrunner.error_model.segment_columns import KINDS, SegmentStates, states_of
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import FitNote, judge, planned_basis, require_basis
@@ -51,7 +51,7 @@ from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_errors import site_errors, table_errors
 from planrunner.observation.correlated_errors import CorrelatedError, functionals_of
-from planrunner.observation.drift import drift_of
+from planrunner.observation.drift import DriftCourse, DriftCourses, drift_of
 from planrunner.observation.flicker import flicker_errors
 from planrunner.observation.observations import SIGNIFICANCE, Observations, observe, recorded_times
 from planrunner.plan.schedule import Segment
@@ -303,10 +303,23 @@ def _fitted(
     for k, (one, (whole, left)) in enumerate(zip(group.outputs, seen, strict=True)):
         effects = _of_output(acting, k)
         model = one.columns
-        fit = fit_outputs(model.matrix, left, model.magnitudes, one.names, basis, effects=effects, drift=drift)
+        own = replace(drift, courses=tuple(course for course in drift.courses if not _modelled(course, drift, one)))
+        fit = fit_outputs(model.matrix, left, model.magnitudes, one.names, basis, effects=effects, drift=own)
         require_basis(fit, basis, f"{request.name}, {one.name}")
         found.append(FittedOutput(one, whole, fit, _of_output(site, k)))
     return found
+
+
+def _modelled(course: DriftCourse, drift: DriftCourses, output: ModelledOutput) -> bool:
+    """Whether the plan names the effect of the temperature on the bias of an output, so that no drift with temperature is sought in it."""
+    return (
+        drift.by_evidence
+        and bool(course.changed)
+        and any(
+            isinstance(one.effect, FollowsTemperature) and one.name == one.effect.with_temperature
+            for one in output.columns.amplitudes
+        )
+    )
 
 
 def _of_channel(together: Observations, k: int) -> Observations:
