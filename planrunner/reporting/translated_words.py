@@ -207,6 +207,15 @@ WARNINGS = (
         "with a finer resolution."
     ),
     _(
+        "%(name)s: the drift by accelerometers is %(value)s, more than half the Earth rate. A reversed "
+        "accelerometer causes such a drift: check the signs of the accelerometers and the orientation."
+    ),
+    _(
+        "%(name)s: the drifts by gimbal angles and by accelerometers differ by %(value)s, more than their scatter "
+        "and the position uncertainty of the table explain: check the signs of the accelerometers, gimbals and rings, "
+        "and `gimbal_axes`."
+    ),
+    _(
         "%(name)s: the repeats scatter %(ratio)s times as much as their standard uncertainties allow (chance of that: "
         "%(chance)s). What changes from repeat to repeat is not in those uncertainties: use the standard deviation of "
         "the repeats."

@@ -44,6 +44,8 @@ from planrunner.estimators.flexure_gyro.tables import descriptions
 from planrunner.estimators.imu.coefficients import Response, calibration
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Setup
 from planrunner.estimators.lost_samples import lost_samples
+from planrunner.estimators.rocking.plausibility import implausible
+from planrunner.estimators.rocking.statistics import StateDrifts
 from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation
 from planrunner.instruments.models import NoiseModel
 from planrunner.plan.units import unit
@@ -215,6 +217,12 @@ def a_rocking_test(without: str = "", axes: int = 3) -> tuple[str, ...]:
     ).warnings
 
 
+def drifting(*columns: float) -> list[str]:
+    """Runs whose drifts [deg/h] are these about x and z by accelerometers, and by gimbals."""
+    scatter = 0.01 * np.random.default_rng(1).standard_normal((3, 4, 4))
+    return list(implausible([StateDrifts("vertical", (0, 2), (), np.array(columns) + scatter)], 15.0, 0.01))
+
+
 def lost(count: int) -> tuple[str, ...]:
     one = from_means(segment("R1"), {"gyro": 1.0}, "deg/h", 0.1)
     return lost_samples([replace(one, statistics=replace(one.statistics, rejected=3, largest_gap=5.0))] * count, 100.0)
@@ -248,6 +256,8 @@ WARNED: dict[str, Callable[[], Sequence[str]]] = {
     "a dead zone": a_dead_zone,
     "no channel of a gimbal": lambda: a_rocking_test("gimbal_inner"),
     "other rings": lambda: a_rocking_test(axes=2),
+    "a reversed accelerometer": lambda: drifting(20.0, 0.2, 0.2, 0.2),
+    "a reversed gimbal": lambda: drifting(0.2, 0.2, 0.2, 1.0),
     "no table": lambda: a_rocking_test(axes=0),
     "highest order": lambda: (
         temperatures.model(temperatures.given(np.arange(8.0), np.arange(8.0) ** 3, 1e-6), highest_order=2).warnings

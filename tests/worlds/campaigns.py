@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tests.worlds.felt import GRAVITY, LATITUDE, STANDARD_GRAVITY, UPWARD, Felt, Step
 from tests.worlds.navigation import figures, navigated
+from tests.worlds.platform import AMPLITUDE, FREQUENCY, PHASES, RINGS, ROCKED, SETTLE, Platform
 
 Array = NDArray[np.float64]
 
@@ -45,6 +46,7 @@ class Campaign:
     estimate: str
     device: Callable[[np.random.Generator], Device]
     declared: float = 1.0  # the unit of the bench's noise, in the channels' unit
+    without: Sequence[str] = ()  # worlds that say nothing of it
 
     @property
     def mean(self) -> Array:
@@ -65,12 +67,20 @@ TABLE = """\
 """
 
 
+_ROCKING = (
+    f"{{rock: {{amplitude: {AMPLITUDE} deg, frequency: {FREQUENCY} Hz, phases: [{', '.join(f'{one} deg' for one in PHASES)}]}}, "
+    f"for: {ROCKED} s}}"
+)
+
+
 def _plan(steps: Sequence[Step], head: str, estimates: str) -> str:
     lines = []
     for step in steps:
         axes = ", ".join(f"{name}: {word}" for name, word in zip("xyz", step.axes.split(), strict=True))
         rate = f", rate: {step.rate} deg/s" if step.rate else ""
         rate = f", motion: {_cycle(step)}" if step.moves else rate
+        rate = f", motion: {_ROCKING}" if step.rocks else rate
+        rate += f", mode: {step.mode}" if step.mode else ""
         lines.append(f"  - {{label: {step.label}, orientation: {{{axes}}}, dwell: {step.dwell} s{rate}}}")
     return "\n".join(["planrunner: 1", head, "segments:", *lines, "estimates:", estimates, ""])
 
@@ -596,6 +606,65 @@ instruments:
     )
 
 
+# Rocking of a platform -----------------------------------------------------------------------------------------------
+
+_INSTALLED = {"xz": 12.0, "xy": -8.0, "yz": 5.0, "yx": 9.0, "zy": -3.0, "zx": 14.0}  # arcsec
+_ACCEL_WHITE = 5e-6  # g/√Hz
+_ROCKING_STEPS = tuple(
+    step
+    for axes, state in zip(RINGS, ("vertical", "horizontal"), strict=True)
+    for repeat in (1, 2, 3)
+    for name in ("static-1", "dynamic-1", "dynamic-2", "static-2")
+    for step in (
+        Step(f"{state}{repeat}-cage-{name}", axes, 10.0, mode="caged"),
+        Step(f"{state}{repeat}-{name}", axes, 600.0, mode="navigation", rocks=name.startswith("dynamic")),
+    )
+)
+
+
+def _rocking(azimuth: str) -> Campaign:
+    angles = ", ".join(f"{name}: {value} arcsec ± 2 arcsec" for name, value in _INSTALLED.items())
+    return Campaign(
+        _plan(
+            _ROCKING_STEPS,
+            "title: rocking\nsensor: {kind: stabilised-platform, outputs: [accel_x, accel_y, accel_z]}\n"
+            f"defaults: {{settle: {SETTLE} s}}",
+            f'  rocking: {{estimator: rocking_drift, segments: "*", azimuth: {azimuth}, installation_angles: {{{angles}}}}}',
+        ),
+        f"""planrunner_bench: 1
+name: world
+clock: virtual
+{SITE}
+safe_order: [table, platform]
+instruments:
+  table:
+    driver: virtual_table
+    axes:
+      - {{{{name: outer, direction: north, max_rate: 60 deg/s, max_acceleration: 100 deg/s^2}}}}
+      - {{{{name: middle, direction: east, max_rate: 60 deg/s, max_acceleration: 100 deg/s^2}}}}
+      - {{{{name: inner, direction: up, max_rate: 60 deg/s, max_acceleration: 100 deg/s^2}}}}
+    position_uncertainty: 15 arcsec
+  platform:
+    driver: virtual_platform
+    sample_rate: 3 Hz
+    accelerometers: {{{{white_noise: 5 ug*sqrt(s)}}}}
+""",
+        _ROCKING_STEPS,
+        3.0,
+        {f"accel_{axis}": "g" for axis in "xyz"}
+        | {f"{body}_{ring}": "deg" for body in ("gimbal", "table") for ring in ("outer", "middle", "inner")},
+        np.concatenate([_ACCEL_WHITE * np.sqrt(3.0) * np.ones(3), np.full(3, 1 / 3600), np.full(3, 0.4 / 3600)]),
+        "rocking",
+        partial(Platform, steps=_ROCKING_STEPS, installation=tuple(_INSTALLED.values())),
+        without=(
+            "flicker, declared",
+            "positions 5 arcsec, stated",
+            "rates 10 ppm, stated",
+            "counts of 5 times the noise",
+        ),
+    )
+
+
 CAMPAIGNS: Mapping[str, Campaign] = {
     "flexure_gyro_static": EIGHT_POSITIONS,
     "scale_factor": RATES,
@@ -607,4 +676,6 @@ CAMPAIGNS: Mapping[str, Campaign] = {
     "allan_deviation": RESTING,
     "strapdown_navigation at rest": _navigation(_AT_REST),
     "strapdown_navigation from stop to stop": _navigation(_CARRIED_ROUND),
+    "rocking_drift": _rocking("encoders"),
+    "rocking_drift, nominal azimuth": _rocking("nominal"),
 }

@@ -29,7 +29,8 @@ UPWARD = EARTH * np.sin(np.radians(LATITUDE))
 @dataclass(frozen=True)
 class Step:
     """axes: where the sensor's x, y and z point when the table stands at its home angle. dwell: s recorded; pause: s before it; rate:
-    deg/s, positive about up. moves: deg, turns about up, over and over again, each after a stop of `stop` s, at `rate` deg/s."""
+    deg/s, positive about up. moves: deg, turns about up, over and over again, each after a stop of `stop` s, at `rate` deg/s. mode: of a
+    platform; rocks: whether the base of a platform rocks, which only its gimbals and rings show."""
 
     label: str
     axes: str
@@ -38,6 +39,8 @@ class Step:
     pause: float = 30.0
     moves: tuple[float, ...] = ()
     stop: float = 0.0
+    mode: str = ""
+    rocks: bool = False
 
     def angle(self, time: Array) -> Array:
         """Of the table, rad, some seconds since the step began."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,13 @@ from tests.worlds.faults import WORLDS, Recorded, flicker
 from tests.worlds.felt import Step, felt, starts, turn
 
 HERE = Path(__file__).parent
+COARSE = "counts of 5 times the noise"
+COUNTED = [name for name, one in CAMPAIGNS.items() if COARSE not in one.without and "from stop to stop" not in name]
+"""One navigation is enough."""
 
 
 def test_worlds_import_nothing_of_planrunner() -> None:
-    for name in ("felt", "faults", "navigation", "campaigns"):
+    for name in ("felt", "faults", "navigation", "platform", "campaigns"):
         tree = ast.parse((HERE / f"{name}.py").read_text(encoding="utf-8"))
         imported = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
         imported += [item.name for node in ast.walk(tree) if isinstance(node, ast.Import) for item in node.names]
@@ -77,11 +81,11 @@ def test_uncertainty_from_within_turning_segments_is_that_of_the_noise() -> None
     assert np.mean(np.square(errors)) == pytest.approx(1.0, abs=4 / 6)
 
 
-@pytest.mark.parametrize("estimator", [name for name in CAMPAIGNS if "from stop to stop" not in name])
+@pytest.mark.parametrize("estimator", COUNTED)
 def test_counts_larger_than_the_noise_are_warned_of(estimator: str) -> None:
     """Equal inputs have equal rounding errors, which no scatter shows; noise of half a count averages them out."""
     campaign = CAMPAIGNS[estimator]
-    for name, warned in (("counts of 5 times the noise", True), ("white noise", False)):
+    for name, warned in ((COARSE, True), ("white noise", False)):
         world = WORLDS[name]
         _, made = recorded(campaign, world, np.random.default_rng(4))
         one = estimated(campaign, known(campaign, world), made)
@@ -113,5 +117,18 @@ def test_a_reversed_channel_is_reported_by_every_estimator_that_has_a_scale_fact
     one = estimated(campaign, known(campaign, world), made)
     if isinstance(one, str):  # a navigation cannot begin
         assert "strapdown" in estimator and ("gyros" in one or "accelerometers" in one)
+    elif "rocking" in estimator:
+        assert [text for text in one.warnings if "check the signs" in text]
     else:
         assert [text for text in one.warnings if "opposite sign" in text]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("channel", CAMPAIGNS["rocking_drift"].channels)
+def test_each_reversed_channel_of_a_platform_is_reported(channel: str) -> None:
+    """It hardly shows in rocking drifts, which are differences of runs."""
+    campaign, world = CAMPAIGNS["rocking_drift"], WORLDS["white noise"]
+    _, made = recorded(campaign, world, np.random.default_rng(5))
+    values = made.values * np.where([name == channel for name in campaign.channels], -1, 1)
+    one = estimated(campaign, known(campaign, world), replace(made, values=values))
+    assert "check" in one if isinstance(one, str) else [text for text in one.warnings if "check the signs" in text]

@@ -30,6 +30,7 @@ from planrunner.estimators.rocking.angle_curves import curve_plots, drift_curves
 from planrunner.estimators.rocking.checks import count_in_words, count_seconds, remarks, span
 from planrunner.estimators.rocking.influences import DEG_PER_HOUR, conditions_of, drifts_of, influences_of
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
+from planrunner.estimators.rocking.plausibility import implausible
 from planrunner.estimators.rocking.report import (
     before_rocking_table,
     comparison,
@@ -105,6 +106,8 @@ class RockingDrift:
         combined = combine(states)
         pairings = pair(states, parameters.pairings, parameters.pairing_seed) if encoders else []
         seconds = reduced[0][0][0].seconds
+        earth_rate = request.site.earth_rate * DEG_PER_HOUR
+        ring_error = math.sqrt(2) * request.setup.table.position_uncertainty if request.setup.table else 0.0
         curves = drift_curves(reduced, recorded, conditions, parameters)
         coefficients = tuple(_coefficient(combined, m) for m in range(len(combined.axes)))
         return Estimate(
@@ -123,7 +126,7 @@ class RockingDrift:
             ),
             plots=(*pair_plots(pairings), *curve_plots(curves)),
             notes=_notes(request, states, pairings, seconds),
-            warnings=(why,) if why else (),
+            warnings=(*((why,) if why else ()), *implausible(states, earth_rate, ring_error / seconds * DEG_PER_HOUR)),
             segments=tuple(run.label for run in runs),
             extra=_extra(states, pairings, reduced),
             influences=influences_of(reduced, combined, conditions, request),

@@ -1,0 +1,50 @@
+"""Warnings about drifts of single runs that no platform has: a reversed channel falsifies them, and hardly shows in their differences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.rocking.runs import WORDS
+from planrunner.estimators.rocking.statistics import AXES, StateDrifts
+from planrunner.observation.observations import SIGNIFICANCE
+
+Array = NDArray[np.float64]
+
+
+def implausible(states: Sequence[StateDrifts], earth_rate: float, stated: float) -> Iterator[str]:
+    """Sentences about runs whose drift is that of the Earth, or differs between the two methods.
+
+    earth_rate: deg/h. stated: standard uncertainty [deg/h] of a difference between the methods from declared errors of the rings.
+    """
+    tests = sum(2 * len(state.level) for state in states)
+    for state in states:
+        for dynamic, drifts in zip((False, True), state.runs, strict=True):
+            for place, axis in enumerate(state.level):
+                name = f"{WORDS[dynamic]} runs, {state.name}, {AXES[axis]}"
+                mean = float(np.mean(drifts[:, place]))
+                if abs(mean) > earth_rate / 2:
+                    yield (
+                        f"{name}: the drift by accelerometers is {mean:.3g} deg/h, more than half the Earth rate. A reversed accelerometer "
+                        "causes such a drift: check the signs of the accelerometers and the orientation."
+                    )
+                elif drifts.shape[1] > 2:
+                    difference = drifts[:, place + 2] - drifts[:, place]
+                    if _differs(difference, stated, SIGNIFICANCE / tests):
+                        yield (
+                            f"{name}: the drifts by gimbal angles and by accelerometers differ by {np.mean(difference):.3g} deg/h, more "
+                            "than their scatter and the position uncertainty of the table explain: check the signs of the accelerometers, "
+                            "gimbals and rings, and `gimbal_axes`."
+                        )
+
+
+def _differs(difference: Array, stated: float, level: float) -> bool:
+    """Student's t-test of a mean (n,) against zero."""
+    from scipy.special import stdtrit
+
+    count = len(difference)
+    spread = math.hypot(float(np.std(difference, ddof=1)) / math.sqrt(count), stated)
+    return abs(float(np.mean(difference))) > float(stdtrit(count - 1, 1 - level / 2)) * spread
