@@ -7,6 +7,7 @@ each other, but this does not validate either; recordings from other sources do.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,7 +20,10 @@ from planrunner.base.findings import InputError, Mark, closest
 from planrunner.error_model.effects.interface import (
     ActsOnNoise,
     Column,
+    Curved,
     Effect,
+    HasShape,
+    InEveryWorld,
     NoiseKind,
     PerOrientation,
     Shaped,
@@ -37,7 +41,15 @@ NOISE: dict[NoiseKind, tuple[str, str]] = {
     "resolution": ("count", "deg/s"),
     "random walk": ("density", "deg/s/sqrt(s)"),
 }
-"""Noise effects: their only parameter and its unit. White noise and counts replace those of the sensor."""
+"""Noise effects: their parameter and its unit. White noise and counts replace those of the sensor."""
+BY_AXIS: dict[NoiseKind, str] = {"white": "white", "resolution": "count"}
+"""Noise effects whose parameter may also be stated for single axes, as a diagnosis finds it: `white_x`, `count_z`. Axes that are not named
+keep the noise of the sensor."""
+SHARE = "share"
+"""Parameter of an effect that is fully determined by its shape: the share of it that acts, 1 if it is not stated."""
+_OF_ORIENTATION = re.compile(r"orientation_[1-9][0-9]{0,3}_[xyz]")
+SIZE = "size"
+"""Parameter of an effect that is drawn for every orientation: its standard deviation."""
 _UNUSUAL = 3.0  # multiple of the declared noise, by default
 _WALK = 1e-4  # deg/s/√s, by default
 
@@ -75,26 +87,45 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
         raise InputError.at(mark, "effect-unknown", f"no effect '{name}' is installed", hint)
     effect = plugins.load(plugins.EFFECTS, name)()
     known = {parameter.name: parameter for parameter in parameters(effect, observed)}
+    further = {parameter.name: parameter for parameter in _optional(effect, known, observed, stated)}
     if not known:
         hint = "look at the sensor's outputs, the plan's motions and the site's magnetic_field"
         raise InputError.at(mark, "effect-cannot-act", f"'{name}' cannot act on this sensor under this plan", hint)
-    shape = effect.shape_name if isinstance(effect, Shaped) else None
-    named = any(key not in ("", shape) for key in stated)
+    shape = effect.shape_name if isinstance(effect, HasShape) else None
+    named = any(key not in ("", shape, SHARE) for key in stated)
     values = {one.name: 0.0 if named and one.name != shape else one.natural for one in known.values()}
+    if isinstance(effect, ActsOnNoise) and any(key in further for key in stated):
+        values = {}
     for key, text in stated.items():
         amplitudes = [one for one in known if one != shape] or list(known)
         for one in [key] if key else amplitudes:
-            if one not in known:
+            if one not in known and one not in further:
                 message = f"'{name}' has no parameter '{key}'"
-                raise InputError.at(mark, "effect-parameter", message, closest(key, known))
-            values[one] = _value(text, known[one], name, mark)
-    return Addition(effect, values, {one.name: one.unit for one in known.values()})
+                raise InputError.at(mark, "effect-parameter", message, closest(key, known | further))
+            values[one] = _value(text, (known | further)[one], name, mark)
+    known |= further
+    return Addition(effect, values, {one: known[one].unit for one in values})
+
+
+def _optional(
+    effect: Effect, known: Mapping[str, EffectParameter], observed: Observed, stated: Mapping[str, str]
+) -> list[EffectParameter]:
+    """Parameters that a diagnosis may find, and that have no natural value: they act only if they are stated."""
+    if isinstance(effect, ActsOnNoise) and effect.noise in BY_AXIS:
+        (whole,) = known.values() or (None,)
+        axes = sorted({observed.channels[index].axis for index in observed.of_kind("gyro")})
+        return [] if whole is None else [replace(whole, name=f"{BY_AXIS[effect.noise]}_{'xyz'[axis]}") for axis in axes]
+    if isinstance(effect, PerOrientation) and known:
+        return [replace(known[SIZE], name=key) for key in stated if _OF_ORIENTATION.fullmatch(key)]
+    if isinstance(effect, Shaped) and set(known) == {effect.shape_name}:
+        return [EffectParameter(SHARE, "1", 1.0)]
+    return []
 
 
 def _value(text: str, parameter: EffectParameter, effect: str, mark: Mark) -> float:
     """A number in the parameter's unit, from a text with this unit, another unit of the same dimension, or no unit."""
     number, _, given = text.strip().partition(" ")
-    wanted = parameter.unit
+    wanted = "" if parameter.unit == "1" else parameter.unit
     hint = f"write a number, or a number with a unit such as '{parameter.natural:g} {wanted}'"
     try:
         if given.strip() in ("", wanted):
@@ -130,49 +161,66 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
     variants = effect.variants(observed)
     if not variants:
         return []
-    middle: Variant = variants[len(variants) // 2]
-    if isinstance(effect, Shaped) and middle.shape is not None:
+    middle: Variant = variants[len(variants) // 2 if isinstance(effect, Shaped) else 0]
+    if isinstance(effect, HasShape) and middle.shape is not None:
         found.append(EffectParameter(effect.shape_name, effect.shape_unit, middle.shape))
     if isinstance(effect, PerOrientation):
         column = middle.columns[0]
-        return [*found, EffectParameter("size", column.unit, column.magnitude / column.factor)]
-    if not is_whole(middle.columns):
+        return [*found, EffectParameter(SIZE, column.unit, column.magnitude / column.factor)]
+    if not is_whole(middle.columns) or not found:
         found += [
             EffectParameter(column.name, column.unit, column.magnitude / column.factor) for column in middle.columns
         ]
     return found
 
 
-def added(observed: Observed, levels: Array, additions: Sequence[Addition], seed: int) -> Array:
-    """Outputs without noise (N, K), SI, with the effects, stage by stage. seed: for the values drawn for each orientation."""
+def added(
+    observed: Observed, levels: Array, additions: Sequence[Addition], seed: int, orientation: int | None = None
+) -> Array:
+    """Outputs without noise (N, K), SI, with the effects, stage by stage.
+
+    seed, orientation: of one segment: for the values drawn for each orientation, and the number of its orientation, from 1 in the order of
+    first use. Of several segments, orientations have only the values stated for them.
+    """
     out = levels.copy()
     for stage in STAGES[:-1]:
         seen = replace(observed, fitted=out.copy())
         for item in additions:
             if item.effect.stage == stage:
-                for column, amplitude in _amplitudes(item, seen, seed):
+                for column, amplitude in _amplitudes(item, seen, seed, orientation):
                     here = 1.0 if column.segments is None else column.segments[seen.owner]
                     for channel, part in column.parts.items():
                         out[:, channel] += amplitude * part * here
     return out
 
 
-def _amplitudes(item: Addition, observed: Observed, seed: int) -> list[tuple[Column, float]]:
+def _amplitudes(item: Addition, observed: Observed, seed: int, orientation: int | None) -> list[tuple[Column, float]]:
     """Columns with their amplitudes in SI."""
-    effect = item.effect
+    effect, values = item.effect, item.values
+    if isinstance(effect, PerOrientation) and len(observed) == 1:
+        return _each_orientation(item, observed, seed, orientation)
     if isinstance(effect, PerOrientation):
-        return _each_orientation(item, observed, seed)
+        listed = [column for variant in effect.variants(observed) for column in variant.columns]
+        return [(column, values.get(column.name, 0.0) * column.factor) for column in listed]
     if isinstance(effect, Shaped):
-        columns = effect.at(observed, item.values[effect.shape_name]).columns if len(effect.grid(observed)) else ()
+        columns = effect.at(observed, values[effect.shape_name]).columns if len(effect.grid(observed)) else ()
     else:
-        columns = next((variant.columns for variant in effect.variants(observed)), ())
+        variants = effect.variants(observed)
+        shape = values[effect.shape_name] if isinstance(effect, HasShape) else 0.0
+        columns = min(variants, key=lambda one: abs((one.shape or 0.0) - shape)).columns if variants else ()
     if is_whole(columns):
-        return [(columns[0], 1.0)]
-    return [(column, item.values[column.name] * column.factor) for column in columns]
+        return [(columns[0], values.get(SHARE, 1.0) - isinstance(effect, InEveryWorld))]
+    if columns and isinstance(effect, Curved):
+        sizes = np.array([values[column.name] * column.factor for column in columns])
+        columns = effect.around(observed, sizes)[0].columns
+    return [(column, values[column.name] * column.factor) for column in columns]
 
 
-def _each_orientation(item: Addition, observed: Observed, seed: int) -> list[tuple[Column, float]]:
-    """Amplitudes of the orientations, drawn from the seed and the orientation, so that an orientation always has the same ones."""
+def _each_orientation(
+    item: Addition, observed: Observed, seed: int, orientation: int | None
+) -> list[tuple[Column, float]]:
+    """Amplitudes of the orientation of one segment: those stated for its number, and those drawn from the seed and the orientation, so that
+    an orientation always has the same ones."""
     (variant,) = item.effect.variants(_among_others(observed))
     found = []
     for column in variant.columns:
@@ -180,8 +228,10 @@ def _each_orientation(item: Addition, observed: Observed, seed: int) -> list[tup
         if column.axis is not None and column.segments is not None and column.segments[0]:
             place = np.rint(observed.attitude[0].ravel() * 1e6).astype(np.int64).view(np.uint32).tolist()
             drawn = float(np.random.default_rng([seed, column.axis, *place]).standard_normal())
+            stated = item.values.get(f"orientation_{orientation}_{'xyz'[column.axis]}", 0.0)
             parts = {channel: part[: len(observed.time)] for channel, part in column.parts.items()}
-            found.append((replace(column, parts=parts, segments=None), item.values["size"] * column.factor * drawn))
+            amplitude = (item.values[SIZE] * drawn + stated) * column.factor
+            found.append((replace(column, parts=parts, segments=None), amplitude))
     return found
 
 

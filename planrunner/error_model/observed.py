@@ -271,6 +271,11 @@ class Observed:
         return [index for index, channel in enumerate(self.channels) if channel.kind == kind]
 
 
+def orientation_key(attitude: Array) -> tuple[float, ...]:
+    """An attitude (3, 3) as a key: equal orientations have equal keys despite rounding."""
+    return tuple((np.round(attitude, 6) + 0.0).ravel().tolist())
+
+
 REFERENCE_TEMPERATURE = 25.0  # degC
 
 

@@ -25,16 +25,28 @@ from planrunner.instruments.virtual.added import Gives, Moments
 from planrunner.instruments.virtual.noise import RandomWalk, generator
 from planrunner.instruments.virtual.world import World
 from planrunner.plan.kinds import MapOf, Record, Text, key
+from planrunner.plan.schedule import Segment
 from planrunner.plan.units import ZERO_CELSIUS, unit
 
 if TYPE_CHECKING:
     from planrunner.error_model.added import Addition
+    from planrunner.error_model.effects.interface import NoiseKind
     from planrunner.error_model.observed import Observed
 
 Array = NDArray[np.float64]
 NAME = r"[a-z][a-z0-9_]{0,59}"
 _CHANGED = 1.0  # K between segments: less is no change of temperature
 _WALKS = 2  # second part of a generator's key: different from those of segments and of switching on
+
+
+def _of_axis(item: Addition, kind: NoiseKind, output: str) -> float | None:
+    """The value of a noise effect for an output; None if the effect leaves this output alone."""
+    from planrunner.error_model.added import BY_AXIS, NOISE
+    from planrunner.error_model.observed import axis_of
+
+    axis = axis_of(output)
+    own = None if axis is None else item.values.get(f"{BY_AXIS[kind]}_{'xyz'[axis]}")
+    return own if own is not None else item.values.get(NOISE[kind][0])
 
 
 class AddedEffectsParameters(Record):
@@ -62,6 +74,7 @@ class AddedEffects:
         self.before: float | None = None  # degC, of the segment before
         self.change = 0.0
         self.segment = -1
+        self.orientations: list[tuple[float, ...]] = []  # in the order of first use
 
     @classmethod
     def connect(cls, parameters: AddedEffectsParameters, surroundings: Surroundings) -> AddedEffects:
@@ -81,7 +94,8 @@ class AddedEffects:
         additions = self._known(observed)
         channels = observed.channels
         si = np.column_stack([levels[channel.name] * channel.factor for channel in channels])
-        changed = added(observed, si, additions, self.world.seed) + self._walked(moments, observed)
+        number = self._number(moments.segment)
+        changed = added(observed, si, additions, self.world.seed, number) + self._walked(moments, observed)
         return {**levels, **{c.name: changed[:, i] / c.factor for i, c in enumerate(channels)}}
 
     def noise(self, output: str, gives: Gives) -> Gives:
@@ -90,7 +104,9 @@ class AddedEffects:
         for item in self.additions:
             kind = item.effect.noise if isinstance(item.effect, ActsOnNoise) else None
             if kind in ("white", "resolution") and unit(gives.unit).dimension == unit("rad/s").dimension:
-                (value,) = item.values.values()
+                value = _of_axis(item, kind, output)
+                if value is None:
+                    continue
                 value *= unit("deg/s").factor / unit(gives.unit).factor
                 gives = replace(gives, white=value) if kind == "white" else replace(gives, step=value)
         return gives
@@ -117,11 +133,13 @@ class AddedEffects:
         return {
             "before": self.before,
             "change": self.change,
+            "orientations": [list(place) for place in self.orientations],
             "walks": {name: walk.checkpoint() for name, walk in self.walks.items()},
         }
 
     def restore(self, state: Mapping[str, Json]) -> None:
         self.before, self.change = state["before"], float(state["change"])
+        self.orientations = [tuple(map(float, place)) for place in state.get("orientations", ())]
         for name, walk in state["walks"].items():
             self.walks[name] = RandomWalk(0.0)
             self.walks[name].restore(**walk)
@@ -172,6 +190,15 @@ class AddedEffects:
             self.change,
         )
         return joined(self.world.site, channels, [part], magnetic=self.world.site.magnetic_field)
+
+    def _number(self, segment: Segment) -> int:
+        """Number of the segment's orientation, from 1 in the order of first use."""
+        from planrunner.error_model.observed import orientation_key
+
+        place = orientation_key(np.array(segment.attitude))
+        if place not in self.orientations:
+            self.orientations.append(place)
+        return self.orientations.index(place) + 1
 
     def _note_temperature(self, index: int, warm: Array) -> None:
         """Follows the sign of the last change of temperature from segment to segment."""

@@ -5,21 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 import yaml
 
 from planrunner.base import plugins
 from planrunner.base.findings import InputError, Mark
+from planrunner.error_model.effects.interface import PerOrientation
+from planrunner.error_model.observed import orientation_key
 from planrunner.plan import source
 from planrunner.plan.rewriting import appended
-from planrunner.plan.schedule import Rest, Spin
-from planrunner.tasks.check import Checked, Document, check_plan
+from planrunner.plan.schedule import Rest, Segment, Spin
+from planrunner.tasks.check import Checked, Document, Sound, check_plan
 from planrunner.tasks.simulate import additions_to, check_virtual, with_effects
 
 if TYPE_CHECKING:
     from planrunner.error_model.effects.interface import Effect
     from planrunner.error_model.observed import Observed
-    from planrunner.tasks.diagnose import Diagnosed
+    from planrunner.tasks.diagnose import Diagnosed, Recorded
 
+Orientation = tuple[float, ...]
 ESTIMATE = "diagnosed"
 """Name of the estimate in the plan; a number follows where the plan has one already."""
 
@@ -52,18 +56,45 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
 def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:
     """The text of a bench with the named effects at the sizes found. simulation: a virtual bench, by name or file; by default that of the
     recording. Raises `InputError` if it cannot simulate them."""
-    named, sound = made.diagnosis.verdict.effects, made.recorded.sound
+    base = simulated_by(made.recorded, simulation)
+    shown = base.bench.origin.mark.file
+    listed = additions_to(base, stated_effects(made, base.schedule.segments), Mark(made.recorded.where))
+    return with_effects(source.decode(base.bench_bytes, shown), listed)
+
+
+def simulated_by(recorded: Recorded, simulation: str | None = None) -> Sound:
+    """The plan of a recording on a virtual bench. simulation: the bench, by name or file; by default that of the recording. Raises
+    `InputError` if the bench simulates nothing or cannot run the plan."""
+    sound = recorded.sound
     if simulation is not None:
         sound = check_plan(Document(sound.plan_bytes, sound.file), simulation).sound()
     check_virtual(sound)
-    mark = Mark(made.recorded.where)
-    stated: list[tuple[str, Mapping[str, str]]] = []
-    for name in named:
-        found = [one for one in made.diagnosis.parameters if one.effect == name]
-        values = {one.name: f"{one.value:.9g} {one.unit}" for one in found}
+    return sound
+
+
+def stated_effects(made: Diagnosed, segments: Sequence[Segment]) -> list[tuple[str, dict[str, str]]]:
+    """The named effects with their parameters as texts. segments: of the simulation, whose orientations are numbered in the order of first
+    use; the diagnosis numbers those of its own segments."""
+    observed = made.diagnosis.grounds.weighing.observed
+    seen = list(dict.fromkeys(map(orientation_key, observed.attitude)))
+    planned = list(dict.fromkeys(orientation_key(np.array(s.attitude)) for s in segments if s.attitude is not None))
+    stated: list[tuple[str, dict[str, str]]] = []
+    for name in made.diagnosis.verdict.effects:
+        each = isinstance(_loaded(name), PerOrientation)
+        values = {}
+        for one in made.diagnosis.parameters:
+            if one.effect == name:
+                key = _renumbered(one.name, seen, planned) if each else one.name
+                values[key] = f"{one.value:.9g}" + ("" if one.unit == "1" else f" {one.unit}")
         stated.append((name, values))
-    shown = sound.bench.origin.mark.file
-    return with_effects(source.decode(sound.bench_bytes, shown), additions_to(sound, stated, mark))
+    return stated
+
+
+def _renumbered(name: str, seen: Sequence[Orientation], planned: Sequence[Orientation]) -> str:
+    """`orientation_3_x` with the number that the orientation has among the planned ones."""
+    word, number, axis = name.split("_")
+    place = seen[int(number) - 1]
+    return name if place not in planned else f"{word}_{planned.index(place) + 1}_{axis}"
 
 
 def _loaded(name: str) -> Effect:

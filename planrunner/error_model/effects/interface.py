@@ -126,6 +126,14 @@ class HasShape(Effect, Protocol):
     """An effect with several variants: its shape, a time constant or a number per turn, is a parameter in addition to the amplitudes."""
 
     shape_name: str
+    shape_unit: str
+
+
+@runtime_checkable
+class InEveryWorld(Effect, Protocol):
+    """An effect that every simulated world contains: adding it with the share 1 changes nothing, with 0 removes it."""
+
+    in_every_world: Literal[True]
 
 
 @runtime_checkable
@@ -162,7 +170,6 @@ class ShapedOverSegments(HasShape, Protocol):
     """An effect with one shape parameter that the means of segments show, because it lasts longer than a segment."""
 
     over_segments: Literal[True]
-    shape_unit: str
 
     def grid(self, observed: Observed) -> Array: ...
 

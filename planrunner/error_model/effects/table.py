@@ -6,7 +6,7 @@ import numpy as np
 
 from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Array, Column, Variant, on_stimulus, single
-from planrunner.error_model.observed import Observed
+from planrunner.error_model.observed import Observed, orientation_key
 from planrunner.plan.schedule import Rest
 
 ARCSEC = np.pi / 180 / 3600
@@ -86,7 +86,7 @@ class TablePositionError:
     )
 
     def variants(self, observed: Observed) -> list[Variant]:
-        keys = [tuple(np.round(attitude, 6).ravel() + 0.0) for attitude in observed.attitude]
+        keys = [orientation_key(attitude) for attitude in observed.attitude]
         distinct = list(dict.fromkeys(keys))
         if len(distinct) < 4:
             return []

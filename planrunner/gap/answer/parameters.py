@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planrunner.error_model.effects.interface import ActsOnNoise, Shaped
+from planrunner.error_model.effects.interface import ActsOnNoise, HasShape, Shaped
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 
 
@@ -40,6 +40,11 @@ def amplitudes(effect: str, weighed: Weighed, columns: slice = slice(None)) -> l
 def shape(candidate: Candidate) -> list[ParameterEstimate]:
     """The shape, with its uncertainty from the evidence over the evaluated values."""
     effect = candidate.effect
+    if isinstance(effect, HasShape) and not isinstance(effect, Shaped) and candidate.best.variant.shape is not None:
+        # One of a few numbers, of which the amplitudes belong to the best.
+        return [
+            ParameterEstimate(candidate.id, effect.shape_name, candidate.best.variant.shape, effect.shape_unit, 0.0)
+        ]
     values = np.array([item.variant.shape for item in candidate.variants if item.variant.shape is not None])
     if not len(values) or not isinstance(effect, Shaped):
         return []

@@ -1,0 +1,206 @@
+"""From a finding to the simulation: every effect, with the parameters that a diagnosis states, is in the simulation at the stated size.
+
+The oracle is a least-squares fit of the effect's columns to the difference of two simulations with the same noise.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planrunner.base import plugins
+from planrunner.base.findings import Mark
+from planrunner.error_model.added import NOISE, parameters
+from planrunner.error_model.effects.interface import (
+    ActsOnNoise,
+    Curved,
+    Effect,
+    HasShape,
+    PerOrientation,
+    Shaped,
+    is_whole,
+)
+from planrunner.error_model.observed import Observed
+from planrunner.error_model.scheduled import everything
+from planrunner.execution.stopping import StopRequest
+from planrunner.plan import source
+from planrunner.tasks import run as running
+from planrunner.tasks.check import Document, Sound, check_plan
+from planrunner.tasks.diagnose import observe, recorded_run
+from planrunner.tasks.simulate import additions_to, with_effects
+
+PLAN = b"""
+planrunner: 1
+title: A little of everything
+bench: virtual_imu_nominal
+sensor: {kind: imu, outputs: [gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]}
+defaults: {settle: 1 s, dwell: 4 s}
+segments:
+  - for_each:
+      orientation:
+        P1: &x {x: up, y: north, z: west}
+        P2: {x: down, y: north, z: east}
+        P3: &y {x: north, y: up, z: east}
+        P4: {x: south, y: down, z: east}
+        P5: &z {x: east, y: north, z: up}
+        P6: {x: west, y: north, z: down}
+  - {orientation: *x, for_each: {rate: "\xc2\xb160 deg/s, 90 deg/s"}, label: "X{rate}"}
+  - {orientation: *y, for_each: {rate: "\xc2\xb160 deg/s, 90 deg/s"}, label: "Y{rate}"}
+  - {orientation: *z, for_each: {rate: "\xc2\xb160 deg/s, 90 deg/s"}, label: "Z{rate}"}
+  - {orientation: *z, motion: {rock: {amplitude: 5 deg, frequency: 1 Hz}}, label: K}
+  - {orientation: {from: {x: up, y: north, z: west}, rotate: [y 40 deg, x 30 deg]}, label: O}
+  - {orientation: *x, temperature: 45 degC, soak: 2 min, label: W}
+  - {orientation: *x, temperature: 45 degC, rate: 60 deg/s, label: WX}
+  - {orientation: *y, temperature: 45 degC, rate: 60 deg/s, label: WY}
+  - {orientation: *z, temperature: 45 degC, rate: 60 deg/s, label: WZ}
+  - {orientation: *y, temperature: {ramp_to: 48 degC}, dwell: 2 min, label: R}
+  - {orientation: *z, temperature: 20 degC, soak: 2 min, label: C}
+"""
+NOT_POSSIBLE_BEFORE = [
+    "earth_rate",
+    "table_position_error",
+    "gyro_noise_excess",
+    "gyro_quantization",
+    "table_rate_ripple",
+]
+OTHERS = sorted(set(plugins.names(plugins.EFFECTS)) - {*NOT_POSSIBLE_BEFORE})
+LARGER = {
+    "accel_cross_coupling": 10.0,
+    "accel_magnetic_sensitivity": 10.0,
+    "gyro_bias_drift": 300.0,
+    "site_latitude": 30.0,
+    "table_azimuth": 400.0,
+}
+"""Factors for effects that are small against a count in this short plan."""
+BENCH = "virtual_imu_nominal"
+
+
+def _simulated(bench: bytes, folder: Path) -> Observed:
+    sound = check_plan(Document(PLAN, "plan.yaml"), Document(bench, "bench.yaml")).sound()
+    run, outcome = running.start(sound, info={}, runs=folder, stop=StopRequest(), durability="flushed", seed=5)
+    assert outcome.ok
+    return observe(recorded_run(run))[0]
+
+
+@pytest.fixture(scope="module")
+def sound() -> Sound:
+    return check_plan(Document(PLAN, "plan.yaml"), BENCH).sound()
+
+
+@pytest.fixture(scope="module")
+def without(sound: Sound, tmp_path_factory: pytest.TempPathFactory) -> Observed:
+    return _simulated(sound.bench_bytes, tmp_path_factory.mktemp("without"))
+
+
+def _stated(effect: Effect, observed: Observed) -> dict[str, tuple[float, str]]:
+    """Parameters by the names that a diagnosis gives them, none of natural size: value and unit."""
+    if isinstance(effect, ActsOnNoise):
+        unit = NOISE[effect.noise][1]
+        names = {"white": "white_{}", "resolution": "count_{}"}.get(effect.noise)
+        if names is None:
+            return {"density": (0.01, unit)}
+        return {names.format(axis): (0.005 * (place + 1), unit) for place, axis in enumerate("xyz")}
+    found = {one.name: (one.natural, one.unit) for one in parameters(effect, observed)}
+    shape = effect.shape_name if isinstance(effect, HasShape) else ""
+    if isinstance(effect, PerOrientation):
+        found = {}
+        for number in range(1, 8):
+            found |= {f"orientation_{number}_{axis}": (20.0 * number - 75.0, "arcsec") for axis in "xyz"}
+    elif effect.id == "earth_rate":
+        found = {"share": (300.0, "1")}
+    elif effect.id == "table_rate_ripple":
+        found["n"] = (2.0, "per turn")
+    elif effect.id == "gyro_dead_zone":
+        found["d"] = (1.0, "deg/s")
+    elif effect.id == "gyro_saturation":
+        found["limit"] = (70.0, "deg/s")
+    for place, name in enumerate(name for name in found if name != shape):
+        if effect.id != "earth_rate" and not isinstance(effect, PerOrientation):
+            found[name] = (found[name][0] * (1.5 + 0.25 * place) * LARGER.get(effect.id, 1.0), found[name][1])
+    return found
+
+
+def _predicted(effect: Effect, observed: Observed, stated: dict[str, tuple[float, str]]) -> np.ndarray:
+    """What the effect changes in the outputs, (N, K), SI, by its columns on the whole recording."""
+    out = np.zeros_like(observed.values)
+    if isinstance(effect, Shaped):
+        columns = effect.at(observed, stated[effect.shape_name][0]).columns
+    else:
+        wanted = stated[effect.shape_name][0] if isinstance(effect, HasShape) else None
+        columns = next(one for one in effect.variants(observed) if one.shape == wanted).columns
+    if isinstance(effect, Curved):
+        columns = effect.around(observed, np.array([stated[c.name][0] * c.factor for c in columns]))[0].columns
+    for column in columns:
+        size = 1.0 if is_whole(columns) else stated[column.name][0] * column.factor
+        size = stated["share"][0] - 1.0 if effect.id == "earth_rate" else size
+        here = 1.0 if column.segments is None else column.segments[observed.owner]
+        for channel, part in column.parts.items():
+            out[:, channel] += size * part * here
+    return out
+
+
+def _check(name: str, sound: Sound, without: Observed, folder: Path) -> None:
+    effect: Effect = plugins.load(plugins.EFFECTS, name)()
+    stated = _stated(effect, everything(without.site, without.channels, without.sample_rate))
+    texts = {key: f"{value:.9g}" + ("" if unit == "1" else f" {unit}") for key, (value, unit) in stated.items()}
+    listed = additions_to(sound, [(name, texts)], Mark("here"))
+    assert {key: listed[0].values[key] for key in stated} == pytest.approx({key: v for key, (v, _) in stated.items()})
+    bench = with_effects(source.decode(sound.bench_bytes, BENCH), listed)
+    seen = _simulated(bench.encode(), folder)
+    if isinstance(effect, ActsOnNoise):
+        return _check_noise(effect, seen, without, {key: value for key, (value, _) in stated.items()})
+    predicted = _predicted(effect, _with_levels(without), stated)
+    change = seen.values - without.values
+    shares, tolerances = [], []
+    for channel, gives in enumerate(without.channels):
+        energy = float(predicted[:, channel] @ predicted[:, channel])
+        if energy > 0:
+            shares.append(float(predicted[:, channel] @ change[:, channel]) / energy)
+            # Two roundings to counts differ by count/√6; 4 standard deviations of what this does to the share, and 2 % for the misalignments.
+            tolerances.append(0.02 + 4 * gives.resolution / np.sqrt(6 * energy))
+    assert min(tolerances) < 0.1, tolerances
+    assert np.all(np.abs(np.array(shares) - 1) < tolerances), (shares, tolerances)
+
+
+def _with_levels(observed: Observed) -> Observed:
+    """Effects on the output act on what the sensor gives, which its readings show."""
+    from dataclasses import replace
+
+    return replace(observed, fitted=observed.values)
+
+
+def _check_noise(effect: ActsOnNoise, seen: Observed, without: Observed, stated: dict[str, float]) -> None:
+    resting = without.owner < 6
+    degrees = np.degrees(seen.values[resting][:, :3])
+    if effect.noise == "white":
+        expected = [np.sqrt(stated[f"white_{axis}"] ** 2 * 50.0) for axis in "xyz"]
+        own = np.concatenate([part - part.mean(axis=0) for part in np.split(degrees, 6)])
+        assert own.std(axis=0) == pytest.approx(expected, rel=0.1)
+    elif effect.noise == "resolution":
+        for channel, axis in enumerate("xyz"):
+            counts = degrees[:, channel] / stated[f"count_{axis}"]
+            assert np.abs(counts - np.round(counts)).max() < 1e-6
+    else:
+        middles = [
+            np.degrees(seen.values[seen.owner == s] - without.values[without.owner == s])[:, :3].mean(axis=0)
+            for s in range(6)
+        ]
+        steps = np.diff(middles, axis=0)  # 0.01 deg/s/√s over some ten seconds
+        assert 0.005 < steps.std() < 0.3
+
+
+@pytest.mark.parametrize("name", NOT_POSSIBLE_BEFORE)
+def test_what_only_a_diagnosis_states_is_in_the_simulation(
+    name: str, sound: Sound, without: Observed, tmp_path: Path
+) -> None:
+    _check(name, sound, without, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OTHERS)
+def test_every_effect_is_in_the_simulation_at_the_stated_size(
+    name: str, sound: Sound, without: Observed, tmp_path: Path
+) -> None:
+    _check(name, sound, without, tmp_path)
