@@ -158,7 +158,7 @@ def _check(name: str, sound: Sound, without: Observed, folder: Path) -> None:
         energy = float(predicted[:, channel] @ predicted[:, channel])
         if energy > 0:
             shares.append(float(predicted[:, channel] @ change[:, channel]) / energy)
-            # Two roundings to counts differ by count/√6; 4 standard deviations of what this does to the share, and 2 % for the misalignments.
+            # Two roundings to counts differ by count/√6: 4 standard deviations of their influence, and 2 % for misalignments.
             tolerances.append(0.02 + 4 * gives.resolution / np.sqrt(6 * energy))
     assert min(tolerances) < 0.1, tolerances
     assert np.all(np.abs(np.array(shares) - 1) < tolerances), (shares, tolerances)
