@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from planrunner.error_model.observed import Observed
     from planrunner.tasks.diagnose import Diagnosed, Recorded
 
-Orientation = tuple[float, ...]
 ESTIMATE = "diagnosed"
 """Name of the estimate in the plan; a number follows where the plan has one already."""
 
@@ -90,7 +89,7 @@ def stated_effects(made: Diagnosed, segments: Sequence[Segment]) -> list[tuple[s
     return stated
 
 
-def _renumbered(name: str, seen: Sequence[Orientation], planned: Sequence[Orientation]) -> str:
+def _renumbered(name: str, seen: Sequence[tuple[float, ...]], planned: Sequence[tuple[float, ...]]) -> str:
     """`orientation_3_x` with the number that the orientation has among the planned ones."""
     word, number, axis = name.split("_")
     place = seen[int(number) - 1]
