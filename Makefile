@@ -53,10 +53,11 @@ benchmark: $(READY)
 	$(INSTALL) --require-hashes --requirement constraints-benchmarks.txt
 	$(BIN)/python -m benchmarks
 
-# Coverage of the intervals and warnings in independent worlds; an hour or more with RUNS=1000.
+# Coverage of the intervals and warnings in independent worlds; hours with RUNS=1000. Goes on where it stopped.
 worlds: RUNS ?= 200
 worlds: $(READY)
-	$(BIN)/python -m tests.worlds --runs $(RUNS)
+	mkdir -p build
+	$(BIN)/python -m tests.worlds --runs $(RUNS) --keep build/worlds.jsonl
 
 # Recordings with sealed effects, answered by the diagnosis, an oracle and baselines; goes on where it stopped. See docs/blind-campaign.md.
 campaign: export OMP_NUM_THREADS := 1

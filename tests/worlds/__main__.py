@@ -1,45 +1,77 @@
 """Coverage and warnings of each estimator in each world:
 
-python -m tests.worlds [--runs N] [--seed S] [--estimator NAME] [--world NAME]
+python -m tests.worlds [--runs N] [--seed S] [--estimator NAME] [--world NAME] [--keep FILE]
 """
 
 from __future__ import annotations
 
 import argparse
-
-import numpy as np
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
 
 from tests.worlds.campaigns import CAMPAIGNS
-from tests.worlds.coverage import tally
+from tests.worlds.coverage import Tally, tally
 from tests.worlds.faults import WORLDS
+
+AT_ONCE = 25  # runs
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.worlds", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--runs", type=int, default=200)
+    parser.add_argument("--runs", type=int, default=200, help="0 only prints what the file holds")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--estimator", default="", help="a part of its name")
     parser.add_argument("--world", default="", help="a part of its name")
+    parser.add_argument("--keep", type=Path, help="file for the results; runs that it already holds are not repeated")
     args = parser.parse_args()
-    print("| estimator | world | lowest coverage | highest | median error, u | warned | no estimate |")
-    print("|---|---|---|---|---|---|---|")
-    for estimator, campaign in CAMPAIGNS.items():
-        for name, world in WORLDS.items():
-            if args.estimator not in estimator or args.world not in name or name in campaign.without:
-                continue
-            found = tally(campaign, world, args.runs, args.seed)
-            made = found.runs - len(found.failed)
-            shares = {item: 100 * held / made for item, held in found.held.items()}
-            low, high = (choose(shares, key=shares.__getitem__, default="") for choose in (min, max))
-            figures = (
-                f"{shares[low]:.1f} % ({low}) | {shares[high]:.1f} % | {np.median(found.off[low]):.2g}"
-                if made
-                else "– | – | –"
+    cells = _kept(args.keep, args.seed)
+    print("| estimator | world | runs | coverage in % | lowest | highest | warned | cause named | no estimate |")
+    print("| --- | --- | ---: | --- | --- | --- | ---: | ---: | ---: |")
+    for estimator, world in _cells(args.estimator, args.world):
+        found = cells.get((estimator, world), Tally())
+        while found.runs < args.runs:
+            more = tally(
+                CAMPAIGNS[estimator], WORLDS[world], min(AT_ONCE, args.runs - found.runs), args.seed, found.runs
             )
-            print(
-                f"| {estimator} | {name} | {figures} | {100 * found.warned / found.runs:.1f} % | {len(found.failed)} |",
-                flush=True,
-            )
+            found.add(more)
+            if args.keep:
+                line = {"estimator": estimator, "world": world, "seed": args.seed, **asdict(more)}
+                with args.keep.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(line) + "\n")
+        if found.runs:
+            print(_row(estimator, world, found), flush=True)
+
+
+def _cells(estimator: str, world: str) -> Iterator[tuple[str, str]]:
+    for one, campaign in CAMPAIGNS.items():
+        for other in WORLDS:
+            if estimator in one and world in other and other not in campaign.without:
+                yield one, other
+
+
+def _kept(path: Path | None, seed: int) -> dict[tuple[str, str], Tally]:
+    found: dict[tuple[str, str], Tally] = {}
+    if path and path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            held = json.loads(line)
+            cell = held.pop("estimator"), held.pop("world")
+            if held.pop("seed") == seed:
+                found.setdefault(cell, Tally()).add(Tally(**held))
+    return found
+
+
+def _row(estimator: str, world: str, found: Tally) -> str:
+    figures = "– | – | –"
+    if found.estimates:
+        shares = {name: 100 * held / found.estimates for name, held in found.held.items()}
+        low, high = min(shares, key=shares.__getitem__), max(shares, key=shares.__getitem__)
+        mean, error = found.coverage
+        figures = f"{100 * mean:.1f} ± {100 * error:.1f} | {shares[low]:.1f} ({low}) | {shares[high]:.1f}"
+    named = f"{100 * found.named / found.runs:.1f} %" if WORLDS[world].cause else ""
+    counts = f"{100 * found.warned / found.runs:.1f} % | {named} | {len(found.failed)}"
+    return f"| {estimator} | {world} | {found.runs} | {figures} | {counts} |"
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -27,15 +28,43 @@ THERMOMETER = "sensor_temperature"
 
 @dataclass
 class Tally:
-    """What came of many recordings. held: coefficient → how often its interval held the truth; off: coefficient → errors in standard
-    uncertainties; warned: runs with a warning; failed: messages of runs without an estimate."""
+    """What came of many recordings. held: coefficient → how often its interval held the truth; squares: coefficient → sum of squared errors
+    in standard uncertainties; shares, shares_squared: sums over the runs of the share of intervals that held the truth; warned: runs with a
+    warning; named: runs in which a warning names the world's cause; failed: messages of runs without an estimate."""
 
     runs: int = 0
     warned: int = 0
+    named: int = 0
     held: dict[str, int] = field(default_factory=dict)
-    off: dict[str, list[float]] = field(default_factory=dict)
+    squares: dict[str, float] = field(default_factory=dict)
+    shares: float = 0.0
+    shares_squared: float = 0.0
     failed: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def estimates(self) -> int:
+        return self.runs - len(self.failed)
+
+    @property
+    def coverage(self) -> tuple[float, float]:
+        """Share of all intervals that held the truth, and its standard error. Intervals of one run are not independent of each other, so
+        the runs' scatter gives it, and at least one interval that missed the truth."""
+        n = max(self.estimates, 1)
+        mean = self.shares / n
+        return mean, math.sqrt(max(self.shares_squared / n - mean**2, 1 / (n * len(self.held or [0]))) / n)
+
+    def add(self, other: Tally) -> None:
+        """Further runs of the same campaign in the same world."""
+        self.runs, self.warned, self.named = (
+            self.runs + other.runs,
+            self.warned + other.warned,
+            self.named + other.named,
+        )
+        self.shares, self.shares_squared = self.shares + other.shares, self.shares_squared + other.shares_squared
+        for name in other.held:
+            self.held[name] = self.held.get(name, 0) + other.held[name]
+            self.squares[name] = self.squares.get(name, 0.0) + other.squares[name]
+        self.failed += other.failed
 
 
 def known(campaign: Campaign, world: World) -> Sound:
@@ -86,25 +115,29 @@ def _segment(segment: Segment, made: Recorded, number: int, campaign: Campaign) 
     return RecordedSegment(segment, units, statistics, blocks)
 
 
-def tally(campaign: Campaign, world: World, runs: int, seed: int) -> Tally:
+def tally(campaign: Campaign, world: World, runs: int, seed: int, first: int = 0) -> Tally:
+    """Of `runs` recordings, the first of which has the number `first`: each number has its own random draws."""
     sound, found = known(campaign, world), Tally()
-    for run in range(runs):
+    for run in range(first, first + runs):
         truth, made = recorded(campaign, world, np.random.default_rng([seed, run]))
         one = estimated(campaign, sound, made)
         found.runs += 1
         if isinstance(one, str):
             found.failed.append(one)
+            found.named += bool(world.cause) and world.cause in one
             continue
         found.warned += bool(one.warnings)
-        found.warnings += one.warnings
+        found.named += bool(world.cause) and any(world.cause in text for text in one.warnings)
+        inside = []
         for item in one.coefficients:
             if item.name in truth:
                 u = item.standard_uncertainty
                 error = item.value - truth[item.name]
                 if np.isfinite(item.period):
                     error -= item.period * np.round(error / item.period)
-                error = abs(error)
-                held = error <= expanded_uncertainty(u, item.degrees_of_freedom)
-                found.held[item.name] = found.held.get(item.name, 0) + bool(held)
-                found.off.setdefault(item.name, []).append(error / u)
+                inside.append(abs(error) <= expanded_uncertainty(u, item.degrees_of_freedom))
+                found.held[item.name] = found.held.get(item.name, 0) + bool(inside[-1])
+                found.squares[item.name] = found.squares.get(item.name, 0.0) + float(error / u) ** 2
+        share = float(np.mean(inside))
+        found.shares, found.shares_squared = found.shares + share, found.shares_squared + share**2
     return found

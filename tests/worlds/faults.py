@@ -40,7 +40,7 @@ class Recorded:
 class World:
     """stated: what the bench file says of it, by the name of the blank in a campaign's bench; `flicker` is in units of `Recorded.mean`.
     celsius: temperature of the sensor at a share of the test, which a thermometer records. warns: the model is wrong in a way that cannot
-    be mended, so that a warning is what is asked for, not coverage."""
+    be mended, so that a warning is what is asked for, not coverage. cause: words of a warning that names what is wrong."""
 
     fault: Fault | None = None
     tilt: float = 0.0  # rad, standard uncertainty of an orientation about each axis
@@ -49,6 +49,7 @@ class World:
     count: float = 0.0  # resolution, in units of `Recorded.white`
     celsius: Callable[[Array], Array] | None = None
     warns: bool = False
+    cause: str = ""
 
 
 def flicker(made: Recorded, draw: np.random.Generator, size: float) -> Array:
@@ -188,18 +189,18 @@ def _reversed(made: Recorded, draw: np.random.Generator) -> Array:
 WORLDS: Mapping[str, World] = {
     "white noise": World(),
     "flicker, declared": World(_flicker(1.0), flicker=1.0),
-    "flicker, not declared": World(_flicker(1.0), warns=True),
-    "linear drift": World(_ramp),
-    "warming up": World(_warming),
+    "flicker, not declared": World(_flicker(1.0), warns=True, cause="bias_instability"),
+    "linear drift": World(_ramp, cause="drift"),
+    "warming up": World(_warming, cause="drift"),
     "temperature drift, recorded": World(_following, celsius=_laboratory),
     "positions 5 arcsec, stated": World(tilt=5 * ARCSEC),
     "rates 10 ppm, stated": World(rate=10e-6),
-    "counts of 5 times the noise": World(_counts(5.0), count=5.0),
+    "counts of 5 times the noise": World(_counts(5.0), count=5.0, cause="too small for counts"),
     "rounding carried over": World(_fed_back),
-    "one spike": World(_spike),
-    "stuck for a second": World(_stuck),
-    "burst of 20 samples": World(_burst),
-    "saturated for two seconds": World(_limited),
+    "one spike": World(_spike, cause="Bad samples"),
+    "stuck for a second": World(_stuck, cause="Bad samples"),
+    "burst of 20 samples": World(_burst, cause="Bad samples"),
+    "saturated for two seconds": World(_limited, cause="Bad samples"),
     "20 Hz line": World(_line),
-    "reversed channel": World(_reversed, warns=True),
+    "reversed channel": World(_reversed, warns=True, cause="sign"),
 }
