@@ -10,8 +10,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import time
 from collections.abc import Collection, Iterator, Mapping
 from datetime import UTC, datetime
+from functools import lru_cache
 from io import FileIO
 
 from planrunner.archive.formats import IntegrityError, from_bytes
@@ -30,7 +32,14 @@ FIRST = "0" * 64
 
 def utc_now() -> str:
     """The current time in UTC, ISO 8601 with microseconds."""
-    return datetime.now(UTC).isoformat(timespec="microseconds")
+    now = time.time_ns() // 1000
+    return f"{_whole_second(now // 1_000_000)}.{now % 1_000_000:06d}+00:00"
+
+
+@lru_cache(maxsize=1)
+def _whole_second(seconds: int) -> str:
+    """Of a time since 1970, UTC."""
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%S")
 
 
 def _plain(value: Json) -> Json:

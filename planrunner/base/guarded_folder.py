@@ -19,6 +19,7 @@ import stat
 import time
 import weakref
 from dataclasses import dataclass
+from functools import lru_cache
 from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Literal
@@ -257,6 +258,7 @@ class GuardedFolder:
         raise NotOrdinaryError(path, "the file was replaced while it was being opened")
 
 
+@lru_cache(maxsize=64)  # the same few names come again at every step of a run
 def _plain(name: str) -> str:
     if name in ("", ".", "..") or any(letter in name for letter in "/\\\0") or (os.name == "nt" and ":" in name):
         raise ValueError(f"not a single file name: {name!r}")

@@ -80,6 +80,8 @@ class _Execution:
         self.activity = ""
         self.doing = "preparing the bench"
         self.streaming = bench.sensor if isinstance(bench.sensor, StreamsSamples) else None
+        # Asked once: what a class can do does not change, and asking takes longer than a short step.
+        self.summarising = bench.sensor if isinstance(bench.sensor, Summarises) else None
         self.counts = bench.sensor.counts if isinstance(bench.sensor, Counting) else None
         self.readable = {name: item for name, item in bench.instruments.items() if isinstance(item, Readable)}
         self.channels: Mapping[str, str] = {}
@@ -206,7 +208,7 @@ class _Execution:
         retakes = segment.watch.retakes if segment.watch else 0
         for left in range(retakes, -1, -1):
             self._say("writing the run folder")
-            summary = self.streaming.summary if isinstance(self.streaming, Summarises) else None
+            summary = None if self.summarising is None else self.summarising.summary
             self.writer.begin(segment, self.clock.now(), self.channels, summary)
             self.lookout.begin_segment()
             self.reaching.reach(segment)
