@@ -1,4 +1,4 @@
-"""The recording player: a sensor that plays back a CSV or Parquet file as if it were measured now.
+"""The recording player: a sensor that plays back a file as if it were measured now.
 
 Columns are mapped to channels with units. A table of segments assigns intervals of the recording to labels, or pauses in its time separate
 them; without either the whole recording is one interval. Files must be inside the data folder, except files named on the command line. Rows
@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from planrunner.base.documents import Json
 from planrunner.base.findings import Findings, Mark
 from planrunner.base.progress import Announce
+from planrunner.instruments.formats.file import TimeStamps
 from planrunner.instruments.interfaces import Block, Clock, InstrumentError, PlaysBack, Surroundings, UnservedError
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
-from planrunner.instruments.recording_file import RecordingFile, beneath, open_recording
-from planrunner.instruments.recording_keys import SECONDS, RecordingParameters, TimeColumn
+from planrunner.instruments.recording_file import Part, RecordingFile, beneath, open_recording
+from planrunner.instruments.recording_keys import SECONDS, RecordingParameters
 from planrunner.instruments.recording_scan import Wanted, scan
 from planrunner.instruments.recording_segments import SegmentTable, read_segment_table, stretches
 from planrunner.instruments.recording_summary import SummaryPlayer
@@ -54,7 +55,7 @@ class RecordingPlayer(PlaysBack):
         self.parted = parted
         self.clock = clock
         self.piece = piece
-        power_on = _time(parameters).power_on
+        power_on = parameters.power_on
         self.origin = file.origin if power_on is None else power_on.value
         self.notice = notice
         self._served: str | None = None
@@ -76,29 +77,31 @@ class RecordingPlayer(PlaysBack):
 
     @classmethod
     def connect(cls, parameters: RecordingParameters, surroundings: Surroundings) -> RecordingPlayer | SummaryPlayer:
+        paths = [beneath(surroundings.data_root, name) for name in parameters.files]
         if parameters.summary is not None:
-            path = beneath(surroundings.data_root, parameters.file)
-            return SummaryPlayer.open(parameters, path, surroundings.clock)
+            return SummaryPlayer.open(parameters, paths[0], surroundings.clock)
         table = None if parameters.segments is None else beneath(surroundings.data_root, parameters.segments.table)
         piece = 1.0 if surroundings.real_time else math.inf
-        path = beneath(surroundings.data_root, parameters.file)
-        return cls.open(parameters, path, table, surroundings.clock, piece, surroundings.notice)
+        return cls.open(parameters, paths, table, surroundings.clock, piece, surroundings.notice)
 
     @classmethod
     def open(
         cls,
         parameters: RecordingParameters,
-        path: Path,
+        paths: Sequence[Path],
         table: Path | None,
         clock: Clock,
         piece: float = math.inf,
         notice: Announce | None = None,
     ) -> RecordingPlayer:
-        """A player of the file at `path`. table: file of the segments; piece: s, the longest block; notice: receives the progress where
-        the whole file is read. Raises `InstrumentError`."""
+        """A player of the files at `paths`, which continue each other. table: file of the segments; piece: s, the longest block;
+        notice: receives the progress where a whole file is read. Raises `InstrumentError`."""
         columns = {name: channel.column for name, channel in parameters.channels.items()}
-        time = _time(parameters)
-        file = open_recording(path, parameters.file, time.column, SECONDS[time.unit], columns)
+        parts = [Part(path, name) for path, name in zip(paths, parameters.files, strict=True)]
+        pause = parameters.pause_between_files
+        file = open_recording(
+            parts, _stamps(parameters), columns, parameters.format, None if pause is None else pause.value
+        )
         _check_time(file, parameters)
         spans = None
         stated = parameters.segments
@@ -249,14 +252,14 @@ class RecordingPlayer(PlaysBack):
         )
 
 
-def _time(parameters: RecordingParameters) -> TimeColumn:
+def _stamps(parameters: RecordingParameters) -> TimeStamps:
     """Raises `InstrumentError` if the bench file does not describe the time."""
-    if parameters.time is None:
+    if parameters.stamps is None:
         raise InstrumentError(
-            f"the bench file does not say which column of {parameters.file} is the time: write `time: {{column: …}}`, or `summary` for a "
-            "table with one row per segment"
+            f"the bench file does not say which column of {parameters.file} is the time: write `time: {{column: …}}`, or "
+            "`time: sample_count` if it has none, or `summary` for a table with one row per segment"
         )
-    return parameters.time
+    return parameters.stamps
 
 
 def _check_time(file: RecordingFile, parameters: RecordingParameters) -> None:
@@ -266,10 +269,10 @@ def _check_time(file: RecordingFile, parameters: RecordingParameters) -> None:
     if not math.isnan(file.interval) and abs(math.log(file.interval * declared)) > RATE_TOLERANCE:
         message = (
             f"{parameters.file} is declared at {declared:g} Hz, but its rows are {file.interval:.4g} s apart "
-            f"({1 / file.interval:.4g} Hz): correct `sample_rate`, or the unit of the column '{_time(parameters).column}'"
+            f"({1 / file.interval:.4g} Hz): correct `sample_rate`, or the unit of the column '{_stamps(parameters).column}'"
         )
         raise InstrumentError(message)
-    power_on = _time(parameters).power_on
+    power_on = parameters.power_on
     if power_on is not None and power_on.value > file.origin:
         message = f"{parameters.file} begins at {file.origin:g} s, before the power-on at {power_on.value:g} s"
         raise InstrumentError(f"{message}: correct `time: {{power_on: …}}` in the bench file")

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Final, Literal
 
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings
-from planrunner.plan.kinds import Choice, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
+from planrunner.instruments.formats.choice import Format, FormatChoice
+from planrunner.instruments.formats.file import TimeStamps
+from planrunner.plan.kinds import Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, WordOr, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.source import Node, Scalar
 from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
@@ -15,6 +18,7 @@ NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 COLUMN = r"[^\x00-\x1f]{1,200}"
 TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
 SECONDS = dict(zip(TIME_UNITS, (1.0, 1e-3, 1e-6, 1e-9, 60.0, 3600.0), strict=True))
+SAMPLE_COUNT: Final = "sample_count"
 _NO_TRIM = Quantity(0.0, Unit("s", 1.0, DIMENSIONS["time"]))
 
 
@@ -39,6 +43,18 @@ class TimeColumn(Record):
 
     column: str = key(Text(COLUMN, "a column's name"), "Name of the column.", "time_s")
     unit: str = key(Choice(TIME_UNITS), "Its unit.", "s", default="s")
+    per_second: float | None = key(
+        Number(),
+        "For a counter instead of a time: its counts per second.",
+        168000000,
+        default=None,
+    )
+    wraps: float | None = key(
+        Number(),
+        "For a counter: the value at which it starts again from zero, in its own counts or unit. It may not wrap twice between two rows.",
+        4294967296,
+        default=None,
+    )
     power_on: Quantity | None = key(
         QuantityOf("time"),
         "Time at which the sensor was switched on, as a value of the column; the time of the recording then starts at "
@@ -121,6 +137,17 @@ class ChannelColumn(Record):
         return otherwise if value is None else width(value) / unit(self.unit).factor
 
 
+def check_time(time: TimeColumn, log: Findings) -> None:
+    """Adds contradictions in the description of a time column."""
+    for name in ("per_second", "wraps"):
+        value = time.per_second if name == "per_second" else time.wraps
+        if value is not None and not value > 0:
+            log.error("meaning-range", time.at(name), "a positive number is needed here", "write for example 1000")
+    if time.per_second is not None and "unit" in time.origin.keys:
+        message = "the unit of the time is given twice, by `unit` and by `per_second`"
+        log.error("meaning-range", time.at("unit"), message, "leave `unit` out for a counter")
+
+
 WHITE = ("noise", "noise_density", "random_walk")
 
 
@@ -198,13 +225,33 @@ class RecordingParameters(Record):
 
     file: str = key(
         Text(r"[^\x00-\x1f]{1,400}", "a file's path"),
-        "CSV or Parquet file in the data folder.",
+        "File in the data folder: text, Parquet, MATLAB, NumPy, HDF5, SQLite, ULog or binary records.",
         "jig/staircase.parquet",
     )
     kind: str = key(Text(NAME, "a sensor kind"), "Kind of sensor that was recorded.", "imu")
-    time: TimeColumn | None = key(
-        RecordOf(TimeColumn),
-        "The time column, unless there is `summary`.",
+    continued_by: tuple[str, ...] = key(
+        ListOf(Text(r"[^\x00-\x1f]{1,400}", "a file's path"), single=True, maximum=1000),
+        "Further files with the same columns that continue the recording, in order.",
+        ["jig/staircase_2.parquet"],
+        default=(),
+    )
+    pause_between_files: Quantity | None = key(
+        QuantityOf("time", "positive"),
+        "If the time of each file begins anew: time from the last row of a file to the first row of the next. Without it, the times of the "
+        "files must follow each other.",
+        "60 s",
+        default=None,
+    )
+    format: Format | None = key(
+        FormatChoice(),
+        "Format of the files, and what they do not say of themselves.",
+        {"type": "text", "separator": "semicolon", "decimal": "comma"},
+        default=None,
+    )
+    time: TimeColumn | Literal["sample_count"] | None = key(
+        WordOr((SAMPLE_COUNT,), RecordOf(TimeColumn, check_time)),
+        "The time column, unless there is `summary`. `sample_count`: the file has no time, and its rows follow each other at "
+        "`sample_rate`.",
         {"column": "time_s", "unit": "s"},
         default=None,
     )
@@ -234,6 +281,24 @@ class RecordingParameters(Record):
         default=None,
     )
     sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "100 Hz")
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """All files of the recording, in order."""
+        return (self.file, *self.continued_by)
+
+    @property
+    def power_on(self) -> Quantity | None:
+        """Value of the time column at which the sensor was switched on."""
+        return self.time.power_on if isinstance(self.time, TimeColumn) else None
+
+    @property
+    def stamps(self) -> TimeStamps | None:
+        """Where the time of a row comes from; None if the bench does not say it."""
+        if isinstance(self.time, TimeColumn):
+            scale = SECONDS[self.time.unit] if self.time.per_second is None else 1 / self.time.per_second
+            return TimeStamps(self.time.column, scale, wraps=self.time.wraps)
+        return None if self.time is None else TimeStamps(None, period=1 / self.sample_rate.value)
 
 
 def width(quantity: Quantity) -> float:

@@ -131,6 +131,9 @@ def scan(
             pace.reached(found.rows)
     finally:
         _on_time(found, name, log)
+    for remark in file.remarks:
+        hint = "check `format` in the bench file, and the logger"
+        log.warning("recording-corrupt", Mark(name), f"{name}: {remark}; these are left out", hint)
     if found.wrong:
         return None
     for one, seen in zip(wanted, found.seen, strict=True):

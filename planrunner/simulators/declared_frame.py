@@ -64,6 +64,11 @@ def _sum(frames: Bytes) -> NDArray[np.generic]:
     return low
 
 
+def _long_sum(frames: Bytes) -> NDArray[np.generic]:
+    low: NDArray[np.int64] = frames.sum(axis=1, dtype=np.int64) & 0xFFFF
+    return low
+
+
 CHECKS: Mapping[str, tuple[Callable[[Bytes], NDArray[np.generic]], int]] = {
     "crc32": (Crc(32, 0x04C11DB7, 0xFFFFFFFF, reflected=True, inverted=True).of, 4),
     "crc32_mpeg2": (CRC_32.of, 4),
@@ -72,6 +77,7 @@ CHECKS: Mapping[str, tuple[Callable[[Bytes], NDArray[np.generic]], int]] = {
     "crc16_ccitt_false": (Crc(16, 0x1021, 0xFFFF).of, 2),
     "crc8": (Crc(8, 0x07, 0).of, 1),
     "sum8": (_sum, 1),
+    "sum16": (_long_sum, 2),
     "zero_sum8": (sum_to_zero, 1),
     "xor8": (exclusive_or, 1),
 }

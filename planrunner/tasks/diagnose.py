@@ -310,9 +310,9 @@ def recorded_file(
     if table is None and columns is not None:
         table = recording.parent / Path(columns.table).name
     pauses = None if columns is not None else parameters.pauses
-    parameters = replace(parameters, file=recording.name, segments=columns, pauses=pauses)
+    parameters = replace(parameters, file=recording.name, continued_by=(), segments=columns, pauses=pauses)
     try:
-        player = RecordingPlayer.open(parameters, recording, table, VirtualClock(), notice=notice)
+        player = RecordingPlayer.open(parameters, (recording,), table, VirtualClock(), notice=notice)
         player.foresee(sound.schedule.segments)
         segments_played = played(player, sound.schedule.segments)
     except UnservedError as error:

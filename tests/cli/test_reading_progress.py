@@ -71,7 +71,7 @@ def tumbled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "bench.yaml").write_text(BENCH, encoding="utf-8")
     (tmp_path / "plan.yaml").write_text(PLAN, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("planrunner.instruments.recording_file.BATCH", 500)
+    monkeypatch.setattr("planrunner.instruments.formats.file.BATCH", 500)
     monkeypatch.setattr("planrunner.cli.progress.LINES_EVERY", 0.0)
     return tmp_path
 

@@ -11,16 +11,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from planrunner.instruments import recording_file as recording_bounds
+from planrunner.instruments.formats import file as format_file
+from planrunner.instruments.formats import parquet
+from planrunner.instruments.formats.file import TimeStamps
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.instruments.recording_file import beneath, open_recording
+from planrunner.instruments.recording_file import Part, beneath, open_recording
 
 TIME = np.arange(1000) / 100
 
 
 def total(path: Path) -> float:
     """Sum of the channel, after reading all of the file."""
-    file = open_recording(path, path.name, "time", 1.0, {"rate": "gx"})
+    file = open_recording([Part(path, path.name)], TimeStamps("time"), {"rate": "gx"})
     return float(sum(columns["rate"].sum() for _, columns in file.rows()))
 
 
@@ -110,10 +112,10 @@ def test_a_cell_without_end_is_named_by_its_line(tmp_path: Path, width: int) -> 
 def test_row_groups_and_directories_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = written(tmp_path / "a.parquet", {"gx": TIME, "other": np.arange(1000)}, use_dictionary=False)
     assert total(path) == pytest.approx(TIME.sum())
-    monkeypatch.setattr(recording_bounds, "MAX_CHUNK", 7_000)
+    monkeypatch.setattr(parquet, "MAX_CHUNK", 7_000)
     assert "in row group 1" in refusal(path)
     monkeypatch.undo()
-    monkeypatch.setattr(recording_bounds, "MAX_DIRECTORY", 100)
+    monkeypatch.setattr(parquet, "MAX_DIRECTORY", 100)
     assert "its directory" in refusal(path)
 
 
@@ -128,7 +130,7 @@ def test_a_pipe_as_a_recording_is_refused_without_waiting(tmp_path: Path, name: 
 def test_a_recording_beyond_its_bound_is_refused_by_its_size(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording_bounds, "MAX_BYTES", 1_000_000)
+    monkeypatch.setattr(format_file, "MAX_BYTES", 1_000_000)
     with (tmp_path / name).open("wb") as file:
         file.truncate(1_000_001)
     assert "larger than 1 MB" in refusal(tmp_path / name)

@@ -39,7 +39,7 @@ def player(folder: Path, **changes: str) -> RecordingPlayer:
     made = RecordOf(RecordingParameters).read(source.parse("\n".join(f"{k}: {v}" for k, v in keys.items()), "b"), log)
     assert list(log) == []
     return RecordingPlayer.open(
-        made, folder / "r.parquet", folder / "s.csv" if "segments" in keys else None, VirtualClock()
+        made, (folder / "r.parquet",), folder / "s.csv" if "segments" in keys else None, VirtualClock()
     )
 
 

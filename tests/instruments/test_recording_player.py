@@ -17,6 +17,7 @@ from planrunner.bench.clock import VirtualClock
 from planrunner.bench.model import read_bench
 from planrunner.bench.opening import open_bench
 from planrunner.instruments import recording_file
+from planrunner.instruments.formats import file as format_file
 from planrunner.instruments.interfaces import InstrumentError, Resumable, StreamsSamples, Surroundings
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_file import HeldRecording, at_hand
@@ -111,7 +112,7 @@ def test_a_segment_is_its_stretch_trimmed_and_cut_to_the_dwell(tmp_path, name, l
 @pytest.mark.parametrize("most", [100, 99])
 def test_a_recording_at_hand_serves_the_same_stretches(tmp_path, monkeypatch, name, most):
     monkeypatch.setattr(recording_file, "HELD", most)
-    monkeypatch.setattr(recording_file, "BATCH", 30)
+    monkeypatch.setattr(format_file, "BATCH", 30)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)
     x = np.arange(100.0)
@@ -202,7 +203,7 @@ def test_time_that_does_not_increase_is_an_error_with_its_row(tmp_path, name, ro
         ({"time": "{column: tt}"}, "no column 'tt'; did you mean 't'"),
         ({"channels": "{x: {column: X, unit: deg/s}}"}, "no column 'X'"),
         ({"file": "folder"}, "this is a folder"),
-        ({"file": "notes.md"}, "neither .csv nor .parquet"),
+        ({"file": "notes.md"}, "state the format in the bench file"),
         ({"file": "broken.parquet"}, "broken.parquet cannot be read"),
         ({"file": "broken.csv"}, "broken.csv cannot be read"),
         ({"file": "blank.csv"}, "blank.csv cannot be read"),

@@ -10,7 +10,7 @@ import pytest
 from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
 from planrunner.cli import main
-from planrunner.instruments import recording_file
+from planrunner.instruments.formats import file as format_file
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_keys import RecordingParameters
@@ -37,7 +37,7 @@ def looked_over(folder: Path, labels: str = "ABC", dwell: float | None = None) -
         "channels: {x: {column: x, unit: deg/s}}"
     )
     made = RecordOf(RecordingParameters).read(source.parse(text, "bench.yaml"), log)
-    player = RecordingPlayer.open(made, folder / "r.csv", folder / "s.csv", VirtualClock())
+    player = RecordingPlayer.open(made, (folder / "r.csv",), folder / "s.csv", VirtualClock())
     segments = [Segment(n, label, None, "unknown", Rest(), dwell) for n, label in enumerate(labels)]
     player.look_over(segments, log)
     return [(one.severity, one.code, one.mark.line, one.message) for one in log.items]
@@ -52,7 +52,7 @@ def test_a_sound_recording_has_no_findings(tmp_path):
 
 @pytest.mark.parametrize("batch", [7, 65_536])
 def test_every_fault_in_time_is_found_wherever_it_lies(tmp_path, monkeypatch, batch):
-    monkeypatch.setattr(recording_file, "BATCH", batch)
+    monkeypatch.setattr(format_file, "BATCH", batch)
     time = TIME.copy()
     time[80], time[90], time[95] = time[79], np.nan, 9.0
     write(tmp_path, time)

@@ -17,51 +17,33 @@ from __future__ import annotations
 from dataclasses import replace
 
 from planrunner.base.findings import InputError
+from planrunner.instruments.frame_keys import (
+    CHECKSUMS,
+    LONGEST,
+    SYNC,
+    TYPES,
+    WHOLE,
+    ChecksumOfFrame,
+    ScaledNumber,
+    field_of,
+    framing_of,
+)
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.models import SensorModel
 from planrunner.instruments.recording_keys import NAME, UnitText
 from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_model
 from planrunner.instruments.sensors.samples import FrameLayout, Status
 from planrunner.instruments.sensors.serial_sensor import SerialSensor
-from planrunner.instruments.wire import checksums
-from planrunner.instruments.wire.codes import FLOAT, SIGNED, UNSIGNED
+from planrunner.instruments.wire.codes import FLOAT
 from planrunner.instruments.wire.columns import Field
-from planrunner.instruments.wire.framing import Framing
 from planrunner.instruments.wire.host_clock import FrameCounter
 from planrunner.plan.kinds import Boolean, Choice, MapOf, Number, Record, RecordOf, Text, key
 
-TYPES = {
-    f"{letter}{8 * width}": (width, kind)
-    for letter, kind in (("u", UNSIGNED), ("i", SIGNED))
-    for width in (1, 2, 3, 4, 8)
-}
-TYPES |= {"f32": (4, FLOAT), "f64": (8, FLOAT)}
-WHOLE = tuple(name for name in TYPES if name[0] == "u" and name != "u64")
-CHECKSUMS = {
-    "crc32": checksums.CRC32,
-    "crc32_mpeg2": checksums.CRC32_MPEG2,
-    "crc16_modbus": checksums.CRC16_MODBUS,
-    "crc16_xmodem": checksums.CRC16_XMODEM,
-    "crc16_ccitt_false": checksums.CRC16_CCITT_FALSE,
-    "crc8": checksums.CRC8,
-    "sum8": checksums.SUM8,
-    "zero_sum8": checksums.ZERO_SUM8,
-    "xor8": checksums.XOR8,
-}
-LONGEST = 4096
 
+class FieldOfFrame(ScaledNumber):
+    """A number in a frame that is a channel."""
 
-class FieldOfFrame(Record):
-    """A number in a frame."""
-
-    place: int = key(
-        Number(0, LONGEST - 1, integer=True), "Position of its first byte, counted from 0 at the sync.", 2, name="at"
-    )
-    type: str = key(Choice(tuple(TYPES)), "Type: u unsigned, i signed or f floating point, and number of bits.", "i16")
-    scale: float = key(Number(), "Factor by which the raw value is multiplied.", 0.02, default=1.0)
-    zero: float = key(Number(), "Offset that is then added.", 25.0, default=0.0)
     unit: str = key(UnitText(), "Unit of the result.", "deg/s")
-    little_endian: bool = key(Boolean(), "True if the low byte comes first.", True, default=False)
 
 
 class CounterOfFrame(Record):
@@ -94,16 +76,6 @@ class StatusOfFrame(Record):
     little_endian: bool = key(Boolean(), "True if the low byte comes first.", True, default=False)
 
 
-class ChecksumOfFrame(Record):
-    """The checksum at the end of a frame."""
-
-    type: str = key(Choice(tuple(CHECKSUMS)), "Algorithm of the checksum.", "crc16_modbus")
-    start: int = key(
-        Number(0, LONGEST - 1, integer=True), "First byte that the checksum covers.", 2, default=0, name="from"
-    )
-    little_endian: bool = key(Boolean(), "True if the low byte comes first.", True, default=False)
-
-
 PartOfFrame = FieldOfFrame | CounterOfFrame | StatusOfFrame
 
 
@@ -111,7 +83,7 @@ class DeclaredFrameParameters(SerialSensorParameters):
     """A sensor whose frames are described here."""
 
     sync: str = key(
-        Text(r"[0-9A-Fa-f]{2}( ?[0-9A-Fa-f]{2}){0,15}", "bytes in hexadecimal", "put them in quotes, such as 'A5 5A'"),
+        SYNC,
         "The bytes that every frame begins with.",
         "A5 5A",
     )
@@ -168,39 +140,27 @@ class DeclaredFrame(SerialSensor[DeclaredFrameParameters]):
     @classmethod
     def decoder_of(cls, parameters: DeclaredFrameParameters) -> FrameLayout:
         rate = parameters.sample_rate.value
-        fields = {name: _field(item, item.scale) for name, item in parameters.fields.items()}
+        fields = {name: field_of(item, item.scale) for name, item in parameters.fields.items()}
         units = {name: item.unit for name, item in parameters.fields.items()}
         zeros = {name: item.zero for name, item in parameters.fields.items() if item.zero}
         counts: Field | None = None
         statuses: tuple[Status, ...] = ()
         counter = FrameCounter(1 / rate)
         if parameters.counter is not None:
-            counts, step = _field(parameters.counter), parameters.counter.step
+            counts, step = field_of(parameters.counter), parameters.counter.step
             counter = FrameCounter(1 / rate / step, step, parameters.counter.modulus or 1 << 8 * counts.width)
         if parameters.status is not None:
             words = {bit: text for text, bit in parameters.status.bits.items()}
-            statuses = (Status(_field(parameters.status), "status", words, parameters.status.set_is_good),)
-        return FrameLayout(_framing(parameters), fields, units, counter, counts, statuses=statuses, zeros=zeros)
-
-
-def _field(item: PartOfFrame, scale: float = 1.0) -> Field:
-    width, kind = TYPES[item.type]
-    return Field(item.place, width, kind, scale, item.little_endian)
-
-
-def _framing(parameters: DeclaredFrameParameters) -> Framing:
-    sync, told = bytes.fromhex(parameters.sync), parameters.checksum
-    if told is None:
-        return Framing(sync, parameters.length)
-    kind = CHECKSUMS[told.type]
-    return Framing(
-        sync,
-        parameters.length,
-        checksum=kind,
-        check_bytes=kind.width // 8,
-        covered_from=told.start,
-        little=told.little_endian,
-    )
+            statuses = (Status(field_of(parameters.status), "status", words, parameters.status.set_is_good),)
+        return FrameLayout(
+            framing_of(parameters.sync, parameters.length, parameters.checksum),
+            fields,
+            units,
+            counter,
+            counts,
+            statuses=statuses,
+            zeros=zeros,
+        )
 
 
 def _check(parameters: DeclaredFrameParameters) -> None:

@@ -24,7 +24,7 @@ _ALL = 0xFFFFFFFF
 class Checksum:
     """One way to check bytes; its value has `width` bits.
 
-    kind: CRC, SUM (of bytes, mod 256), NEGATIVE_SUM (what makes the sum zero) or XOR. polynomial (without its leading one), initial,
+    kind: CRC, SUM (of bytes, mod 2^width), NEGATIVE_SUM (what makes the sum zero) or XOR. polynomial (without its leading one), initial,
     reflected (least significant bit first) and final (exclusive-or at the end) describe a CRC as catalogues do.
     """
 
@@ -104,5 +104,6 @@ CRC16_MODBUS = Checksum(CRC, 16, 0x8005, 0xFFFF, reflected=True)
 CRC8 = Checksum(CRC, 8, 0x07)
 CRC8_FF = Checksum(CRC, 8, 0x07, 0xFF)
 SUM8 = Checksum(SUM)
+SUM16 = Checksum(SUM, 16)
 ZERO_SUM8 = Checksum(NEGATIVE_SUM)
 XOR8 = Checksum(XOR)

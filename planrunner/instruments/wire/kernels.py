@@ -63,7 +63,7 @@ def value(data, start, length, padding, kind, width, tables, initial, reflected,
         total = np.int64(0)
         for item in range(length):
             total += np.int64(data[np.uintp(start + item)])
-        return np.uint32((-total if kind == NEGATIVE_SUM else total) & 0xFF)
+        return np.uint32((-total if kind == NEGATIVE_SUM else total) & ((np.int64(1) << width) - 1))
     register = np.uint32(initial << (32 - width))
     place, end = np.uintp(start), np.uintp(start + length)
     if not reflected:

@@ -1,0 +1,37 @@
+"""Rows of an Arrow batch as numbers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from planrunner.base import arrow_columns
+from planrunner.base.dataclass import dataclass
+from planrunner.instruments.formats.file import Array
+from planrunner.instruments.interfaces import InstrumentError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+@dataclass(frozen=True, slots=True)
+class ArrowRows:
+    """Rows from `first`, counted from 1, of the file `name`."""
+
+    batch: pa.RecordBatch
+    first: int
+    name: str
+
+    @property
+    def count(self) -> int:
+        return int(self.batch.num_rows)
+
+    def numbers(self, column: str) -> Array:
+        import pyarrow as pa
+
+        try:
+            values = self.batch.column(column).cast(pa.float64())
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
+            rows = f"rows {self.first} to {self.first + self.count - 1}"
+            message = f"column '{column}' contains a value that is not a number, in {rows}"
+            raise InstrumentError(f"{self.name}: {message}") from None
+        return arrow_columns.numbers(values)

@@ -1,0 +1,92 @@
+"""The formats of recordings, and the bench key `format`, which names one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import field
+from pathlib import Path
+
+from planrunner.base.documents import JsonObject
+from planrunner.base.findings import Findings
+from planrunner.instruments.formats.arrays import Hdf5File, MatlabFile, NumpyFile, UlogFile, is_hdf5
+from planrunner.instruments.formats.binary import BinaryFile, BinaryKeys, check_binary
+from planrunner.instruments.formats.database import SqliteFile
+from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
+from planrunner.instruments.formats.parquet import ParquetFile
+from planrunner.instruments.formats.text import TextFile
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.plan.kinds import Choice, Plugged, Record, key
+from planrunner.plan.source import Node
+
+FORMATS: dict[str, type[AnyFile]] = {
+    "text": TextFile,
+    "parquet": ParquetFile,
+    "binary": BinaryFile,
+    "matlab": MatlabFile,
+    "numpy": NumpyFile,
+    "hdf5": Hdf5File,
+    "sqlite": SqliteFile,
+    "ulog": UlogFile,
+}
+ENDINGS = {
+    ".csv": "text",
+    ".txt": "text",
+    ".tsv": "text",
+    ".parquet": "parquet",
+    ".pq": "parquet",
+    ".mat": "matlab",
+    ".npy": "numpy",
+    ".npz": "numpy",
+    ".h5": "hdf5",
+    ".hdf5": "hdf5",
+    ".sqlite": "sqlite",
+    ".db": "sqlite",
+    ".ulg": "ulog",
+}
+"""Formats by the ending of a file's name."""
+
+
+class Format(Record):
+    """The format of a recording. The format has additional keys."""
+
+    type: str = key(
+        Choice(tuple(FORMATS)), "The format; by default the one that the ending of the file's name stands for.", "text"
+    )
+    parameters: Record = field(default_factory=Record)
+
+
+class FormatChoice:
+    """A `format`, with the keys of the one that it names."""
+
+    _plugged = Plugged(Format, "type", lambda: tuple(FORMATS), FORMATS.__getitem__, "form-choice")
+
+    def read(self, node: Node, log: Findings) -> Format | None:
+        made: Format | None = self._plugged.read(node, log)
+        if made is not None and isinstance(made.parameters, BinaryKeys):
+            check_binary(made.parameters, log)
+        return made
+
+    def schema(self) -> JsonObject:
+        return self._plugged.schema()
+
+
+def open_file(path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, str], given: Format | None) -> AnyFile:
+    """The file in its format. given: as the bench states it, by default by the ending of the name. Raises `InstrumentError`."""
+    kind = ENDINGS.get(path.suffix.lower()) if given is None else given.type
+    if kind is None:
+        open_samples(path, name).close()  # a folder, or nothing at all, is named as what it is
+        endings = ", ".join(ENDINGS)
+        raise InstrumentError(
+            f"the ending of '{name}' is none of {endings}; state the format in the bench file, such as "
+            "`format: {type: text, separator: blanks}`"
+        )
+    if kind == "matlab" and is_hdf5(path, name):
+        kind = "hdf5"
+    made = FORMATS[kind]
+    return made(
+        path,
+        name,
+        stamps,
+        channels,
+        given.parameters if given is not None and kind == given.type else made.Parameters(),
+    )

@@ -1,0 +1,121 @@
+"""Parquet files. The directory, the columns and the row groups are checked against their bounds before they are read."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import struct
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, BinaryIO
+
+from planrunner.instruments.formats import file as format_file
+from planrunner.instruments.formats.arrow import ArrowRows
+from planrunner.instruments.formats.file import FormatFile, NoKeys, Rows, few_columns, open_samples
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.plan.span import Span
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
+
+MAX_DIRECTORY = 16_000_000
+"""Bytes of the directory at the end of the file."""
+MAX_CHUNK = 600_000_000
+"""Bytes, unpacked, of a column in one row group; the largest that common writers make holds 2^26 numbers."""
+_END = struct.Struct("<I4s")
+
+
+def check_directory(file: BinaryIO, name: str) -> None:
+    """Check the size of the directory against its bound and return to the beginning. Raises `InstrumentError`."""
+    size = file.seek(0, 2)
+    if size >= _END.size:
+        file.seek(size - _END.size)
+        length, _ = _END.unpack(file.read(_END.size))
+        if length > MAX_DIRECTORY and length < size:
+            message = f"its directory of columns and row groups has {length / 1e6:.0f} MB, more than {MAX_DIRECTORY / 1e6:g} MB"
+            raise InstrumentError(f"{name}: {message}; write it again with larger row groups, or fewer columns")
+    file.seek(0)
+
+
+def check_parquet(file: pq.ParquetFile, name: str, wanted: Iterable[str]) -> None:
+    """Check the columns: their number, the types of the `wanted` columns, and their size in a row group. Raises `InstrumentError`."""
+    from pyarrow import types
+
+    few_columns(file.metadata.num_columns, name)
+    schema = file.schema_arrow
+    for column in wanted:
+        for index in schema.get_all_field_indices(column):
+            kind = schema.field(index).type
+            if not any(
+                fits(kind) for fits in (types.is_integer, types.is_floating, types.is_decimal, types.is_boolean)
+            ):
+                what = "text" if types.is_string(kind) or types.is_large_string(kind) else f"values of the type {kind}"
+                message = f"column '{column}' holds {what}, not numbers"
+                raise InstrumentError(f"{name}: {message}; write it again with a column of float64")
+    read = frozenset(wanted)
+    for number in range(file.num_row_groups):
+        group = file.metadata.row_group(number)
+        for index in range(group.num_columns):
+            chunk = group.column(index)
+            if chunk.path_in_schema in read and chunk.total_uncompressed_size > MAX_CHUNK:
+                message = f"column '{chunk.path_in_schema}' has {chunk.total_uncompressed_size / 1e6:.0f} MB in row group {number + 1}"
+                raise InstrumentError(f"{name}: {message}; write it again with row groups of a million rows")
+
+
+class ParquetFile(FormatFile[NoKeys]):
+    """Row groups outside the span, according to their statistics, are skipped."""
+
+    def faults(self) -> tuple[type[Exception], ...]:
+        import pyarrow as pa
+
+        return (*super().faults(), pa.ArrowInvalid, pa.ArrowNotImplementedError)
+
+    def columns(self) -> list[str]:
+        import pyarrow as pa
+
+        try:
+            with self._opened() as file:
+                return list(file.schema_arrow.names)
+        except (OSError, ValueError, pa.ArrowException) as error:
+            raise self.unreadable(error) from None
+
+    def rows_about(self) -> int:
+        with self._opened() as file:
+            return int(file.metadata.num_rows)
+
+    @contextlib.contextmanager
+    def _opened(self) -> Iterator[pq.ParquetFile]:
+        """The file, with its directory read and checked against its bounds; columns are read in small pieces."""
+        import pyarrow.parquet as pq
+
+        with open_samples(self.path, self.name) as opened:
+            check_directory(opened, self.name)
+            with pq.ParquetFile(opened, buffer_size=1 << 20, pre_buffer=False) as file:
+                check_parquet(file, self.name, self.wanted)
+                yield file
+
+    def batches(self, span: Span) -> Iterator[tuple[int, Rows]]:
+        with self._opened() as file:
+            first = 1
+            for group in range(file.num_row_groups):
+                count = file.metadata.row_group(group).num_rows
+                if not self._outside(file.metadata.row_group(group), span):
+                    row = first
+                    for batch in file.iter_batches(format_file.BATCH, row_groups=[group], columns=self.wanted):
+                        yield row, ArrowRows(batch, row, self.name)
+                        row += batch.num_rows
+                first += count
+
+    def _outside(self, group: pq.RowGroupMetaData, span: Span) -> bool:
+        """Whether a group overlaps the span, by its statistics; a group that a rounded boundary may touch is read."""
+        if not self.stamps.in_file:
+            return False
+        scale = self.stamps.scale
+        for index in range(group.num_columns):
+            column = group.column(index)
+            if column.path_in_schema == self.stamps.column:
+                known = column.statistics
+                if known is None or not known.has_min_max or not isinstance(known.min, int | float):
+                    return False
+                rounding = 0.0 if math.isnan(self.interval) else self.interval
+                return bool(known.max * scale < span.start - rounding or known.min * scale > span.end)
+        return False

@@ -1,0 +1,216 @@
+"""Separated text: CSV, tabs, semicolons with decimal commas, columns aligned with blanks; with a header line, or named in the bench."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import re
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, BinaryIO
+
+from planrunner.base.findings import closest
+from planrunner.instruments.formats import file as format_file
+from planrunner.instruments.formats.arrow import ArrowRows
+from planrunner.instruments.formats.file import MAX_COLUMNS, FormatFile, Rows, few_columns, open_samples
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.plan.kinds import Choice, ListOf, Number, Record, Text, key
+from planrunner.plan.span import Span
+
+if TYPE_CHECKING:
+    from pyarrow import csv as arrow_csv
+
+MAX_HEADER = 65_536
+"""Bytes of the first line."""
+BLOCK = 1 << 22
+"""Bytes that are parsed at once; no row may be longer."""
+SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "blanks": "\t"}
+"""By their words in bench files; any number of blanks become one tab before the text is parsed."""
+DECIMALS = {"point": ".", "comma": ","}
+_MISSING = ("N/A", "#N/A", "#N/A N/A", "#NA", "NULL", "NA", "1.#IND", "-1.#IND", "1.#QNAN", "-1.#QNAN")
+_BLANKS = re.compile(rb"[ \t]+")
+_EDGES = re.compile(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)")
+
+
+class TextKeys(Record):
+    """Keys of separated text."""
+
+    separator: str = key(
+        Choice(tuple(SEPARATORS)),
+        "What separates the columns; `blanks` is any number of blanks and tabs.",
+        "semicolon",
+        default="comma",
+    )
+    decimal: str = key(Choice(tuple(DECIMALS)), "The decimal sign.", "comma", default="point")
+    skip: int = key(
+        Number(0, 10_000, integer=True),
+        "Number of lines before the header line, or before the first row of a file without one.",
+        4,
+        default=0,
+    )
+    names: tuple[str, ...] = key(
+        ListOf(Text(r"[^\x00-\x1f]{1,200}", "a column's name"), maximum=MAX_COLUMNS),
+        "Names of the columns, in order, of a file that has no header line.",
+        ["ax", "ay", "az"],
+        default=(),
+    )
+    encoding: str = key(Choice(("utf-8", "latin-1", "utf-16")), "Encoding of the text.", "latin-1", default="utf-8")
+
+    @property
+    def delimiter(self) -> str:
+        """Between the columns of the text that is parsed."""
+        return SEPARATORS[self.separator]
+
+    @property
+    def point(self) -> str:
+        """The decimal sign."""
+        return DECIMALS[self.decimal]
+
+
+class TextFile(FormatFile[TextKeys]):
+    """A header line, then numbers; an empty field is a missing number."""
+
+    Parameters = TextKeys
+
+    def faults(self) -> tuple[type[Exception], ...]:
+        import pyarrow as pa
+
+        return (*super().faults(), pa.ArrowInvalid, pa.ArrowNotImplementedError)
+
+    def columns(self) -> list[str]:
+        if self.parameters.names:
+            return list(self.parameters.names)
+        with self._opened(None) as reader:
+            return list(reader.schema.names)
+
+    def rows_about(self) -> int:
+        with open_samples(self.path, self.name) as file:
+            start = file.read(MAX_HEADER)
+            return file.seek(0, 2) * start.count(b"\n") // max(len(start), 1)
+
+    def batches(self, span: Span) -> Iterator[tuple[int, Rows]]:
+        with self._opened(self.wanted) as reader:
+            first = 1
+            for batch in reader:
+                for offset in range(0, batch.num_rows, format_file.BATCH):
+                    part = batch.slice(offset, format_file.BATCH)
+                    yield first, ArrowRows(part, first, self.name)
+                    first += part.num_rows
+
+    def hint(self, column: str, known: list[str]) -> str:
+        if known and all(name and _is_number(name, self.parameters.point) for name in known):
+            return (
+                "it has no header: its first line contains numbers. Name its columns in the bench file, such as "
+                "`format: {type: text, names: [time, gyro_x]}`, and use the names under `time` and `channels`"
+            )
+        for word, separator in SEPARATORS.items():
+            if len(known) == 1 and word != self.parameters.separator and separator in known[0].strip():
+                return f"its columns are separated in another way: write `format: {{type: text, separator: {word}}}` in the bench file"
+        return closest(column, known)
+
+    @contextlib.contextmanager
+    def _opened(self, wanted: list[str] | None) -> Iterator[arrow_csv.CSVStreamingReader]:
+        """A reader of the columns `wanted`, by default all. Faults of the file become an `InstrumentError`."""
+        import pyarrow as pa
+        from pyarrow import csv as arrow_csv
+
+        layout = self.parameters
+        types = {} if wanted is None else dict.fromkeys(wanted, pa.float64())
+        convert = arrow_csv.ConvertOptions(
+            column_types=types, include_columns=wanted, strings_can_be_null=True, decimal_point=layout.point
+        )
+        parse = arrow_csv.ParseOptions(delimiter=layout.delimiter)
+        try:
+            with open_samples(self.path, self.name) as file:
+                text = self._text(file)
+                options = arrow_csv.ReadOptions(
+                    block_size=BLOCK,
+                    skip_rows=layout.skip,
+                    column_names=list(layout.names) or None,
+                    encoding=layout.encoding,
+                )
+                with arrow_csv.open_csv(text, options, parse, convert) as reader:
+                    yield reader
+        except (pa.ArrowInvalid, pa.ArrowKeyError, OSError, UnicodeDecodeError) as error:
+            raise self._not_numbers(wanted or []) or self.unreadable(error) from None
+
+    def _text(self, file: BinaryIO) -> BinaryIO | Blanks:
+        """The text as it is parsed, after a check of its first line."""
+        if self.parameters.separator == "blanks":
+            return Blanks(file, self.parameters.skip)
+        check_header(file, self.name, self.parameters)
+        return file
+
+    def _not_numbers(self, wanted: list[str]) -> InstrumentError | None:
+        """The message about the first line that is too long, or the first cell that is not a number; None if there is a different fault."""
+        layout = self.parameters
+        encoding = "utf-8-sig" if layout.encoding == "utf-8" else layout.encoding
+        with contextlib.suppress(OSError, UnicodeDecodeError), open_samples(self.path, self.name) as opened:
+            stream = io.BufferedReader(Blanks(opened, layout.skip)) if layout.separator == "blanks" else opened
+            with io.TextIOWrapper(stream, encoding, newline="") as file:
+                for _ in range(layout.skip):
+                    file.readline(BLOCK)
+                lines = iter(lambda: file.readline(BLOCK), "")
+                reader = csv.DictReader(lines, list(layout.names) or None, delimiter=layout.delimiter)
+                try:
+                    for row in reader:
+                        for column in wanted:
+                            cell = row.get(column) or ""
+                            if not _is_number(cell, layout.point):
+                                place = f"{self.name}, line {reader.line_num + layout.skip}: '{cell[:40]}' in column '{column}'"
+                                return InstrumentError(f"{place} is not a number; correct it, or leave it empty")
+                except csv.Error:
+                    message = f"a cell is wider than {csv.field_size_limit()} characters"
+                    line = reader.line_num + layout.skip + 1
+                    return InstrumentError(f"{self.name}, line {line}: {message}; a sample is one short line")
+        return None
+
+
+class Blanks(io.RawIOBase):
+    """The text of a file in which runs of blanks and tabs have become one tab; those at the ends of a line are dropped. The first `skip`
+    lines pass unchanged, so that they stay lines."""
+
+    def __init__(self, file: BinaryIO, skip: int = 0):
+        self._file = file
+        self._kept = b""
+        self._ready = b"".join(file.readline(MAX_HEADER) for _ in range(skip))
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
+        while not self._ready:
+            more = self._file.read(1 << 20)
+            if not more:
+                whole, self._kept = self._kept, b""
+                if not whole:
+                    return 0
+            else:
+                whole, end, rest = (self._kept + more).rpartition(b"\n")
+                whole, self._kept = whole + end, rest
+            self._ready = _BLANKS.sub(b"\t", _EDGES.sub(b"", whole))
+        count = min(len(buffer), len(self._ready))
+        buffer[:count] = self._ready[:count]
+        self._ready = self._ready[count:]
+        return count
+
+
+def check_header(file: BinaryIO, name: str, layout: TextKeys) -> None:
+    """Check the first line against its bounds and return to the beginning. Raises `InstrumentError`."""
+    for _ in range(layout.skip):
+        file.readline(MAX_HEADER)
+    start = file.read(MAX_HEADER + 1).removeprefix(b"\xef\xbb\xbf").lstrip(b"\r\n")
+    file.seek(0)
+    header = start.partition(b"\n")[0].partition(b"\r")[0]
+    few_columns(header.count(layout.delimiter.encode()) + 1, name)
+    if len(header) > MAX_HEADER - 100 and len(header) == len(start):  # no end of the line was found
+        message = f"its header is longer than {MAX_HEADER} bytes"
+        raise InstrumentError(f"{name}: {message}; the first line names the columns, and each further line is a sample")
+
+
+def _is_number(cell: str, decimal: str) -> bool:
+    try:
+        float(cell.replace(decimal, ".") or "nan")
+    except ValueError:
+        return cell.upper() in _MISSING
+    return True
