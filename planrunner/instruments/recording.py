@@ -20,7 +20,7 @@ from planrunner.base.progress import Announce
 from planrunner.instruments.formats.file import TimeStamps
 from planrunner.instruments.interfaces import Block, Clock, InstrumentError, PlaysBack, Surroundings, UnservedError
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
-from planrunner.instruments.recording_file import Part, RecordingFile, beneath, open_recording
+from planrunner.instruments.recording_file import RecordedFile, RecordingFile, beneath, open_recording
 from planrunner.instruments.recording_keys import SECONDS, RecordingParameters
 from planrunner.instruments.recording_scan import Wanted, scan
 from planrunner.instruments.recording_segments import SegmentTable, read_segment_table, stretches
@@ -97,7 +97,7 @@ class RecordingPlayer(PlaysBack):
         """A player of the files at `paths`, which continue each other. table: file of the segments; piece: s, the longest block;
         notice: receives the progress where a whole file is read. Raises `InstrumentError`."""
         columns = {name: channel.column for name, channel in parameters.channels.items()}
-        parts = [Part(path, name) for path, name in zip(paths, parameters.files, strict=True)]
+        parts = [RecordedFile(path, name) for path, name in zip(paths, parameters.files, strict=True)]
         pause = parameters.pause_between_files
         file = open_recording(
             parts, _stamps(parameters), columns, parameters.format, None if pause is None else pause.value

@@ -77,7 +77,7 @@ class RecordingFile(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class RecordedFile:
     """A file of a recording. name: for messages."""
 
     path: Path
@@ -85,7 +85,7 @@ class Part:
 
 
 def open_recording(
-    parts: Sequence[Part],
+    parts: Sequence[RecordedFile],
     stamps: TimeStamps,
     channels: Mapping[str, str],
     given: Format | None = None,

@@ -14,7 +14,7 @@ from planrunner.design.study import Asked
 from planrunner.estimators.interface import EstimationError
 from planrunner.instruments.formats.file import TimeStamps
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.instruments.recording_file import Part, open_recording
+from planrunner.instruments.recording_file import RecordedFile, open_recording
 from planrunner.plan.model import parse_plan
 from planrunner.plan.run_information import gather
 from planrunner.plan.units import suggestion
@@ -122,10 +122,10 @@ def test_a_file_without_a_header(tmp_path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([0.01 * row, 1.5, -2e-3] for row in range(5))
     with pytest.raises(InstrumentError, match="no header"):
-        open_recording([Part(path, path.name)], TimeStamps("time"), {"gyro_x": "gyro_x"})
+        open_recording([RecordedFile(path, path.name)], TimeStamps("time"), {"gyro_x": "gyro_x"})
     path.write_text("t,gyro_x\n0,1\n", encoding="utf-8")
     with pytest.raises(InstrumentError) as caught:
-        open_recording([Part(path, path.name)], TimeStamps("time"), {"gyro_x": "gyro_x"})
+        open_recording([RecordedFile(path, path.name)], TimeStamps("time"), {"gyro_x": "gyro_x"})
     assert "no header" not in str(caught.value)
 
 

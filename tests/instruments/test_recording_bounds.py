@@ -15,14 +15,14 @@ from planrunner.instruments.formats import file as format_file
 from planrunner.instruments.formats import parquet
 from planrunner.instruments.formats.file import TimeStamps
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.instruments.recording_file import Part, beneath, open_recording
+from planrunner.instruments.recording_file import RecordedFile, beneath, open_recording
 
 TIME = np.arange(1000) / 100
 
 
 def total(path: Path) -> float:
     """Sum of the channel, after reading all of the file."""
-    file = open_recording([Part(path, path.name)], TimeStamps("time"), {"rate": "gx"})
+    file = open_recording([RecordedFile(path, path.name)], TimeStamps("time"), {"rate": "gx"})
     return float(sum(columns["rate"].sum() for _, columns in file.rows()))
 
 

@@ -25,10 +25,10 @@ from planrunner.instruments.formats import file as format_file
 from planrunner.instruments.formats.file import (
     MAX_COLUMNS,
     Array,
-    Columns,
     FormatFile,
+    HeldRows,
     NoKeys,
-    Rows,
+    SampleRows,
     TimeStamps,
     open_samples,
 )
@@ -82,11 +82,11 @@ class ArraysFile(FormatFile[NoKeys]):
             raise InstrumentError(f"{self.name}: {message}; all columns of a recording need the same number of rows")
         return counts[least]
 
-    def batches(self, span: Span) -> Iterator[tuple[int, Rows]]:
+    def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
         count = self._rows()
         for begin in range(0, count, format_file.BATCH):
             end = min(begin + format_file.BATCH, count)
-            yield begin + 1, Columns(end - begin, self.read(self.wanted, begin, end))
+            yield begin + 1, HeldRows(end - begin, self.read(self.wanted, begin, end))
 
     def hint(self, column: str, known: list[str]) -> str:
         shapes = self.shapes()
@@ -304,6 +304,7 @@ class UlogFile(_HeldArrays):
     def load(self, file: BinaryIO) -> Mapping[str, object]:
         try:
             from pyulog import ULog
+            from pyulog.exceptions import ULogException
         except ImportError:
             message = "reading ULog needs the package pyulog; install it with: pip install 'planrunner[recordings]'"
             raise InstrumentError(f"{self.name}: {message}") from None
@@ -311,7 +312,7 @@ class UlogFile(_HeldArrays):
         file.seek(0)
         try:
             log = ULog(file)
-        except (TypeError, IndexError, AttributeError) as error:
+        except (ULogException, TypeError, IndexError, AttributeError) as error:
             raise InstrumentError(f"{self.name} cannot be read as ULog: {str(error)[:200]}") from None
         found: dict[str, object] = {}
         for data in log.data_list:

@@ -9,7 +9,7 @@ import numpy as np
 
 from planrunner.base.findings import Findings
 from planrunner.instruments.formats import file as format_file
-from planrunner.instruments.formats.file import Columns, FormatFile, Rows, TimeStamps, open_samples
+from planrunner.instruments.formats.file import FormatFile, HeldRows, SampleRows, TimeStamps, open_samples
 from planrunner.instruments.frame_keys import (
     CHECKSUMS,
     LONGEST,
@@ -103,7 +103,7 @@ class BinaryFile(FormatFile[BinaryKeys]):
     def remarks(self) -> tuple[str, ...]:
         return self._remarks
 
-    def batches(self, span: Span) -> Iterator[tuple[int, Rows]]:
+    def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
         length = self.parameters.length
         if self.rows_about() == 0:
             held = (
@@ -120,7 +120,7 @@ class BinaryFile(FormatFile[BinaryKeys]):
         for frames in self._frames():
             found = numbers(frames, fields)
             values = {name: row + item.zero for name, row, item in zip(self.wanted, found, chosen, strict=True)}
-            yield first, Columns(len(frames), values)
+            yield first, HeldRows(len(frames), values)
             first += len(frames)
         if first == 1:
             raise InstrumentError(
@@ -148,10 +148,10 @@ class BinaryFile(FormatFile[BinaryKeys]):
                     )
             if framer is not None:
                 self._remarks = tuple(
-                    f"{count} {what}"
+                    f"{what}: {count}"
                     for count, what in (
-                        (framer.corrupt, "frames are corrupt"),
-                        (framer.skipped, "bytes are outside of frames"),
+                        (framer.corrupt, "records that are corrupt or not where they are expected"),
+                        (framer.skipped, "bytes outside of good records"),
                     )
                     if count
                 )

@@ -7,7 +7,7 @@ from dataclasses import field
 from pathlib import Path
 
 from planrunner.base.documents import JsonObject
-from planrunner.base.findings import Findings
+from planrunner.base.findings import Findings, InputError
 from planrunner.instruments.formats.arrays import Hdf5File, MatlabFile, NumpyFile, UlogFile, is_hdf5
 from planrunner.instruments.formats.binary import BinaryFile, BinaryKeys, check_binary
 from planrunner.instruments.formats.database import SqliteFile
@@ -55,10 +55,17 @@ class Format(Record):
     parameters: Record = field(default_factory=Record)
 
 
+def _kind(name: str) -> type[AnyFile]:
+    """Raises `InputError` for a name that is no format."""
+    if name not in FORMATS:
+        raise InputError(())
+    return FORMATS[name]
+
+
 class FormatChoice:
     """A `format`, with the keys of the one that it names."""
 
-    _plugged = Plugged(Format, "type", lambda: tuple(FORMATS), FORMATS.__getitem__, "form-choice")
+    _plugged = Plugged(Format, "type", lambda: tuple(FORMATS), _kind, "form-choice")
 
     def read(self, node: Node, log: Findings) -> Format | None:
         made: Format | None = self._plugged.read(node, log)

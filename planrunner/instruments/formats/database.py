@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.findings import closest
 from planrunner.instruments.formats import file as format_file
-from planrunner.instruments.formats.file import Columns, FormatFile, Rows, few_columns, open_samples
+from planrunner.instruments.formats.file import FormatFile, HeldRows, SampleRows, few_columns, open_samples
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.kinds import Record, Text, key
 from planrunner.plan.span import Span
@@ -80,7 +80,7 @@ class SqliteFile(FormatFile[SqliteKeys]):
             (count,) = connection.execute(f"SELECT COUNT(*) FROM {_quoted(self._table(connection))}").fetchone()
             return int(count)
 
-    def batches(self, span: Span) -> Iterator[tuple[int, Rows]]:
+    def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
         with self._opened() as connection:
             named = ", ".join(map(_quoted, self.wanted))
             cursor = connection.execute(f"SELECT {named} FROM {_quoted(self._table(connection))}")
@@ -89,7 +89,7 @@ class SqliteFile(FormatFile[SqliteKeys]):
                 columns = dict(zip(self.wanted, zip(*rows, strict=True), strict=True))
                 yield (
                     first,
-                    Columns(len(rows), {name: self._numbers(name, column, first) for name, column in columns.items()}),
+                    HeldRows(len(rows), {name: self._numbers(name, column, first) for name, column in columns.items()}),
                 )
                 first += len(rows)
 

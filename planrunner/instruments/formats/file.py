@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, Generic, Protocol, TypeVar
+from typing import BinaryIO, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +65,7 @@ class TimeStamps:
         return self.column is not None and self.wraps is None
 
 
-class Rows(Protocol):
+class SampleRows(Protocol):
     """Consecutive rows of a file. count: their number."""
 
     @property
@@ -100,7 +100,7 @@ class NoKeys(Record):
     """The keys of a format that says everything of itself."""
 
 
-Keys = TypeVar("Keys", bound=Record)
+Keys = TypeVar("Keys", bound=Record, covariant=True)
 
 
 class FormatFile(ABC, Generic[Keys]):
@@ -127,7 +127,7 @@ class FormatFile(ABC, Generic[Keys]):
         """Approximate number of rows, without reading them."""
 
     @abstractmethod
-    def batches(self, span: Span) -> Iterator[tuple[int, Rows]]:
+    def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
         """(number of the first row, counted from 1; rows), possibly with rows outside the span."""
 
     def faults(self) -> tuple[type[Exception], ...]:
@@ -145,7 +145,7 @@ class FormatFile(ABC, Generic[Keys]):
 
     @property
     def wanted(self) -> list[str]:
-        """Columns of time and channels, each once."""
+        """HeldRows of time and channels, each once."""
         return list(dict.fromkeys((*self.stamps.columns, *self.channels.values())))
 
     def look(self) -> None:
@@ -187,7 +187,7 @@ class FormatFile(ABC, Generic[Keys]):
         for first, rows, time in self._timed(EVERYTHING):
             yield first, time, {name: rows.numbers(column) for name, column in self.channels.items()}
 
-    def _timed(self, span: Span) -> Iterator[tuple[int, Rows, Array]]:
+    def _timed(self, span: Span) -> Iterator[tuple[int, SampleRows, Array]]:
         """Batches that have rows, with their times."""
         stamps = self.stamps
         counter = None if stamps.wraps is None else _Counter(stamps.wraps)
@@ -225,12 +225,12 @@ class FormatFile(ABC, Generic[Keys]):
         return InstrumentError(f"{self.name} cannot be read: {reason}")
 
 
-AnyFile = FormatFile[Any]
+AnyFile = FormatFile[Record]
 """A file of any format."""
 
 
 @dataclass(frozen=True, slots=True)
-class Columns:
+class HeldRows:
     """Rows that are in memory, by column, each (count,)."""
 
     count: int

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from planrunner.instruments.formats import file as format_file
 from planrunner.instruments.formats.arrow import ArrowRows
-from planrunner.instruments.formats.file import FormatFile, NoKeys, Rows, few_columns, open_samples
+from planrunner.instruments.formats.file import FormatFile, NoKeys, SampleRows, few_columns, open_samples
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.span import Span
 
@@ -93,7 +93,7 @@ class ParquetFile(FormatFile[NoKeys]):
                 check_parquet(file, self.name, self.wanted)
                 yield file
 
-    def batches(self, span: Span) -> Iterator[tuple[int, Rows]]:
+    def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
         with self._opened() as file:
             first = 1
             for group in range(file.num_row_groups):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from planrunner.base.findings import closest
 from planrunner.instruments.formats import file as format_file
 from planrunner.instruments.formats.arrow import ArrowRows
-from planrunner.instruments.formats.file import MAX_COLUMNS, FormatFile, Rows, few_columns, open_samples
+from planrunner.instruments.formats.file import MAX_COLUMNS, FormatFile, SampleRows, few_columns, open_samples
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.kinds import Choice, ListOf, Number, Record, Text, key
 from planrunner.plan.span import Span
@@ -88,7 +88,7 @@ class TextFile(FormatFile[TextKeys]):
             start = file.read(MAX_HEADER)
             return file.seek(0, 2) * start.count(b"\n") // max(len(start), 1)
 
-    def batches(self, span: Span) -> Iterator[tuple[int, Rows]]:
+    def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
         with self._opened(self.wanted) as reader:
             first = 1
             for batch in reader:
@@ -103,10 +103,24 @@ class TextFile(FormatFile[TextKeys]):
                 "it has no header: its first line contains numbers. Name its columns in the bench file, such as "
                 "`format: {type: text, names: [time, gyro_x]}`, and use the names under `time` and `channels`"
             )
+        return self._other_separator(known[0] if len(known) == 1 else "") or closest(column, known)
+
+    def unreadable(self, error: Exception) -> InstrumentError:
+        with open_samples(self.path, self.name) as file:
+            start = file.read(MAX_HEADER).decode(self.parameters.encoding, "replace")
+        header = "".join(start.splitlines()[self.parameters.skip :][:1])
+        other = None if self.parameters.delimiter in header else self._other_separator(header)
+        return super().unreadable(error) if other is None else InstrumentError(f"{self.name}: {other}")
+
+    def _other_separator(self, header: str) -> str | None:
+        """What to do if a header line of a single column has other separators."""
         for word, separator in SEPARATORS.items():
-            if len(known) == 1 and word != self.parameters.separator and separator in known[0].strip():
-                return f"its columns are separated in another way: write `format: {{type: text, separator: {word}}}` in the bench file"
-        return closest(column, known)
+            if word != self.parameters.separator and separator in header.strip():
+                return (
+                    f"its columns are separated in another way: write `format: {{type: text, separator: {word}}}` in the bench file, and "
+                    "`decimal: comma` if the numbers have decimal commas"
+                )
+        return None
 
     @contextlib.contextmanager
     def _opened(self, wanted: list[str] | None) -> Iterator[arrow_csv.CSVStreamingReader]:
