@@ -42,9 +42,9 @@ lint: $(READY)
 schemas: $(READY)
 	$(BIN)/python -m planrunner.tasks.write_schemas schemas
 
-# Texts of the templates into locales/, where translators go on.
+# Texts of the certificate and of the estimators into locales/, where translators continue.
 catalogues: $(READY)
-	$(BIN)/pybabel extract --mapping babel.cfg --omit-header --no-location --no-wrap --sort-output --output locales/planrunner.pot .
+	$(BIN)/pybabel extract --mapping babel.cfg --keywords said --keywords counted:1,2 --omit-header --no-location --no-wrap --sort-output --output locales/planrunner.pot .
 	for catalogue in locales/*.po; do \
 	  $(BIN)/pybabel update --input-file locales/planrunner.pot --output-file $$catalogue --locale $$(basename $$catalogue .po) \
 	    --omit-header --no-wrap --no-fuzzy-matching --ignore-obsolete; done

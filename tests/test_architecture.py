@@ -349,6 +349,27 @@ def test_nothing_asks_an_object_for_an_attribute_that_its_type_could_promise() -
     assert found == set(PROBES)
 
 
+READS_NAMES = {
+    "planrunner.estimators.tilted.mounted_axes": "the name of an output ends with its axis in the plan's `mounting`"
+}
+"""Modules of the numerical rooms that look at the beginning or end of a name, with the reason."""
+
+
+@pytest.mark.parametrize(
+    "room", ["estimators", "gap", "error_model", "observation", "design", "uncertainty", "physics"]
+)
+def test_the_beginning_or_end_of_a_name_decides_nothing(room: str) -> None:
+    """A role is a field or an enumeration, not a prefix of a name, a title or a sentence."""
+    found = {
+        name
+        for name, path in modules().items()
+        if name.startswith(f"planrunner.{room}.")
+        for node in nodes(path)
+        if isinstance(node, ast.Attribute) and node.attr in ("startswith", "endswith")
+    }
+    assert found == {name for name in READS_NAMES if name.startswith(f"planrunner.{room}.")}
+
+
 ANYTHING = {
     "base/compiled.py": (9, "numba's decorator gives back the function that it is given"),
     "base/dataclass.py": (

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
 from planrunner.base.kept import kept
+from planrunner.base.said import Said, said
 from planrunner.physics.earth import EARTH_RATE, Site
 from planrunner.physics.stimulus import Poses, Stimulus, StimulusError
 from planrunner.plan.kinds import Choice
@@ -37,7 +38,7 @@ class Term:
     """
 
     name: str
-    description: str
+    description: Said
     magnitude: float
     unit: str
     of: Callable[[Stimulus], Array] = field(repr=False)
@@ -65,26 +66,28 @@ def _product(first: int, second: int) -> Callable[[Stimulus], Array]:
     return lambda stimulus: stimulus.specific_force[:, first] * stimulus.specific_force[:, second]
 
 
+def _about(axis: str) -> Said:
+    return said("Angular rate about the sensor's {axis} axis.", axis=axis)
+
+
+def _force(axis: str) -> Said:
+    return said("Specific force along the sensor's {axis} axis.", axis=axis)
+
+
+def _along(first: str, second: str) -> Said:
+    return said("Product of the specific forces along {first} and {second}.", first=first, second=second)
+
+
 _G2 = STANDARD_GRAVITY**2
-BIAS = Term("bias", "Constant output.", 1.0, "1", lambda stimulus: np.ones(len(stimulus)), 0, True)
-RATE_X = Term("rate_x", "Angular rate about the sensor's x axis.", EARTH_RATE, "rad/s", _rate(0), of_motion=True)
-RATE_Y = Term("rate_y", "Angular rate about the sensor's y axis.", EARTH_RATE, "rad/s", _rate(1), of_motion=True)
-RATE_Z = Term("rate_z", "Angular rate about the sensor's z axis.", EARTH_RATE, "rad/s", _rate(2), of_motion=True)
-ACCEL_X = Term(
-    "accel_x", "Specific force along the sensor's x axis.", STANDARD_GRAVITY, "m/s^2", _accel(0), of_motion=True
-)
-ACCEL_Y = Term(
-    "accel_y", "Specific force along the sensor's y axis.", STANDARD_GRAVITY, "m/s^2", _accel(1), of_motion=True
-)
-ACCEL_Z = Term(
-    "accel_z", "Specific force along the sensor's z axis.", STANDARD_GRAVITY, "m/s^2", _accel(2), of_motion=True
-)
-ACCEL_X_ACCEL_Z = Term(
-    "accel_x_accel_z", "Product of the specific forces along x and z.", _G2, "(m/s^2)^2", _product(0, 2), 2, True
-)
-ACCEL_Y_ACCEL_Z = Term(
-    "accel_y_accel_z", "Product of the specific forces along y and z.", _G2, "(m/s^2)^2", _product(1, 2), 2, True
-)
+BIAS = Term("bias", said("Constant output."), 1.0, "1", lambda stimulus: np.ones(len(stimulus)), 0, True)
+RATE_X = Term("rate_x", _about("x"), EARTH_RATE, "rad/s", _rate(0), of_motion=True)
+RATE_Y = Term("rate_y", _about("y"), EARTH_RATE, "rad/s", _rate(1), of_motion=True)
+RATE_Z = Term("rate_z", _about("z"), EARTH_RATE, "rad/s", _rate(2), of_motion=True)
+ACCEL_X = Term("accel_x", _force("x"), STANDARD_GRAVITY, "m/s^2", _accel(0), of_motion=True)
+ACCEL_Y = Term("accel_y", _force("y"), STANDARD_GRAVITY, "m/s^2", _accel(1), of_motion=True)
+ACCEL_Z = Term("accel_z", _force("z"), STANDARD_GRAVITY, "m/s^2", _accel(2), of_motion=True)
+ACCEL_X_ACCEL_Z = Term("accel_x_accel_z", _along("x", "z"), _G2, "(m/s^2)^2", _product(0, 2), 2, True)
+ACCEL_Y_ACCEL_Z = Term("accel_y_accel_z", _along("y", "z"), _G2, "(m/s^2)^2", _product(1, 2), 2, True)
 
 
 def design_matrix(terms: Sequence[Term], stimulus: Stimulus) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 
 from planrunner.archive.recording import BATCHES
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, counted, said
 from planrunner.estimators.drift_fit import SuspectedDrift
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark, UnfitDataError
 from planrunner.estimators.outlying_segments import LEAST_REDUNDANCY, Outlier, outliers, unchecked
@@ -100,21 +101,23 @@ def planned_samples(request: DesignRequest[object], segment: Segment) -> int:
     return max(1, round((segment.sample_rate or request.sensor.sample_rate) * segment.dwell)) if segment.dwell else 0
 
 
-def unlike_outputs(fit: OutputsFit) -> str:
-    """A warning if the outputs' variance factors differ too much to be pooled; otherwise empty."""
+def unlike_outputs(fit: OutputsFit) -> Said | None:
+    """A warning if the outputs' variance factors differ too much to be pooled."""
     from scipy.special import fdtrc
 
     factors = np.array([one.variance_factor for one in fit.fits])
     low, high = int(np.argmin(factors)), int(np.argmax(factors))
     if not fit.freedom or factors[low] == factors[high]:
-        return ""
+        return None
     ratio = float(factors[high] / factors[low]) if factors[low] > 0 else np.inf
     if 2 * fdtrc(fit.freedom, fit.freedom, ratio) >= SIGNIFICANCE:
-        return ""
-    return (
-        f"The residuals of {fit.outputs[high]} exceed its noise by more than the residuals of {fit.outputs[low]} "
-        f"exceed theirs (variance ratio {ratio:.3g}): "
-        "write `pool_outputs: false` so that each output's uncertainty rests on its own residuals."
+        return None
+    return said(
+        "The residuals of {first} exceed its noise by more than the residuals of {second} exceed theirs (variance ratio "
+        "{ratio:.3g}): write `pool_outputs: false` so that each output's uncertainty rests on its own residuals.",
+        first=fit.outputs[high],
+        second=fit.outputs[low],
+        ratio=ratio,
     )
 
 
@@ -122,7 +125,7 @@ def unlike_outputs(fit: OutputsFit) -> str:
 class FitNote:
     """A note on a fit. output: the output that it names; empty if it is about all outputs of the fit."""
 
-    text: str
+    text: Said
     output: str = ""
 
 
@@ -131,10 +134,10 @@ class Judgement:
     """What a report says about the chosen basis."""
 
     notes: tuple[FitNote, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[Said, ...]
 
     @property
-    def texts(self) -> tuple[str, ...]:
+    def texts(self) -> tuple[Said, ...]:
         """The notes without their outputs."""
         return tuple(note.text for note in self.notes)
 
@@ -143,118 +146,172 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
     """Notes and warnings about the chosen basis, for the report. channels: channels whose flicker affects the outputs; by default the
     outputs."""
     notes: list[FitNote] = []
-    warnings: list[str] = []
+    warnings: list[Said] = []
     if basis == "residual":
-        together = ", pooled over the outputs" if fit.pooled else ""
-        text = f"Uncertainties are based on the residuals: {fit.freedom} degrees of freedom for each output{together}, "
-        notes.append(FitNote(f"{text}so the coverage factors are large."))
+        pooled = said(
+            "Uncertainties are based on the residuals: {freedom} degrees of freedom for each output, pooled over the "
+            "outputs, so the coverage factors are large.",
+            freedom=fit.freedom,
+        )
+        apart = said(
+            "Uncertainties are based on the residuals: {freedom} degrees of freedom for each output, so the coverage "
+            "factors are large.",
+            freedom=fit.freedom,
+        )
+        notes.append(FitNote(pooled if fit.pooled else apart))
         if fit.pooled and (different := unlike_outputs(fit)):
             warnings.append(different)
     else:
-        text = "Uncertainties are based on the noise within the segments and on the stated inputs; other changes "
-        notes.append(FitNote(f"{text}from segment to segment are not included."))
+        within = said(
+            "Uncertainties are based on the noise within the segments and on the stated inputs; other changes from "
+            "segment to segment are not included."
+        )
+        notes.append(FitNote(within))
     notes += map(FitNote, _weights(fit, channels or fit.outputs))
     for found in compare(fit):
-        text = (
-            f"{found.output}: residual variance is {found.ratio:.3g} times that expected from the noise within the "
-            "segments and the declared inputs"
-        )
         if found.exceeds:
-            consequence = (
-                "the within-segment uncertainties are too small"
-                if basis == "within_segment"
-                else "use the residual basis"
-            )
-            warnings.append(
-                f"{text} (probability by chance: {found.probability:.2g}). Something changes from segment to segment "
-                f"(positions or a slow drift), or the model is incomplete: {consequence}."
-            )
-        else:
-            notes.append(
-                FitNote(f"{text}, which may be due to chance (probability {found.probability:.2g}).", found.output)
-            )
+            warnings.append(_exceeding(found, basis))
+            continue
+        by_chance = said(
+            "{output}: residual variance is {ratio:.3g} times that expected from the noise within the segments and the "
+            "declared inputs, which may be due to chance (probability {chance:.2g}).",
+            output=found.output,
+            ratio=found.ratio,
+            chance=found.probability,
+        )
+        notes.append(FitNote(by_chance, found.output))
     for output, noise, width, own in zip(fit.outputs, fit.noises, fit.between, fit.spreads, strict=True):
         if width:
-            text = f"{output}: {width:.3g} (standard deviation, in the output's unit) is added as scatter between segments "
-            text += "in the weights, because the noise within the segments does not explain the residuals."
-            notes.append(FitNote(text, output))
+            scattering = said(
+                "{output}: {width:.3g} (standard deviation, in the output's unit) is added as scatter between segments "
+                "in the weights, because the noise within the segments does not explain the residuals.",
+                output=output,
+                width=width,
+            )
+            notes.append(FitNote(scattering, output))
         elif noise.weighting == "individual" and not np.ptp(own):
-            text = f"{output}: the noise differs between segments, but the plan gives all the same weight."
-            notes.append(FitNote(text, output))
+            alike = said(
+                "{output}: the noise differs between segments, but the plan gives all the same weight.", output=output
+            )
+            notes.append(FitNote(alike, output))
         elif noise.weighting == "individual":
-            text = f"{output}: the noise differs between segments, so each segment is weighted by its own noise."
-            notes.append(FitNote(text, output))
-    said, doubted = drift_words(fit, basis)
-    notes += [FitNote(text) for text in said]
-    warnings += doubted
+            weighted = said(
+                "{output}: the noise differs between segments, so each segment is weighted by its own noise.",
+                output=output,
+            )
+            notes.append(FitNote(weighted, output))
+    drifted = drift_words(fit, basis)
+    notes += map(FitNote, drifted.notes)
+    warnings += drifted.warnings
     warnings += [_outlying(fit, one, basis) for one in outliers(fit, basis)]
     if alone := unchecked(fit, basis):
-        text = f"The other segments hardly check the segments {', '.join(alone)} (less than {100 * LEAST_REDUNDANCY:.0f} % "
-        text += "of an error in one of them appears in the residuals): repeat these segments to confirm them."
-        notes.append(FitNote(text))
+        hardly = said(
+            "The other segments hardly check the segments {segments} (less than {share:.0f} % of an error in one of them "
+            "appears in the residuals): repeat these segments to confirm them.",
+            segments=tuple(alone),
+            share=100 * LEAST_REDUNDANCY,
+        )
+        notes.append(FitNote(hardly))
     return Judgement(tuple(notes), tuple(warnings))
 
 
-def drift_words(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
+@dataclass(frozen=True, slots=True)
+class DriftWords:
+    """What a report says about a drift."""
+
+    notes: tuple[Said, ...] = ()
+    warnings: tuple[Said, ...] = ()
+
+
+def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
     """A note about a drift that the plan asks for, warnings about one that the segments show or do not exclude, and a note if they could
     show none."""
     drift = fit.drift
     if not drift.courses:
-        doubted = [_suspected(fit, one, basis) for one in drift.suspected]
+        doubted = tuple(_suspected(fit, one, basis) for one in drift.suspected)
         if drift.judged:
-            return [], doubted
-        return [
-            f"{', '.join(fit.outputs)}: a drift during the test cannot be distinguished from the coefficients or from scatter, so none is "
-            "fitted: repeat the first segment at the end, or add segments."
-        ], doubted
-    names = " and ".join(dict.fromkeys(course.name for course in drift.courses))
-    holds = "The coefficients are averages over the recorded time of the test"
+            return DriftWords(warnings=doubted)
+        hidden = said(
+            "{outputs}: a drift during the test cannot be distinguished from the coefficients or from scatter, so none is "
+            "fitted: repeat the first segment at the end, or add segments.",
+            outputs=fit.outputs,
+        )
+        return DriftWords((hidden,), doubted)
+    names = tuple(dict.fromkeys(course.name for course in drift.courses))
     if drift.without is None or drift.explained is None:
-        return [f"{', '.join(fit.outputs)}: a drift ({names}) is fitted together with the coefficients. {holds}."], []
+        planned = said(
+            "{outputs}: a drift ({drifts}) is fitted together with the coefficients. The coefficients are averages over the "
+            "recorded time of the test.",
+            outputs=fit.outputs,
+            drifts=names,
+        )
+        return DriftWords(notes=(planned,))
     spreads = np.sqrt(np.diag(fit.covariance(basis))).reshape(fit.coefficients.shape)
-    moved = float(np.max(np.abs(fit.coefficients - drift.without) / spreads))
-    shares = ", ".join(
-        f"{100 * share:.3g} % ({name})" for name, share in zip(fit.outputs, drift.explained, strict=True)
+    shares = tuple(
+        said("{share:.3g} % ({output})", share=100 * float(share), output=output)
+        for output, share in zip(fit.outputs, drift.explained, strict=True)
     )
-    left = (
-        f" Only {fit.freedom} degree{'s' if fit.freedom > 1 else ''} of freedom "
-        f"{'are' if fit.freedom > 1 else 'is'} left, so errors of the positions could look the same: repeat the first segment at the end."
-        if fit.freedom < _FEW
-        else ""
+    seen = said(
+        "The outputs seem to drift during the test: a drift ({drifts}) explains {shares} of the scatter about the model. A term "
+        "that is missing in the model and follows the order of the segments would look the same. The drift is fitted together "
+        "with the coefficients; without it a coefficient would change by {moved:.2g} standard uncertainties. The coefficients "
+        "are averages over the recorded time of the test. Write `drift: {written}` to confirm the drift, or `drift: none` to "
+        "leave it out.",
+        drifts=names,
+        shares=shares,
+        moved=float(np.max(np.abs(fit.coefficients - drift.without) / spreads)),
+        written=_written(drift.courses),
     )
-    return [], [
-        f"The outputs seem to drift during the test: a drift ({names}) explains {shares} of the scatter about the model. A term that is "
-        "missing in the model and follows the order of the segments would look the same. "
-        "The drift is fitted together with the coefficients; "
-        f"without it a coefficient would change by {moved:.2g} standard uncertainties. {holds}."
-        f"{left} Write `drift: {_written(drift.courses)}` to confirm the drift, or `drift: none` to leave it out."
-    ]
+    if fit.freedom >= _FEW:
+        return DriftWords(warnings=(seen,))
+    doubtful = counted(
+        "{warning} Only {count} degree of freedom is left, so errors of the positions could look the same: repeat the first "
+        "segment at the end.",
+        "{warning} Only {count} degrees of freedom are left, so errors of the positions could look the same: repeat the first "
+        "segment at the end.",
+        count=fit.freedom,
+        warning=seen,
+    )
+    return DriftWords(warnings=(doubtful,))
 
 
-def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> str:
+def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
     """A warning about a drift that is not fitted, although the data do not exclude one that matters."""
     output, name = fit.outputs[found.output], found.course.name
     if found.course.changed:
-        size = (
-            f"fitted together with the coefficients, it would make the standard uncertainty {found.growth:.2g} times as large"
-            if np.isfinite(found.growth)
-            else "these segments cannot separate the two at all"
-        )
-        return (
-            f"The temperature changed by {found.course.changed:.3g} K during the test, in such an order of the segments that "
-            f"a drift with temperature is hard to distinguish from {found.name} of {output}: {size}. The data neither show nor "
-            "exclude such a drift, and no uncertainty includes it. Write `drift: temperature` to include it, or `drift: none` if "
-            "the outputs do not depend on the temperature. A steadier temperature, or the segments a second time in the opposite "
-            "order, makes the two easier to distinguish."
+        return said(
+            "The temperature changed by {change:.3g} K during the test, in such an order of the segments that a drift with "
+            "temperature is hard to distinguish from {coefficient} of {output}: {size}. The data neither show nor exclude such a "
+            "drift, and no uncertainty includes it. Write `drift: temperature` to include it, or `drift: none` if the outputs do "
+            "not depend on the temperature. A steadier temperature, or the segments a second time in the opposite order, makes "
+            "the two easier to distinguish.",
+            change=found.course.changed,
+            coefficient=found.name,
+            output=output,
+            size=_size(found),
         )
     k, p = found.output, fit.matrix.shape[1]
     spread = float(np.sqrt(np.diag(fit.covariance(basis))[k * p + found.term]))
-    return (
-        f"The outputs may drift during the test: fitted together with the coefficients, a drift ({name}) would change "
-        f"{found.name} of {output} by {abs(found.change) / spread:.2g} standard uncertainties (probability by chance: "
-        f"{found.probability:.2g}). This evidence is too weak to fit the drift, so no uncertainty includes it. Write "
-        f"`drift: {name}` to include it, or `drift: none` to exclude it; the first segment repeated at the end would show "
-        "which is true."
+    return said(
+        "The outputs may drift during the test: fitted together with the coefficients, a drift ({drift}) would change "
+        "{coefficient} of {output} by {change:.2g} standard uncertainties (probability by chance: {chance:.2g}). This evidence is "
+        "too weak to fit the drift, so no uncertainty includes it. Write `drift: {drift}` to include it, or `drift: none` to "
+        "exclude it; the first segment repeated at the end would show which is true.",
+        drift=name,
+        coefficient=found.name,
+        output=output,
+        change=abs(found.change) / spread,
+        chance=found.probability,
+    )
+
+
+def _size(found: SuspectedDrift) -> Said:
+    """What the drift does to the uncertainty of the coefficient."""
+    if not np.isfinite(found.growth):
+        return said("these segments cannot separate the two at all")
+    return said(
+        "fitted together with the coefficients, it would make the standard uncertainty {growth:.2g} times as large",
+        growth=found.growth,
     )
 
 
@@ -265,29 +322,56 @@ def _written(courses: Sequence[DriftCourse]) -> str:
     return words[0] if len(words) == 1 else f"[{', '.join(words)}]"
 
 
-def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> str:
-    k, p = fit.outputs.index(found.output), fit.matrix.shape[1]
-    spreads = np.sqrt(np.diag(fit.covariance(basis))[k * p : (k + 1) * p])
-    moved = float(np.max(np.abs(found.changes) / spreads))
-    return (
-        f"Segment '{found.label}' does not fit the others: the mean of {found.output} lies {found.error:.3g} "
-        f"{fit.units[k]} from the value expected from the others ({found.deviations:.3g} standard deviations; probability by chance: "
-        f"{found.probability:.2g}). Without it a coefficient changes by {moved:.2g} standard uncertainties: check its "
-        "label, its planned state and its data."
+def _exceeding(found: BasisComparison, basis: str) -> Said:
+    """A warning that the residuals show more than the noise."""
+    values: dict[str, str | float] = {"output": found.output, "ratio": found.ratio, "chance": found.probability}
+    if basis == "within_segment":
+        return said(
+            "{output}: residual variance is {ratio:.3g} times that expected from the noise within the segments and the "
+            "declared inputs (probability by chance: {chance:.2g}). Something changes from segment to segment (positions or "
+            "a slow drift), or the model is incomplete: the within-segment uncertainties are too small.",
+            **values,
+        )
+    return said(
+        "{output}: residual variance is {ratio:.3g} times that expected from the noise within the segments and the "
+        "declared inputs (probability by chance: {chance:.2g}). Something changes from segment to segment (positions or a "
+        "slow drift), or the model is incomplete: use the residual basis.",
+        **values,
     )
 
 
-def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[str]:
+def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> Said:
+    k, p = fit.outputs.index(found.output), fit.matrix.shape[1]
+    spreads = np.sqrt(np.diag(fit.covariance(basis))[k * p : (k + 1) * p])
+    moved = float(np.max(np.abs(found.changes) / spreads))
+    return said(
+        "Segment '{segment}' does not fit the others: the mean of {output} lies {error:.3g} {unit} from the value expected "
+        "from the others ({deviations:.3g} standard deviations; probability by chance: {chance:.2g}). Without it a "
+        "coefficient changes by {change:.2g} standard uncertainties: check its label, its planned state and its data.",
+        segment=found.label,
+        output=found.output,
+        error=found.error,
+        unit=fit.units[k],
+        deviations=found.deviations,
+        chance=found.probability,
+        change=moved,
+    )
+
+
+def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[Said]:
     """The effects that are weighted in addition to the noise, and the outputs without declared flicker."""
     notes = []
     if fit.effects:
         names = dict.fromkeys(effect.quantity.name for effect in fit.effects)
-        notes.append(f"Weighted in addition to the noise: {', '.join(names)}.")
+        notes.append(said("Weighted in addition to the noise: {inputs}.", inputs=tuple(names)))
     flickering = {effect.quantity.name for effect in (*fit.effects, *fit.unweighted)}
     silent = [name for name in channels if Aspect.BIAS_INSTABILITY.of(name) not in flickering]
     if silent:
         notes.append(
-            f"No bias instability is declared for {', '.join(silent)}: the intervals are valid only if the noise is "
-            "white from segment to segment."
+            said(
+                "No bias instability is declared for {outputs}: the intervals are valid only if the noise is white from "
+                "segment to segment.",
+                outputs=tuple(silent),
+            )
         )
     return notes

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.said import Said, said
 from planrunner.instruments.models import SensorModel
 from planrunner.observation.observations import dithered
 from planrunner.observation.screening import varies
@@ -12,8 +13,8 @@ from planrunner.observation.screening import varies
 
 def coarse_counts(
     segments: Sequence[RecordedSegment], channels: Collection[str], sensor: SensorModel
-) -> tuple[str, ...]:
-    """A sentence for each of these channels, or for each output of the sensor if none is given, that noise does not dither in some segment.
+) -> tuple[Said, ...]:
+    """A warning for each of these channels, or for each output of the sensor if none is given, that noise does not dither in some segment.
 
     Equal inputs then have equal rounding errors, which neither the noise within the segments nor the scatter of repeats shows.
     """
@@ -24,10 +25,16 @@ def coarse_counts(
         coarse = [one.label for one in segments if _coarse(one, output.name, sensor)]
         if coarse:
             found.append(
-                f"{output.name}: the noise in '{coarse[0]}' is too small for counts of {output.noise.resolution:.4g} {output.unit}, so "
-                "rounding errors do not average out. They are the same whenever the sensor senses the same input: repeats do not reduce "
-                "them, and scatter may not show them. The uncertainties may be too small, and noise coefficients are those of the "
-                "rounding. Record with a finer resolution."
+                said(
+                    "{output}: the noise in '{segment}' is too small for counts of {resolution:.4g} {unit}, so rounding errors do "
+                    "not average out. They are the same whenever the sensor senses the same input: repeats do not reduce them, "
+                    "and scatter may not show them. The uncertainties may be too small, and noise coefficients are those of the "
+                    "rounding. Record with a finer resolution.",
+                    output=output.name,
+                    segment=coarse[0],
+                    resolution=output.noise.resolution,
+                    unit=output.unit,
+                )
             )
     return tuple(found)
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, said
 from planrunner.plan.units import DIMENSIONS, Unit, unit
 
 Array = NDArray[np.float64]
@@ -48,7 +49,7 @@ class AxisResponse:
         return max(self.ratios, key=lambda axis: abs(self.ratios[axis]))
 
 
-def contradictions(rows: Sequence[AxisResponse]) -> list[str]:
+def contradictions(rows: Sequence[AxisResponse]) -> list[Said]:
     """Warnings about the outputs of one triad, or of a part of it, that were excited along their own axes."""
     excited = [row for row in rows if row.axis in row.ratios and any(row.ratios.values())]
     reversed_ = [row for row in excited if row.largest == row.axis and row.own < 0]
@@ -57,12 +58,12 @@ def contradictions(rows: Sequence[AxisResponse]) -> list[str]:
     found += [_exchanged(row) for row in exchanged]
     if len(reversed_) < 3 and (reversed_ or exchanged) and _left_handed(excited):
         found.append(
-            "The three input axes form a left-handed triad: one axis is reversed, or two channels are exchanged."
+            said("The three input axes form a left-handed triad: one axis is reversed, or two channels are exchanged.")
         )
     return found + [text for row in excited if (text := _size(row))]
 
 
-def against_nominal(factors: Iterable[tuple[str, float, float]]) -> list[str]:
+def against_nominal(factors: Iterable[tuple[str, float, float]]) -> list[Said]:
     """Warnings about scale factors, each a name, the value found and the nominal value in the bench file (not zero), whose sign or size is
     not the nominal one."""
     found = []
@@ -70,41 +71,61 @@ def against_nominal(factors: Iterable[tuple[str, float, float]]) -> list[str]:
         ratio = value / nominal
         if ratio < 0:
             found.append(
-                f"{name} has the opposite sign to its nominal value in the bench file: the output is reversed, or the senses or labels of "
-                "opposite states are exchanged."
+                said(
+                    "{name} has the opposite sign to its nominal value in the bench file: the output is reversed, or "
+                    "the senses or labels of opposite states are exchanged.",
+                    name=name,
+                )
             )
         elif abs(ratio - 1) > LARGEST_DEVIATION:
             found.append(
-                f"{name} is {ratio:.4g} times its nominal value in the bench file: check the nominal value, the unit of the output and the "
-                "planned states."
+                said(
+                    "{name} is {ratio:.4g} times its nominal value in the bench file: check the nominal value, the "
+                    "unit of the output and the planned states.",
+                    name=name,
+                    ratio=ratio,
+                )
             )
     return found
 
 
-def _all_reversed(own: Unit) -> list[str]:
+def _all_reversed(own: Unit) -> list[Said]:
     if own.dimension == DIMENSIONS["acceleration"]:
         return [
-            "All three accelerometers respond with the opposite sign: either the recording contains gravity instead of specific force "
-            "(which points up at rest), or the labels of opposite positions are exchanged."
+            said(
+                "All three accelerometers respond with the opposite sign: either the recording contains gravity "
+                "instead of specific force (which points up at rest), or the labels of opposite positions are "
+                "exchanged."
+            )
         ]
     return [
-        "All three gyros respond with the opposite sign: either the senses of the planned rotations are exchanged, or the sensor counts "
-        "clockwise rates as positive."
+        said(
+            "All three gyros respond with the opposite sign: either the senses of the planned rotations are "
+            "exchanged, or the sensor counts clockwise rates as positive."
+        )
     ]
 
 
-def _reversed(row: AxisResponse) -> str:
-    return (
-        f"{row.channel} responds along {_AXES[row.axis]} with the opposite sign (scale factor {row.own:.5g}): its axis is reversed. Check "
-        "its sign in the bench file, its mounting and the labels of opposite positions."
+def _reversed(row: AxisResponse) -> Said:
+    return said(
+        "{output} responds along {axis} with the opposite sign (scale factor {factor:.5g}): its axis is reversed. Check its "
+        "sign in the bench file, its mounting and the labels of opposite positions.",
+        output=row.channel,
+        axis=_AXES[row.axis],
+        factor=row.own,
     )
 
 
-def _exchanged(row: AxisResponse) -> str:
+def _exchanged(row: AxisResponse) -> Said:
     most = row.largest
-    return (
-        f"{row.channel} responds mostly along {_AXES[most]} ({row.ratios[most]:.5g}; along {_AXES[row.axis]} {row.own:.5g}): channels, "
-        "axes or positions are exchanged. Check the channels in the bench file and the orientations of the segments."
+    return said(
+        "{output} responds mostly along {axis} ({response:.5g}; along {own} {factor:.5g}): channels, axes or positions are "
+        "exchanged. Check the channels in the bench file and the orientations of the segments.",
+        output=row.channel,
+        axis=_AXES[most],
+        response=row.ratios[most],
+        own=_AXES[row.axis],
+        factor=row.own,
     )
 
 
@@ -115,17 +136,25 @@ def _left_handed(rows: Sequence[AxisResponse]) -> bool:
     return bool(np.linalg.det([[row.ratios[axis] for axis in range(3)] for row in placed]) < 0)
 
 
-def _size(row: AxisResponse) -> str:
+def _size(row: AxisResponse) -> Said | None:
     """A warning if the scale factor is far from one."""
     size = math.hypot(*row.ratios.values())
     if abs(size - 1) <= LARGEST_DEVIATION:
-        return ""
-    start = f"{row.channel} has a scale factor of {size:.4g}"
+        return None
     for dimension, texts in _UNITS.items():
         for other in (unit(text) for text in texts if row.unit.dimension == DIMENSIONS[dimension]):
             if other.factor != row.unit.factor and abs(size * other.factor / row.unit.factor - 1) <= _UNIT_MATCH:
-                return (
-                    f"{start}: its samples agree with {other.text}, but the recording declares {row.unit.text}. Correct its unit in the "
-                    "bench file."
+                return said(
+                    "{output} has a scale factor of {factor:.4g}: its samples agree with {other}, but the recording declares "
+                    "{unit}. Correct its unit in the bench file.",
+                    output=row.channel,
+                    factor=size,
+                    other=other.text,
+                    unit=row.unit.text,
                 )
-    return f"{start}, far from 1: check its unit and its sensitivity in the bench file, and the planned states."
+    return said(
+        "{output} has a scale factor of {factor:.4g}, far from 1: check its unit and its sensitivity in the bench file, and "
+        "the planned states.",
+        output=row.channel,
+        factor=size,
+    )

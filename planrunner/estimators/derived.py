@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said
 from planrunner.estimators.interface import Coefficient
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.uncertainty.derivatives import Formula, value_and_jacobian
@@ -30,7 +31,7 @@ class Reported:
 
     name: str
     unit: str
-    description: str
+    description: Said
     period: float = math.inf
 
 

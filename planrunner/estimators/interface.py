@@ -27,6 +27,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
+from planrunner.base.said import Said
 from planrunner.instruments.models import SensorModel, TableModel
 from planrunner.observation.refusals import EstimationError as EstimationError
 from planrunner.observation.refusals import UnfitDataError as UnfitDataError
@@ -53,7 +54,7 @@ class Coefficient:
     unit: str
     standard_uncertainty: float
     degrees_of_freedom: float = math.inf
-    description: str = ""
+    description: Said = Said("")
     period: float = math.inf
     role: CoefficientRole = CoefficientRole.LOCATION
 
@@ -91,7 +92,7 @@ class Unpredicted:
     name: str
     unit: str
     why: str
-    description: str = ""
+    description: Said = Said("")
     role: CoefficientRole = CoefficientRole.LOCATION
 
 
@@ -164,8 +165,8 @@ class Estimate:
     settings: Mapping[str, Json] = field(default_factory=dict)
     tables: tuple[Table, ...] = ()
     plots: tuple[Plot, ...] = ()
-    notes: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    notes: tuple[Said, ...] = ()
+    warnings: tuple[Said, ...] = ()
     segments: tuple[str, ...] = ()
     extra: Mapping[str, Json] = field(default_factory=dict)
     influences: tuple[Influence, ...] = ()

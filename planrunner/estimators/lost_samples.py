@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.said import Said, said
 
 GAP_INTERVALS = 5.5
 """Number of sample intervals from which a gap is reported; shorter gaps are jitter or single samples."""
 NAMED = 3
 
 
-def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tuple[str, ...]:
+def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tuple[Said, ...]:
     """A sentence about the samples left out of the segments, and another about the gaps in them. sample_rate: Hz, for segments without
     their own."""
     left_out, gaps = [], []
@@ -26,14 +27,21 @@ def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tup
     found = []
     if left_out:
         found.append(
-            f"Samples that are missing or not a number were left out: {_named(left_out)}. Check the recording."
+            said(
+                "Samples that are missing or not a number were left out: {places}. Check the recording.",
+                places=_named(left_out),
+            )
         )
     if gaps:
-        found.append(f"Samples are missing; the longest gaps: {_named(gaps)}. Check the recording.")
+        found.append(
+            said(
+                "Samples are missing; the longest gaps: {places}. Check the recording.",
+                places=_named(gaps),
+            )
+        )
     return tuple(found)
 
 
-def _named(texts: Sequence[str]) -> str:
-    """Only names and figures, so that the sentence around them can be translated."""
-    more = [f"… (+{len(texts) - NAMED})"] if len(texts) > NAMED else []
-    return ", ".join([*texts[:NAMED], *more])
+def _named(places: Sequence[str]) -> tuple[str, ...]:
+    more = [f"… (+{len(places) - NAMED})"] if len(places) > NAMED else []
+    return (*places[:NAMED], *more)

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
 from planrunner.base.findings import InputError
+from planrunner.base.said import Said
 from planrunner.estimators.expected import ASSUMPTIONS, Expected, Known, expected_recording
 from planrunner.estimators.interface import (
     Coefficient,
@@ -66,8 +67,8 @@ class Words:
     settings: Mapping[str, Json] = field(default_factory=dict)
     tables: tuple[Table, ...] = ()
     plots: tuple[Plot, ...] = ()
-    notes: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    notes: tuple[Said, ...] = ()
+    warnings: tuple[Said, ...] = ()
     segments: tuple[str, ...] = ()
 
 

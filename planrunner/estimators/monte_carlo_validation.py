@@ -16,6 +16,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
+from planrunner.base.said import Said, said
 from planrunner.estimators.interface import Cell, Estimate, EstimateRequest, Role, Table, TableColumn
 from planrunner.plan.kinds import Record
 from planrunner.plan.model import MonteCarloSpec
@@ -114,26 +115,42 @@ def validated(estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_ord
 
 def _words(
     draws: int, stabilised: bool, first_order: bool, verdicts: Mapping[str, Sequence[str]]
-) -> tuple[list[str], list[str]]:
-    notes = [f"{draws} Monte Carlo draws compare the intervals at 95 % with the declared distributions."]
+) -> tuple[list[Said], list[Said]]:
+    notes = [
+        said(
+            "{draws} Monte Carlo draws compare the intervals at 95 % with the declared distributions.",
+            draws=draws,
+        )
+    ]
     if not stabilised:
         notes.append(
-            "At the largest requested number of draws, the results had not stabilised to a fifth of the tolerance δ."
+            said(
+                "At the largest requested number of draws, the results had not stabilised to a fifth of the "
+                "tolerance δ."
+            )
         )
     if first_order:
         notes.append(
-            "The draws use the sensitivities of this estimate, so they do not test whether the linear approximation is sufficient."
+            said(
+                "The draws use the sensitivities of this estimate, so they do not test whether the linear "
+                "approximation is sufficient."
+            )
         )
-    if undecided := ", ".join(verdicts["undecided"]):
+    if undecided := tuple(verdicts["undecided"]):
         notes.append(
-            f"This number of draws cannot decide on {undecided}: the ends of their intervals scatter by more than "
-            f"the remainder of δ. Increase `draws`."
+            said(
+                "This number of draws cannot decide on {undecided}: the ends of their intervals scatter by more "
+                "than the remainder of δ. Increase `draws`.",
+                undecided=undecided,
+            )
         )
     warnings = []
-    if names := ", ".join(verdicts["no"]):
+    if names := tuple(verdicts["no"]):
         warnings.append(
-            f"Monte Carlo does not validate the stated interval of {names}: its ends differ by more than δ. The "
-            "table gives both; "
-            "use the Monte Carlo interval."
+            said(
+                "Monte Carlo does not validate the stated interval of {names}: its ends differ by more than δ. "
+                "The table gives both; use the Monte Carlo interval.",
+                names=names,
+            )
         )
     return notes, warnings

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
+from planrunner.base.said import Said, said
 from planrunner.estimators.groups_in_time import groupings
 from planrunner.estimators.interface import (
     Cell,
@@ -371,7 +372,7 @@ def _reported(one: Repeats, split: Variance) -> list[Coefficient]:
     name, text = one.name, one.unit
     s, u = _of_deviation(split.within, split.within_freedom)
     scale = CoefficientRole.SCALE
-    where = "within groups" if math.isfinite(split.between) else "from repeat to repeat"
+    where = said("within groups") if math.isfinite(split.between) else said("from repeat to repeat")
     found = [
         Coefficient(
             f"mean_{name}",
@@ -379,10 +380,18 @@ def _reported(one: Repeats, split: Variance) -> list[Coefficient]:
             text,
             split.mean_uncertainty,
             split.mean_freedom,
-            f"{name}: mean",
+            said("{name}: mean", name=name),
             one.period,
         ),
-        Coefficient(f"s_{name}", s, text, u, split.within_freedom, f"{name}: standard deviation {where}", role=scale),
+        Coefficient(
+            f"s_{name}",
+            s,
+            text,
+            u,
+            split.within_freedom,
+            said("{name}: standard deviation {where}", name=name, where=where),
+            role=scale,
+        ),
     ]
     foreseen = not math.isnan(one.expected)
     if (split.mean or foreseen) and math.isinf(one.period):
@@ -391,16 +400,18 @@ def _reported(one: Repeats, split: Variance) -> list[Coefficient]:
         mean = math.nan if zero else split.mean
         relative = 1e6 / abs(mean)
         own = relative * math.hypot(u, s * split.mean_uncertainty / mean)
-        words = f"{name}: standard deviation {where} over mean"
+        words = said("{name}: standard deviation {where} over mean", name=name, where=where)
         found.append(
             Coefficient(f"repeatability_{name}", s * relative, "ppm", own, split.within_freedom, words, role=scale)
         )
     if math.isfinite(split.between):
         value, spread = root_of(split.between, split.between_uncertainty)
-        words = f"{name}: standard deviation between groups"
+        words = said("{name}: standard deviation between groups", name=name)
         found.append(Coefficient(f"s_between_{name}", value, text, spread, split.mean_freedom, words, role=scale))
         total, u_total = _of_deviation(split.total, split.total_freedom)
-        words = f"{name}: standard deviation within and between groups together (intermediate precision)"
+        words = said(
+            "{name}: standard deviation within and between groups together (intermediate precision)", name=name
+        )
         found.append(Coefficient(f"s_total_{name}", total, text, u_total, split.total_freedom, words, role=scale))
     return found
 
@@ -448,25 +459,36 @@ def _variances(one: Repeats, split: Variance) -> Table:
     return Table(f"Scatter of {one.name}", columns, tuple(rows))
 
 
-def _notes(one: Repeats, split: Variance) -> list[str]:
+def _notes(one: Repeats, split: Variance) -> list[Said]:
     found = []
     if math.isfinite(split.between):
         verdict = (
-            "groups differ"
+            said("groups differ")
             if split.probability < 0.05
-            else "the differences between the groups do not exceed the scatter within them"
+            else said("the differences between the groups do not exceed the scatter within them")
         )
         found.append(
-            f"{one.name}: variance ratio F = {split.ratio:.3g} between and within groups (probability of a larger ratio by chance: "
-            f"{split.probability:.2g}): {verdict}."
+            said(
+                "{name}: variance ratio F = {ratio:.3g} between and within groups (probability of a larger ratio by chance: "
+                "{chance:.2g}): {verdict}.",
+                name=one.name,
+                ratio=split.ratio,
+                chance=split.probability,
+                verdict=verdict,
+            )
         )
     if np.isfinite(one.own).all() and (one.own > 0).all():
         own = math.sqrt(float(np.mean(one.own**2)))
         found.append(
-            f"{one.name}: the standard uncertainties of the repeats are {own:.3g} {one.unit} (root mean square), "
-            "and their scatter is "
-            f"{math.sqrt(split.within):.3g}; influences common to all repeats, such as a fixture's angle, contribute to "
-            "the uncertainties but not to the scatter."
+            said(
+                "{name}: the standard uncertainties of the repeats are {own:.3g} {unit} (root mean square), and their "
+                "scatter is {scatter:.3g}; influences common to all repeats, such as a fixture's angle, contribute to the "
+                "uncertainties but not to the scatter.",
+                name=one.name,
+                own=own,
+                unit=one.unit,
+                scatter=math.sqrt(split.within),
+            )
         )
     return found
 
@@ -490,7 +512,7 @@ def chance_of_order(value: Array, group: NDArray[np.int64]) -> float:
     return float(betainc(shape, shape, min(1.0, steps / total / 4)))
 
 
-def _warnings(one: Repeats, split: Variance) -> list[str]:
+def _warnings(one: Repeats, split: Variance) -> list[Said]:
     from scipy.special import chdtrc
 
     found = []
@@ -499,9 +521,14 @@ def _warnings(one: Repeats, split: Variance) -> list[str]:
         chance = float(chdtrc(split.within_freedom, split.within_freedom * split.within / own))
         if chance < SIGNIFICANCE:
             found.append(
-                f"{one.name}: the repeats scatter {math.sqrt(split.within / own):.3g} times as much as their standard uncertainties allow "
-                f"(chance of that: {chance:.2g}). What changes from repeat to repeat is not in those uncertainties: use the standard "
-                "deviation of the repeats."
+                said(
+                    "{name}: the repeats scatter {ratio:.3g} times as much as their standard uncertainties allow (chance of "
+                    "that: {chance:.2g}). What changes from repeat to repeat is not in those uncertainties: use the standard "
+                    "deviation of the repeats.",
+                    name=one.name,
+                    ratio=math.sqrt(split.within / own),
+                    chance=chance,
+                )
             )
     unnamed = _unnamed_groups(one)
     chance = chance_of_order(one.value, one.group)
@@ -509,34 +536,47 @@ def _warnings(one: Repeats, split: Variance) -> list[str]:
         found.append(unnamed)
     elif chance < SIGNIFICANCE:
         found.append(
-            f"{one.name}: values that follow each other are more alike than chance makes them (probability {chance:.2g}): the quantity "
-            "drifts, or the repeats consist of groups, such as days or switch-ons. Name them in `groups`."
+            said(
+                "{name}: values that follow each other are more alike than chance makes them (probability {chance:.2g}): the "
+                "quantity drifts, or the repeats consist of groups, such as days or switch-ons. Name them in `groups`.",
+                name=one.name,
+                chance=chance,
+            )
         )
     if _scatter_differs(one):
         found.append(
-            f"{one.name}: the scatter within the groups differs from group to group by more than chance (Bartlett's test): one standard "
-            "deviation does not describe all groups. Look at the groups one by one."
+            said(
+                "{name}: the scatter within the groups differs from group to group by more than chance (Bartlett's test): one "
+                "standard deviation does not describe all groups. Look at the groups one by one.",
+                name=one.name,
+            )
         )
     return found
 
 
-def _unnamed_groups(one: Repeats) -> str:
-    """The warning about repeats that are treated as one group, but form groups that differ; empty if there are none. With m divisions
+def _unnamed_groups(one: Repeats) -> Said | None:
+    """The warning about repeats that are treated as one group, but form groups that differ; None if there are none. With m divisions
     tried, each is tested at a level m times smaller."""
     if len(np.unique(one.group)) > 1 or not math.isnan(one.expected):
-        return ""
+        return None
     tried = groupings(one.labels, one.pauses)
     splits = [(analysis_of_variance(one.value, own.group), own) for own in tried]
     chance, split, own = min(
         ((split.probability, split, own) for split, own in splits), key=lambda item: item[0], default=(1.0, None, None)
     )
     if split is None or own is None or not chance * len(tried) < SIGNIFICANCE:
-        return ""
-    shown = ", ".join(own.names[:_NAMED]) + (f" and {len(own.names) - _NAMED} more" if len(own.names) > _NAMED else "")
-    return (
-        f"{one.name}: the repeats are treated as one group, but differ between these groups: {shown} (variance ratio F = "
-        f"{split.ratio:.3g}, probability of a larger ratio by chance: {chance:.2g}). The uncertainty of their mean is too small. "
-        "Name the groups in `groups`."
+        return None
+    shown: str | tuple[str, ...] = tuple(own.names[:_NAMED])
+    if len(own.names) > _NAMED:
+        shown = said("{names} and {more} more", names=shown, more=len(own.names) - _NAMED)
+    return said(
+        "{name}: the repeats are treated as one group, but differ between these groups: {groups} (variance ratio F = "
+        "{ratio:.3g}, probability of a larger ratio by chance: {chance:.2g}). The uncertainty of their mean is too small. Name "
+        "the groups in `groups`.",
+        name=one.name,
+        groups=shown,
+        ratio=split.ratio,
+        chance=chance,
     )
 
 

@@ -15,16 +15,18 @@ from planrunner.archive.recording import Find, RecordedSegment
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError, Mark
+from planrunner.base.said import Said
 from planrunner.estimators.earlier_tables import TERMINAL_TABLES, earlier_table
 from planrunner.estimators.interface import Coefficient, CoefficientRole, Estimate, Plot, Role, Table, TableColumn
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.instruments.models import DataOrigin
 from planrunner.uncertainty.influences import Budget, BudgetLine
 
-__all__ = ["FORMAT", "DataOrigin", "Results", "segment_statistics"]
+__all__ = ["FORMAT", "DataOrigin", "Results", "comparable", "segment_statistics"]
 
-FORMAT = 2
-"""In format 2 the columns of a table have title, unit and role; format 1, with titles only, can still be read."""
+FORMAT = 3
+"""In format 3 descriptions, notes and warnings have template and values beside the text, so that they can be translated; texts of earlier
+formats stay in English. Format 1 has only titles for the columns of a table."""
 NAMED = 1000
 """Finds of a segment that are written into the results, at most."""
 _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
@@ -116,6 +118,17 @@ def segment_statistics(recorded: RecordedSegment) -> JsonObject:
     }
 
 
+def comparable(data: Json) -> Json:
+    """Results as JSON data without the format and without what only translations need: those of formats 2 and 3 can be compared."""
+    if isinstance(data, list):
+        return [comparable(item) for item in data]
+    if not isinstance(data, dict):
+        return data
+    if "text" in data and data.keys() <= {"text", "template", "plural", "values"}:
+        return data["text"]
+    return {name: comparable(item) for name, item in data.items() if name != "planrunner_results"}
+
+
 def _find_to(one: Find) -> JsonObject:
     return {
         "kind": one.kind.value,
@@ -135,20 +148,25 @@ def _estimate_to(estimate: Estimate) -> JsonObject:
     return {
         "name": estimate.name,
         "estimator": estimate.estimator,
-        "coefficients": [_fields(one) for one in estimate.coefficients],
+        "coefficients": [_fields(one) | {"description": _said_to(one.description)} for one in estimate.coefficients],
         "covariance": np.asarray(estimate.covariance, dtype=float).tolist(),
         "headline": list(estimate.headline),
         "settings": dict(estimate.settings),
         "tables": [_table_to(table) for table in estimate.tables],
         "plots": [_fields(plot) for plot in estimate.plots],
-        "notes": list(estimate.notes),
-        "warnings": list(estimate.warnings),
+        "notes": [_said_to(text) for text in estimate.notes],
+        "warnings": [_said_to(text) for text in estimate.warnings],
         "segments": list(estimate.segments),
         "extra": dict(estimate.extra),
         "budgets": [
             _fields(budget) | {"lines": [_fields(line) for line in budget.lines]} for budget in estimate.budgets
         ],
     }
+
+
+def _said_to(text: str) -> JsonObject:
+    """A plug-in may give plain text, which is not translated."""
+    return (text if isinstance(text, Said) else Said(text)).to_json()
 
 
 def _fields(record: LimitVerdict | Coefficient | Plot | Budget | BudgetLine | Table | TableColumn) -> JsonObject:
@@ -168,7 +186,8 @@ def _table_from(data: Mapping[str, Json], settings: Mapping[str, Json]) -> Table
 
 
 def _estimate_from(data: Mapping[str, Json]) -> Estimate:
-    rest: JsonObject = {key: tuple(data[key]) for key in ("headline", "notes", "warnings", "segments")}
+    rest: JsonObject = {key: tuple(data[key]) for key in ("headline", "segments")}
+    rest |= {key: tuple(map(Said.from_json, data[key])) for key in ("notes", "warnings")}
     tables = tuple(_table_from(item, data["settings"]) for item in data["tables"])
     plots = tuple(
         Plot(
@@ -187,7 +206,13 @@ def _estimate_from(data: Mapping[str, Json]) -> Estimate:
         name=data["name"],
         estimator=data["estimator"],
         coefficients=tuple(
-            Coefficient(**{**item, "role": CoefficientRole(item.get("role", CoefficientRole.LOCATION))})
+            Coefficient(
+                **{
+                    **item,
+                    "description": Said.from_json(item.get("description", "")),
+                    "role": CoefficientRole(item.get("role", CoefficientRole.LOCATION)),
+                }
+            )
             for item in data["coefficients"]
         ),
         covariance=np.array(data["covariance"], dtype=float),

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import said
 from planrunner.error_model.observed import axis_of
 from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
@@ -164,11 +165,15 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
         warnings += contradictions(_rows(request, found))
         if len(rates) and not (np.any(rates > 0) and np.any(rates < 0)):
             notes.append(
-                "All rates have the same sign, so asymmetry cannot be determined, and F0 includes any offset that depends on the sense of "
-                "rotation."
+                said(
+                    "All rates have the same sign, so asymmetry cannot be determined, and F0 includes any offset "
+                    "that depends on the sense of rotation."
+                )
             )
         if not (found.common or request.setup.inputs.get("table rate")):
-            notes.append("The table's rate is treated as exact; state `rate_uncertainty` to include its uncertainty.")
+            notes.append(
+                said("The table's rate is treated as exact; state `rate_uncertainty` to include its uncertainty.")
+            )
         return Words(
             headline=tuple(item.name for item in found.coefficients),
             settings={
@@ -234,7 +239,10 @@ def _found(
     spreads = np.sqrt(np.diag(covariance))
     metrics: list[tuple[Coefficient, int, Array]] = []
     for k, name in enumerate(observations.channels):
-        words = f"{name}: offset at zero rate", f"{name}: scale factor against the table's rate"
+        words = (
+            said("{output}: offset at zero rate", output=name),
+            said("{output}: scale factor against the table's rate", output=name),
+        )
         for j, (letter, its_unit) in enumerate((("F0", units[k][1].text), ("K", slopes[k][0]))):
             at = 2 * k + j
             value, u, dof = float(fit.coefficients[k, j] * scale[at]), float(spreads[at]), float(freedom[at])
@@ -303,7 +311,7 @@ def _metrics(
     found = []
     if full_scale != 0 and fit.freedom:
         value = abs(float(one.residuals[worst])) / full_scale * 1e6
-        words = f"{name}: largest residual over the largest output"
+        words = said("{output}: largest residual over the largest output", output=name)
         residual = (np.arange(len(rates)) == worst) - fit.columns[worst] @ fit.all_gains[k]
         noise = fit.spreads[k] ** 2 if basis == "residual" else fit.noises[k].sigma ** 2
         beside = residual @ (observed - np.diag(noise)) @ residual  # of the effects what is not taken up by the line
@@ -327,7 +335,7 @@ def _metrics(
         answers = gradient @ (half.cofactor @ np.linalg.solve(mixed, halves).T)[1:3]
         u = math.sqrt(max(0.0, float(answers @ observed @ answers) * left))
         value = 1e6 * float(asymmetry(*slopes))
-        words = f"{name}: difference of forward and backward scale factors"
+        words = said("{output}: difference of forward and backward scale factors", output=name)
         found.append((Coefficient(f"asymmetry_{name}", value, "ppm", u, own, words), answers))
     return found
 

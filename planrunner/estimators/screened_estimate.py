@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from planrunner.archive.recording import Find, FindKind, RecordedSegment
+from planrunner.base.said import Said, said
 from planrunner.estimators.interface import (
     Cell,
     Estimate,
@@ -55,15 +56,20 @@ def estimated(
     tables = [*made.tables, _table(found, excluded)]
     if excluded:
         text, more = _effect(made, estimate, segments)
-        warnings.append(f"Bad samples were left out: {_named(bad)}. {text} Look at the recording.")
+        warnings.append(
+            said("Bad samples were left out: {finds}. {effect} Look at the recording.", finds=_named(bad), effect=text)
+        )
         tables += more
     elif bad:
         warnings.append(
-            f"Bad samples were used, as the plan says: {_named(bad)}. `outliers: exclude` states what they change."
+            said(
+                "Bad samples were used, as the plan says: {finds}. `outliers: exclude` states what they change.",
+                finds=_named(bad),
+            )
         )
     rest = [item for item in found if not item[1].bad and item[1].kind not in _SILENT]
     if rest:
-        warnings.append(f"Screening also found, and left in: {_named(rest)}. Look at the recording.")
+        warnings.append(said("Screening also found, and left in: {finds}. Look at the recording.", finds=_named(rest)))
     return replace(made, warnings=tuple(warnings), tables=tuple(tables)), used
 
 
@@ -71,12 +77,12 @@ def _effect(
     made: Estimate,
     estimate: Callable[[tuple[RecordedSegment, ...]], Estimate],
     segments: Sequence[RecordedSegment],
-) -> tuple[str, tuple[Table, ...]]:
+) -> tuple[Said, tuple[Table, ...]]:
     """What the bad samples change, in a sentence and as a table."""
     try:
         other = {item.name: item for item in estimate(tuple(segments)).coefficients}
     except EstimationError as error:
-        return f"With them there is no estimate ({error}).", ()
+        return said("With them there is no estimate ({reason}).", reason=str(error)), ()
     rows: list[tuple[Cell, ...]] = []
     largest, name = 0.0, ""
     for item in made.coefficients:
@@ -90,7 +96,7 @@ def _effect(
         if ratio > SMALL:
             rows.append((item.name, item.value, u, item.value + change, change, ratio, item.unit))
     if not rows:
-        return f"They change no coefficient by more than {SMALL:g} standard uncertainties.", ()
+        return said("They change no coefficient by more than {change:g} standard uncertainties.", change=SMALL), ()
     columns = (
         TableColumn("coefficient"),
         TableColumn("without bad samples", Role.VALUE),
@@ -100,7 +106,11 @@ def _effect(
         TableColumn("change in standard uncertainties", Role.VALUE),
         TableColumn("unit"),
     )
-    text = f"With them {name} would change by {largest:.2g} standard uncertainties, the most of all coefficients."
+    text = said(
+        "With them {coefficient} would change by {change:.2g} standard uncertainties, the most of all coefficients.",
+        coefficient=name,
+        change=largest,
+    )
     return text, (Table("Coefficients with and without bad samples", columns, tuple(rows)),)
 
 
@@ -133,18 +143,42 @@ def _table(found: Sequence[tuple[RecordedSegment, Find]], excluded: bool) -> Tab
     return Table("Screening of the samples", columns, tuple(rows))
 
 
-def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> str:
+def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> Said:
     """The longest finds by kind, segment, channel and time, and how many more there are."""
     ordered = sorted(found, key=lambda item: -item[1].rows)
-    texts = []
-    for recorded, one in ordered[:NAMED]:
-        what = f"{one.count} {one.kind.value}s" if one.count > 1 else one.kind.value
-        where = f" of {one.channel}" if one.channel else ""
-        samples = f", {one.rows} samples" if one.rows > 1 else ""
-        unit = recorded.units.get(one.channel, "")
-        texts.append(f"{what}{where} in '{recorded.label}' at {one.time:.6g} s ({one.size:.4g} {unit}{samples})")
+    texts = tuple(_find(recorded, one) for recorded, one in ordered[:NAMED])
     more = len(ordered) - NAMED
+    if more <= 0:
+        return said(_LIST, finds=texts)
     left = sum(
         rows_of([one for other, one in found if other is each]) for each in {id(r): r for r, _ in found}.values()
     )
-    return ", ".join(texts) + (f" and {more} more, {left} rows in all" if more > 0 else "")
+    return said("{finds} and {more} more, {rows} rows in all", finds=texts, more=more, rows=left)
+
+
+_LIST = "{finds}"  # nothing to translate
+
+
+def _find(recorded: RecordedSegment, one: Find) -> Said:
+    one_kind, several = _KINDS[one.kind]
+    what = said("{count} {kind}", count=one.count, kind=several) if one.count > 1 else one_kind
+    size = f"{one.size:.4g} {recorded.units.get(one.channel, '')}"
+    return said(
+        "{what} in '{segment}' at {time:.6g} s ({size})",
+        what=said("{what} of {channel}", what=what, channel=one.channel) if one.channel else what,
+        segment=recorded.label,
+        time=one.time,
+        size=said("{size}, {rows} samples", size=size, rows=one.rows) if one.rows > 1 else size,
+    )
+
+
+_KINDS = {
+    FindKind.SPIKE: (said("spike"), said("spikes")),
+    FindKind.BURST: (said("burst"), said("bursts")),
+    FindKind.STUCK: (said("stuck"), said("stuck stretches")),
+    FindKind.CLIPPED: (said("clipped"), said("clipped stretches")),
+    FindKind.REPEATED: (said("repeated"), said("repeated stretches")),
+    FindKind.LOST: (said("lost"), said("gaps")),
+    FindKind.STEP: (said("step"), said("steps")),
+}
+"""One find and several, by kind."""

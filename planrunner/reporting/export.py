@@ -153,7 +153,7 @@ def _yaml(estimate: Estimate, provenance: Mapping[str, str]) -> str:
                 "unit": item.unit,
                 "standard_uncertainty": _Exact(item.standard_uncertainty),
                 "degrees_of_freedom": _Exact(item.degrees_of_freedom),
-                "description": item.description,
+                "description": str(item.description),
             }
             | ({"period": _Exact(item.period)} if math.isfinite(item.period) else {})
             for item in estimate.coefficients

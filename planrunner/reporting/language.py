@@ -1,10 +1,10 @@
 """Languages of pages: English as templates are written, others through the catalogues of translations in `locales/`.
 
-Catalogues are read as PO text of gettext, so that pages show exactly what reviewers read and nothing has to be compiled. Placeholders have
-only the form `%(name)s`, so a template cannot request widths that fill the memory.
+Catalogues are read as PO text of gettext, so that pages show exactly what reviewers read and nothing has to be compiled. Placeholders of
+page templates have only the form `%(name)s`, so a template cannot request widths that fill the memory.
 
-Sentences from the data have their placeholders filled already, such as "gyro_x: offset at zero rate". They are looked up directly, then
-compared with the messages with placeholders: "%(output)s: offset at zero rate" gives the translation, and the inserted text is kept.
+Texts of estimators are `planrunner.base.said.Said`: "{output}: offset at zero rate" with its values is a message of the catalogue, in which
+the translation has the same names. The format of a number is that of the English template, with the decimal sign of the language.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 
 from planrunner.base.documents import Json
+from planrunner.base.said import Said, Value
+from planrunner.base.said import filled as inserted
 from planrunner.base.shipped import shipped
 
 ENGLISH = "en"
@@ -45,27 +47,6 @@ def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
     return found
 
 
-@lru_cache(maxsize=8)
-def sentences(language: str) -> tuple[tuple[re.Pattern[str], str], ...]:
-    """Messages with placeholders as patterns of the filled sentence, each with its translation. Messages with more fixed text come
-    first, so that the closest match is found."""
-    known = [(text, said) for text, said in translations(language).items() if isinstance(said, str) and "%(" in text]
-    known.sort(key=lambda pair: (-len(_PLACE.sub("", pair[0])), pair[0]))
-    return tuple((_sentence(text), said) for text, said in known)
-
-
-def _sentence(message: str) -> re.Pattern[str]:
-    """Pattern that matches the filled message. A name that occurs twice has the same value in both places."""
-    parts, start, seen = [], 0, set()
-    for place in _PLACE.finditer(message):
-        name = place[1]
-        parts.append(re.escape(message[start : place.start()]))
-        parts.append("%" if name is None else f"(?P={name})" if name in seen else f"(?P<{name}>.+?)")
-        seen.add(name)
-        start = place.end()
-    return re.compile("".join(parts) + re.escape(message[start:]))
-
-
 def spoken(language: str) -> dict[str, Callable[..., str]]:
     """The functions that Jinja's i18n extension calls, and `term` for words and sentences that come with the data, such as the
     description of a coefficient. Text without a translation stays as it is. The result is escaped like other text."""
@@ -76,18 +57,55 @@ def spoken(language: str) -> dict[str, Callable[..., str]]:
         return filled(said if isinstance(said, str) else said[0], values)
 
     def ngettext(singular: str, plural: str, count: int, /, **values: Json) -> str:
-        said = known.get(singular, (singular, plural))
-        forms = (said,) if isinstance(said, str) else said
-        return filled(forms[0 if count == 1 else -1], {"num": count, **values})
+        return filled(chosen(singular, plural, count), {"num": count, **values})
+
+    def chosen(singular: str, plural: str, count: int) -> str:
+        said = known.get(singular)
+        if said is None:
+            return singular if count == 1 else plural
+        return said if isinstance(said, str) else said[plural_form(language)(count)]
+
+    def shown(value: Value, form: str) -> str:
+        if isinstance(value, tuple):
+            return ", ".join(shown(item, "") for item in value)
+        if isinstance(value, Said):
+            return term(value)
+        return value if isinstance(value, str) else numeral(format(value, form), language)
 
     def term(text: str) -> str:
-        said = known.get(text)
-        if isinstance(said, str):
-            return said
-        matches = ((pattern.fullmatch(text), said) for pattern, said in sentences(language))
-        return next((filled(said, match.groupdict()) for match, said in matches if match), text)
+        if not isinstance(text, Said) or not text.template:
+            said = known.get(text)
+            return said if isinstance(said, str) else text
+        values = {name: shown(text.values[name], form) for name, form in text.formats.items()}
+        if text.plural:
+            return inserted(chosen(text.template, text.plural, text.number), values)
+        said = known.get(text.template, text.template)
+        return inserted(said if isinstance(said, str) else said[0], values)
 
     return {"_": gettext, "term": term, "gettext": gettext, "ngettext": ngettext}
+
+
+@lru_cache(maxsize=8)
+def plural_form(language: str) -> Callable[[int], int]:
+    """The place of the plural form for a number, by the rule of the language."""
+    from gettext import c2py
+
+    from babel.messages.plurals import get_plural
+
+    rule: Callable[[int], int] = c2py(get_plural(language).plural_expr)
+    return rule
+
+
+@lru_cache(maxsize=8)
+def _decimal_sign(language: str) -> str:
+    from babel.numbers import get_decimal_symbol
+
+    return str(get_decimal_symbol(language))
+
+
+def numeral(text: str, language: str) -> str:
+    """A formatted number with the decimal sign of the language."""
+    return text if language == ENGLISH else text.replace(".", _decimal_sign(language))
 
 
 def filled(message: str, values: Mapping[str, Json]) -> str:

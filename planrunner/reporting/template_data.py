@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 
 from planrunner.base.documents import Json, JsonObject
+from planrunner.base.said import Said
 
 
 class Told(dict[str, str]):
@@ -16,7 +17,7 @@ class Told(dict[str, str]):
 
 
 # All JSON objects have this form, so that no name or value in the data can imitate one.
-_PAIRS, _TOLD, _HTML = "pairs", "told", "html"
+_PAIRS, _TOLD, _HTML, _SAID = "pairs", "told", "html", "said"
 
 
 def to_json(given: Mapping[str, Json]) -> str:
@@ -33,6 +34,8 @@ def from_json(text: str) -> JsonObject:
 def _plain(value: Json) -> Json:
     if hasattr(value, "__html__"):
         return {_HTML: value.__html__()}
+    if isinstance(value, Said):
+        return {_SAID: json.dumps(value.to_json())}
     if isinstance(value, Mapping):
         pairs = [[_plain(name), _plain(item)] for name, item in value.items()]
         return {_TOLD if isinstance(value, Told) else _PAIRS: pairs}
@@ -49,4 +52,6 @@ def _restored(found: JsonObject) -> Json:
     ((kind, value),) = found.items()
     if kind == _HTML:
         return Markup(value)
+    if kind == _SAID:
+        return Said.from_json(json.loads(value))
     return Told(value) if kind == _TOLD else dict(value)

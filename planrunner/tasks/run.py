@@ -29,6 +29,7 @@ from planrunner.bench.model import locate, runs_on_virtual_clock
 from planrunner.bench.opening import NotSafeError, OpenBench, guarded_bench
 from planrunner.bench.replacing import REACHED_BY, addresses, other_than_reached
 from planrunner.estimators.analysis import Results, analyse
+from planrunner.estimators.results import comparable
 from planrunner.execution.executor import execute
 from planrunner.execution.operator import Operator
 from planrunner.execution.outcome import Outcome
@@ -337,7 +338,7 @@ def analyse_run(
     if any(is_certificate(name) for name in reports):
         files[ISSUED] = to_bytes(issued_as(made.shown))
     earlier = made.reader.analyses[-1] if made.reader.analyses else None
-    same = earlier is not None and _read_results(earlier) == from_bytes(files[RESULTS])
+    same = earlier is not None and comparable(_read_results(earlier)) == comparable(from_bytes(files[RESULTS]))
     stored = made.reader.add_analysis(files)
     paths = tuple(stored.path / name for name in reports)
     before = None if earlier is None else earlier.number

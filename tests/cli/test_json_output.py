@@ -77,7 +77,7 @@ def test_several_runs_are_all_done_and_the_worst_decides(
 def test_one_run_is_a_list_too(runs: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     _, found = printed(capsys, "estimate", runs[0])
     assert len(found) == 1
-    assert found[0]["planrunner_results"] == 2
+    assert found[0]["planrunner_results"] == 3
     assert Path(found[0]["analysis"]).is_dir()
 
 

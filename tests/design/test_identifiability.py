@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from planrunner.base.said import Said
 from planrunner.design.identifiability import identify, identify_block
 from planrunner.error_model.flexure_gyro import static_model
 from planrunner.error_model.terms import Array, Term
@@ -81,7 +82,7 @@ def test_squares_and_bias_cannot_be_separated() -> None:
         return lambda felt: felt.specific_force[:, axis] ** 2
 
     squares = tuple(
-        Term(f"accel_{name}_squared", "", 9.80665**2, "(m/s^2)^2", squared(k), 2) for k, name in enumerate("xyz")
+        Term(f"accel_{name}_squared", Said(""), 9.80665**2, "(m/s^2)^2", squared(k), 2) for k, name in enumerate("xyz")
     )
     attitudes = np.array([np.linalg.qr(np.random.default_rng(k).normal(size=(3, 3)))[0] for k in range(30)])
     found = identify_block(block(attitudes, extra=squares))

@@ -29,6 +29,7 @@ from planrunner.estimators.interface import (
     UnfitDataError,
 )
 from planrunner.estimators.limits import hold
+from planrunner.estimators.results import comparable
 from planrunner.plan.kinds import Record
 from planrunner.plan.model import EstimateSpec, Limit
 from planrunner.plan.quantity import parse_quantity
@@ -233,6 +234,44 @@ def test_other_formats_are_refused() -> None:
         Results.from_json({"planrunner_results": 99})
     with pytest.raises(InputError, match="incomplete or changed"):
         Results.from_json({"planrunner_results": 1, "estimates": [{}]})
+
+
+def test_texts_of_format_3_keep_what_translations_need() -> None:
+    found = results()
+    (again,) = [one for one in Results.from_json(found.to_json()).estimates.values() if one.name == "drift"]
+    notes = found.estimates["drift"].notes
+    assert notes
+    assert [(text.template, text.values) for text in again.notes] == [(text.template, text.values) for text in notes]
+    assert all(one.description.template for one in again.coefficients)
+
+
+def test_texts_of_format_2_open_in_english_and_compare_as_equal() -> None:
+    import jsonschema
+
+    new = json.loads(json.dumps(results().to_json()))
+    old = json.loads(json.dumps(results().to_json()))
+    old["planrunner_results"] = 2
+    for estimate in old["estimates"]:
+        for key in ("notes", "warnings"):
+            estimate[key] = [text["text"] for text in estimate[key]]
+        for item in estimate["coefficients"]:
+            item["description"] = item["description"]["text"]
+    jsonschema.Draft202012Validator(SCHEMA).validate(old)
+    opened = Results.from_json(old)
+    assert opened.estimates["drift"].notes == results().estimates["drift"].notes
+    assert not any(text.template for text in opened.estimates["drift"].notes)
+    assert old != new
+    assert comparable(old) == comparable(new)
+    new["estimates"][0]["coefficients"][0]["value"] += 1.0
+    assert comparable(old) != comparable(new)
+
+
+@pytest.mark.parametrize("bad", ["{name.__class__}", "{name:9999999d}", "{name!r}", "{0}", "{lacking}"])
+def test_a_template_in_results_cannot_ask_for_more_than_its_values(bad: str) -> None:
+    data = results().to_json()
+    data["estimates"][0]["notes"] = [{"text": "a", "template": bad, "values": {"name": 1}}]
+    with pytest.raises(InputError, match="incomplete or changed"):
+        Results.from_json(data)
 
 
 def test_results_of_format_1_open_with_the_roles_that_their_titles_meant() -> None:

@@ -12,6 +12,7 @@ import simulated_imu as imu
 from recorded import from_means, sensor
 from scipy.stats import binom
 
+from planrunner.base.said import Said
 from planrunner.design.identifiability import identify
 from planrunner.estimators import method
 from planrunner.estimators.imu.imu_multi_position import ImuMultiPosition, ImuMultiPositionParameters
@@ -283,7 +284,7 @@ def test_a_term_of_another_package_is_found_by_name(monkeypatch: pytest.MonkeyPa
     from planrunner.error_model.terms import Term
 
     cube = Term(
-        "cubed_x", "Cube of the force along x.", 9.8**3, "m^3/s^6", lambda one: one.specific_force[:, 0] ** 3, 3
+        "cubed_x", Said("Cube of the force along x."), 9.8**3, "m^3/s^6", lambda one: one.specific_force[:, 0] ** 3, 3
     )
     load = plugins.load
     monkeypatch.setattr(plugins, "load", lambda group, name: cube if name == "cubed_x" else load(group, name))

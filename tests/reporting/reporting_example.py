@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from planrunner.archive.recording import Statistics
+from planrunner.base.said import Said
 from planrunner.estimators.interface import Coefficient, Design, Estimate, Foresight, Plot, Role, Table, TableColumn
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.physics.earth import Site
@@ -136,13 +137,13 @@ def estimate(name: str = "drift", scale: float = 1.0) -> Estimate:
     return Estimate(
         name,
         "flexure_gyro_static",
-        tuple(Coefficient(n, v, unit, u * scale, 2.0, text) for n, v, unit, u, text in NAMES),
+        tuple(Coefficient(n, v, unit, u * scale, 2.0, Said(text)) for n, v, unit, u, text in NAMES),
         covariance,
         tuple(row[0] for row in NAMES),
         {"uncertainty": "residual", "outputs": ["torquer_x", "torquer_y"], "weighting": "equal"},
         (other,),
         (residuals,),
-        ("The uncertainties rest on the residuals of the fit, with two degrees of freedom an output.",),
+        (Said("The uncertainties rest on the residuals of the fit, with two degrees of freedom an output."),),
         (),
         labels,
         budgets=budgets() if scale == 1 else (),
@@ -226,7 +227,7 @@ def comparison() -> Estimate:
     )
     return Estimate(
         "residual", "compensation_residual", (), np.zeros((0, 0)), tables=(table,), plots=(plot, courses()),
-        warnings=("Three positions: the measured ratio scatters between 0.17 and 9.1 (5 % to 95 %).",),
+        warnings=(Said("Three positions: the measured ratio scatters between 0.17 and 9.1 (5 % to 95 %)."),),
         segments=("V1", "V2", "V3"),
     )  # fmt: skip
 
@@ -292,5 +293,5 @@ def context(**changes: Any) -> ReportContext:
 
 
 def design() -> Design:
-    predicted = tuple(Coefficient(n, v, unit, u, math.inf, text) for n, v, unit, u, text in NAMES)
+    predicted = tuple(Coefficient(n, v, unit, u, math.inf, Said(text)) for n, v, unit, u, text in NAMES)
     return Design((), foresight=lambda: Foresight(predicted))

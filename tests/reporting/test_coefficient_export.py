@@ -16,6 +16,7 @@ import pytest
 import reporting_example as example
 import yaml
 
+from planrunner.base.said import Said
 from planrunner.estimators.interface import Coefficient, Estimate
 from planrunner.plan import source
 from planrunner.reporting.export import FORMS, ExportError, export, identifiers, yaml_float
@@ -34,7 +35,7 @@ def awkward() -> Estimate:
 
 
 def hostile() -> Estimate:
-    items = (Coefficient(HOSTILE, 1.5, HOSTILE, 0.25, 2.0, HOSTILE), Coefficient("=cmd()", 2.5, "1", 0.5))
+    items = (Coefficient(HOSTILE, 1.5, HOSTILE, 0.25, 2.0, Said(HOSTILE)), Coefficient("=cmd()", 2.5, "1", 0.5))
     return Estimate(HOSTILE, HOSTILE, items, np.eye(2))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import reporting_example as example
 
+from planrunner.base.said import Said
 from planrunner.estimators.interface import Coefficient, Estimate, Role, Table, TableColumn
 from planrunner.reporting.budgets import budget_views
 from planrunner.reporting.context import ReportContext
@@ -120,19 +121,20 @@ def test_the_same_context_gives_the_same_bytes(page: str, show: str) -> None:
 def hostile_context() -> ReportContext:
     bad = "<script>alert(1)</script>\"'&{{ 7*7 }}"
     original = example.estimate()
-    coefficients = tuple(replace(item, name=bad, description=bad, unit=bad) for item in original.coefficients[:2])
+    coefficients = tuple(replace(item, name=bad, description=Said(bad), unit=bad) for item in original.coefficients[:2])
     plot = replace(
         original.plots[0], title=bad, x_title=bad, y_title=bad, x=(bad,), series={bad: (1.0,)}, uncertainties={}
     )
     estimate = Estimate(
         bad, bad, coefficients, np.eye(2), settings={bad: bad},
-        tables=(Table(bad, (TableColumn(bad, unit=bad),), ((bad,),)),), plots=(plot,), notes=(bad,), warnings=(bad,), segments=(bad,),
+        tables=(Table(bad, (TableColumn(bad, unit=bad),), ((bad,),)),), plots=(plot,), notes=(Said(bad),),
+        warnings=(Said(bad),), segments=(bad,),
     )  # fmt: skip
     limit = replace(example.context().limits[0], quantity=bad, requirement=bad, reason=bad, unit=bad)
     segment = example.context().segments[0]
     segment = replace(segment, segment=replace(segment.segment, label=bad, orientation=bad), remark=bad)
     return example.context(
-        title=bad, description=bad, run_information={bad: bad}, bench={bad: bad}, instruments={bad: {bad: bad}},
+        title=bad, description=Said(bad), run_information={bad: bad}, bench={bad: bad}, instruments={bad: {bad: bad}},
         estimates=(estimate,), limits=(limit,), segments=(segment,), warnings=(bad,), notes=(bad,), provenance={bad: bad},
     )  # fmt: skip
 
@@ -164,8 +166,8 @@ def test_warnings_stand_beside_the_verdict() -> None:
     """Those of the run and those of every estimate; a verdict with warnings is not shown as one without."""
     context = example.context()
     both = tuple(replace(limit, verdict="pass") for limit in context.limits)
-    warned = replace(example.estimate(), warnings=("the model does not fit", "samples were lost"))
-    estimates = (warned, replace(example.estimate("other"), warnings=("few segments",)))
+    warned = replace(example.estimate(), warnings=(Said("the model does not fit"), Said("samples were lost")))
+    estimates = (warned, replace(example.estimate("other"), warnings=(Said("few segments"),)))
     met = replace(context, limits=both, estimates=estimates, warnings=("a fault",)).headline
     assert met.kind == "warned"
     assert met.text.startswith("Passed, with 4 warnings")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import said
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude, too_few
 from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.basis_judgement import MORE_SEGMENTS, judge, no_residual, require_basis
@@ -49,11 +50,6 @@ from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
 
-_WORDS = {
-    "bias": "Bias of the {} axis",
-    "scale": "Scale factor of the {} axis",
-    "gamma": "Non-orthogonality of the axes {} and {}: 90° minus the angle between them",
-}
 _UNITS = ("mg",) * 3 + ("1",) * 3 + ("mrad",) * 3
 _SCALE = np.array([1 / unit(text).factor for text in _UNITS])
 
@@ -100,8 +96,8 @@ def foresee(
         if seen.known:
             return seen
     why = "the plan does not give the attitudes of the poses"
-    rows = zip(NAMES, _UNITS, strict=True)
-    return Foresight(unpredicted=tuple(Unpredicted(name, text, why, _describe(name)) for name, text in rows))
+    rows = zip(NAMES, _UNITS, DESCRIPTIONS, strict=True)
+    return Foresight(unpredicted=tuple(Unpredicted(name, text, why, words) for name, text, words in rows))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +120,7 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
     poses = _found(request) if found_spans else observe(whole, request.parameters.outputs, request.sensor)
     found, fit = _fitted(request, poses, whole, basis)
     values, residuals = found.values + fit.coefficients[0], -fit.fits[0].residuals
-    named = [Reported(name, text, _describe(name)) for name, text in zip(NAMES, _UNITS, strict=True)]
+    named = [Reported(*one) for one in zip(NAMES, _UNITS, DESCRIPTIONS, strict=True)]
     shown = derived(named, lambda flat: flat * _SCALE[:, None], fit, at=values)
     return MagnitudeQuantities(
         coefficients=shown.coefficients(basis),
@@ -145,9 +141,15 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
     judged = judge(fit, basis, poses.channels)
     notes, warnings = list(judged.texts), list(judged.warnings)
     notes = [
-        f"{len(poses.labels)} poses; residuals of |f| {_size(fit, residuals) * 1e3:.3g} mm/s² rms, corrected for {fit.freedom} degrees "
-        f"of freedom; condition {found.sphere.condition:.3g}.",
-        f"Scale factors are relative to the site's gravity of {request.site.gravity:.6g} m/s².",
+        said(
+            "{poses} poses; residuals of |f| {rms:.3g} mm/s² rms, corrected for {freedom} degrees of freedom; condition "
+            "{condition:.3g}.",
+            poses=len(poses.labels),
+            rms=_size(fit, residuals) * 1e3,
+            freedom=fit.freedom,
+            condition=found.sphere.condition,
+        ),
+        said("Scale factors are relative to the site's gravity of {gravity:.6g} m/s².", gravity=request.site.gravity),
         *notes,
     ]
     series = {"|f| − g": tuple(map(float, residuals))}
@@ -328,9 +330,19 @@ def _at_rest(segments: Sequence[Segment]) -> None:
         )
 
 
-def _describe(name: str) -> str:
-    kind, axes = name.split("_")
-    return _WORDS[kind].format(*axes)
+DESCRIPTIONS = (
+    *(said("Bias of the {axis} axis", axis=axis) for axis in "xyz"),
+    *(said("Scale factor of the {axis} axis", axis=axis) for axis in "xyz"),
+    *(
+        said(
+            "Non-orthogonality of the axes {first} and {second}: 90° minus the angle between them",
+            first=first,
+            second=second,
+        )
+        for first, second in ("xy", "xz", "yz")
+    ),
+)
+"""Of the parameters, in the order of `NAMES`."""
 
 
 def _detection(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> dict[str, str]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import said
 from planrunner.error_model.terms import ErrorModel, error_model
 from planrunner.estimators.accelerometer.parameters import TERMS, AccelerometerMultiPositionParameters
 from planrunner.estimators.basis_judgement import judge, require_basis
@@ -106,10 +107,16 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
     warnings += contradictions([_row(axis, found) for axis in range(3)])
     left_out = [name for name in TERMS if name not in found.model.names]
     if left_out:
-        notes.append(f"Terms that the plan leaves out of the model: {', '.join(left_out)}.")
+        notes.append(said("Terms that the plan leaves out of the model: {terms}.", terms=tuple(left_out)))
     for axis, name in enumerate(observations.channels):
         rms = np.sqrt(np.sum(fit.fits[axis].residuals ** 2) / max(1, fit.freedom)) * found.units[axis].factor
-        notes.append(f"{name}: residuals of {rms / unit('mg').factor:.3g} mg rms, corrected for degrees of freedom.")
+        notes.append(
+            said(
+                "{output}: residuals of {rms:.3g} mg rms, corrected for degrees of freedom.",
+                output=name,
+                rms=rms / unit("mg").factor,
+            )
+        )
     return Words(
         headline=tuple(item.name for item in found.coefficients),
         settings={
@@ -149,17 +156,24 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported,
     misalignments: list[tuple[Reported, RowFormula]] = []
     if "bias" in model.names:
         place = model.names.index("bias")
-        found.append(
-            (Reported(f"bias_{letter}", "mg", f"Bias of the {letter} axis"), lambda row: np.asarray(row[place]))
-        )
+        words = said("Bias of the {axis} axis", axis=letter)
+        found.append((Reported(f"bias_{letter}", "mg", words), lambda row: np.asarray(row[place])))
     for direction, part in scale_and_misalignments(seen, axis).items():
         if direction == axis:
-            words = f"Scale factor of the {letter} axis, along its own input direction"
+            words = said("Scale factor of the {axis} axis, along its own input direction", axis=letter)
             found.append((Reported(f"scale_{letter}", "1", words), part))
         else:
-            words = f"Component of the {letter} axis's input direction along {_AXES[direction]}"
-            if axis not in seen:  # it was never along gravity: its response across, for a nominal scale factor of one
-                words += " times its scale factor"
+            across = _AXES[direction]
+            if axis in seen:
+                words = said(
+                    "Component of the {axis} axis's input direction along {across}", axis=letter, across=across
+                )
+            else:  # it was never along gravity: its response across, for a nominal scale factor of one
+                words = said(
+                    "Component of the {axis} axis's input direction along {across} times its scale factor",
+                    axis=letter,
+                    across=across,
+                )
             misalignments.append((Reported(f"misalignment_{letter}_{_AXES[direction]}", "mrad", words), part))
     return [*found, *misalignments]
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.findings import closest
+from planrunner.base.said import Said, said
 from planrunner.estimators.allan.confidence import NAMES
 from planrunner.estimators.allan.described_range import DescribedRange, described_range
 from planrunner.estimators.allan.fit import FLAT, TERMS, expected_covariance, model_matrix
@@ -51,10 +52,10 @@ from planrunner.uncertainty.influences import Influence
 Array = NDArray[np.float64]
 
 WORDS = {
-    "Q": "quantisation: 3·Q²/τ²",
-    "N": "random walk of the integrated output: N²/τ",
-    "B": "bias instability: the flat part is at 0.664·B",
-    "K": "random walk of the output: K²·τ/3",
+    "Q": said("quantisation: 3·Q²/τ²"),
+    "N": said("random walk of the integrated output: N²/τ"),
+    "B": said("bias instability: the flat part is at 0.664·B"),
+    "K": said("random walk of the output: K²·τ/3"),
 }
 _FLOOR_FREEDOM = 10.0  # of an Allan deviation that is named as the lowest
 _SIGNIFICANT = 2.0  # standard uncertainties of a squared coefficient from zero
@@ -191,8 +192,8 @@ class _Result:
         self.covariance: Array = np.zeros((0, 0))
         self.rows: list[Deviation] = []
         self.tables: list[Table] = []
-        self.notes: list[str] = []
-        self.warnings: list[str] = []
+        self.notes: list[Said] = []
+        self.warnings: list[Said] = []
         self.plot = Plot("", "", "", (), {})
         self.sensed: SensedBy | None = None
 
@@ -262,7 +263,11 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
         if len(terms) > max(1, len(chosen) - 1) and dropped in terms and len(terms) > 1:
             terms.remove(dropped)
             result.notes.append(
-                f"{result.name}: there are too few averaging times to fit {dropped}, so it is left out."
+                said(
+                    "{name}: there are too few averaging times to fit {dropped}, so it is left out.",
+                    name=result.name,
+                    dropped=dropped,
+                )
             )
     try:
         require_averaging_times(result.name, len(chosen))
@@ -294,7 +299,13 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
         if fit.squares[k] < _SIGNIFICANT * math.sqrt(fit.covariance[k, k]) * widening:
             bound = (value + 2 * spread) * scale
             result.notes.append(
-                f"{found.name} cannot be distinguished from zero in this record; it is below about {bound:.2g} {text}."
+                said(
+                    "{coefficient} cannot be distinguished from zero in this record; it is below about {bound:.2g} "
+                    "{text}.",
+                    coefficient=found.name,
+                    bound=bound,
+                    text=text,
+                )
             )
     index = [TERMS.index(term) for term in terms]
     inner = fit.covariance[np.ix_(index, index)]
@@ -315,32 +326,55 @@ def _judge(result: _Result, found: DescribedRange) -> float:
     name, drift = result.name, found.drift
     if drift is not None:
         result.notes.append(
-            f"{name}: the coefficients are fitted to the Hadamard variances, because in the Allan variances a steady drift would imitate a "
-            "random walk of the output."
+            said(
+                "{name}: the coefficients are fitted to the Hadamard variances, because in the Allan variances a "
+                "steady drift would imitate a random walk of the output.",
+                name=name,
+            )
         )
         if drift.present:
             result.notes.append(
-                f"{name}: the output drifts steadily by ({drift.slope * 3600:.3g} ± {drift.standard_uncertainty * 3600:.2g}) "
-                f"{result.unit} an hour (standard uncertainty)."
+                said(
+                    "{name}: the output drifts steadily by ({slope:.3g} ± {uncertainty:.2g}) {unit} an hour "
+                    "(standard uncertainty).",
+                    name=name,
+                    slope=drift.slope * 3600,
+                    uncertainty=drift.standard_uncertainty * 3600,
+                    unit=result.unit,
+                )
             )
     if not found.fits:
         widening = math.sqrt(max(1.0, found.fit.chi_square / max(1, found.fit.freedom)))
         result.warnings.append(
-            f"{name}: the fitted noise does not describe the deviations (χ² = {found.fit.chi_square:.3g} with "
-            f"{found.fit.freedom} degrees of "
-            f"freedom); uncertainties are widened {widening:.2g}-fold. Drift, vibration or a periodic disturbance may be "
-            "in the record."
+            said(
+                "{name}: the fitted noise does not describe the deviations (χ² = {chi_square:.3g} with {freedom} "
+                "degrees of freedom); uncertainties are widened {factor:.2g}-fold. Drift, vibration or a "
+                "periodic disturbance may be in the record.",
+                name=name,
+                chi_square=found.fit.chi_square,
+                freedom=found.fit.freedom,
+                factor=widening,
+            )
         )
         return widening
     if found.shorter:
         result.warnings.append(
-            f"{name}: the noise coefficients describe averaging times from {found.fitted[0].tau:.4g} s only. At shorter ones the "
-            "deviations differ: the output is filtered or rounded, or contains a periodic disturbance such as vibration."
+            said(
+                "{name}: the noise coefficients describe averaging times from {time:.4g} s only. At shorter ones "
+                "the deviations differ: the output is filtered or rounded, or contains a periodic disturbance "
+                "such as vibration.",
+                name=name,
+                time=found.fitted[0].tau,
+            )
         )
     if found.longer:
         result.warnings.append(
-            f"{name}: the noise coefficients describe averaging times up to {found.fitted[-1].tau:.4g} s only. At longer ones the "
-            "deviations differ: the output warms up or drifts unsteadily."
+            said(
+                "{name}: the noise coefficients describe averaging times up to {time:.4g} s only. At longer ones "
+                "the deviations differ: the output warms up or drifts unsteadily.",
+                name=name,
+                time=found.fitted[-1].tau,
+            )
         )
     return 1.0
 
@@ -392,27 +426,47 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
     lowest = min(known, key=lambda row: row.value)
     flat = lowest.value / math.sqrt(FLAT)
     result.notes.append(
-        f"{result.name}: lowest Allan deviation {lowest.value:.3g} {result.unit} at {lowest.tau:.4g} s, which is a "
-        "bias instability of "
-        f"{flat:.3g} {result.unit} (divided by 0.664) if no other kind of noise adds to it."
+        said(
+            "{name}: lowest Allan deviation {deviation:.3g} {unit} at {time:.4g} s, which is a bias "
+            "instability of {flat:.3g} {unit} (divided by 0.664) if no other kind of noise adds to it.",
+            name=result.name,
+            deviation=lowest.value,
+            unit=result.unit,
+            time=lowest.tau,
+            flat=flat,
+        )
     )
     result.notes.append(
-        "Standard uncertainties come from the covariance of the fit; χ² intervals of the deviations are in the tables."
+        said(
+            "Standard uncertainties come from the covariance of the fit; χ² intervals of the deviations are "
+            "in the tables."
+        )
     )
     if phase.gaps or phase.bridged:
         share = 100 * phase.lost / max(1, phase.samples)
         result.notes.append(
-            f"{result.name}: {phase.missing} samples are missing; {phase.bridged} of them were filled by linear "
-            f"interpolation, and {phase.gaps} gaps split "
-            f"the record into {len(phase.runs)} usable stretches ({share:.2g} % of the samples are in stretches that "
-            "are too short). "
-            "No difference spans a gap."
+            said(
+                "{name}: {missing} samples are missing; {bridged} of them were filled by linear interpolation, "
+                "and {gaps} gaps split the record into {stretches} usable stretches ({share:.2g} % of the "
+                "samples are in stretches that are too short). No difference spans a gap.",
+                name=result.name,
+                missing=phase.missing,
+                bridged=phase.bridged,
+                gaps=phase.gaps,
+                stretches=len(phase.runs),
+                share=share,
+            )
         )
     if phase.decimation > 1:
         result.notes.append(
-            f"{result.name}: the record has more than {LONGEST} samples, so only one in {phase.decimation} phase points "
-            "is kept; the shortest averaging time is "
-            f"{phase.interval:.4g} s."
+            said(
+                "{name}: the record has more than {most} samples, so only one in {step} phase points is kept; "
+                "the shortest averaging time is {time:.4g} s.",
+                name=result.name,
+                most=LONGEST,
+                step=phase.decimation,
+                time=phase.interval,
+            )
         )
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, said
 from planrunner.error_model.effects.interface import FollowsTemperature, ShapedOverSegments
 from planrunner.error_model.segment_columns import KINDS, SegmentStates, states_of
 from planrunner.estimators import rank
@@ -175,7 +176,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         """Residuals by output, and both bases of uncertainty."""
         basis = request.parameters.uncertainty
         notes: dict[FitNote, list[str]] = {}
-        warnings: list[str] = []
+        warnings: list[Said] = []
         for one in made.outputs:
             judged = judge(one.fit, basis)
             for note in judged.notes:
@@ -185,12 +186,14 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         warnings += _disagreement(request, made)
         every = len(made.outputs)
         shared = [
-            note.text if len(names) == every or note.output else f"{', '.join(names)}: {note.text}"
+            note.text
+            if len(names) == every or note.output
+            else said("{outputs}: {note}", outputs=tuple(names), note=note.text)
             for note, names in notes.items()
         ]
         at_rest = [one.model.name for one in made.outputs if len(one.model.rows) < len(request.segments)]
         if at_rest:
-            shared.append(f"{', '.join(at_rest)}: fitted from the segments at rest alone.")
+            shared.append(said("{outputs}: fitted from the segments at rest alone.", outputs=tuple(at_rest)))
         return Words(
             headline=tuple(one.name for one in made.found.quantities),
             settings={
@@ -334,7 +337,7 @@ def _of_channel(together: Observations, k: int) -> Observations:
     )
 
 
-def _contradictions(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[FittedOutput]) -> list[str]:
+def _contradictions(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[FittedOutput]) -> list[Said]:
     """Warnings about outputs that do not respond as they are declared."""
     found = []
     for kind in KINDS:
@@ -404,7 +407,7 @@ def _between(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[F
     }
 
 
-def _disagreement(request: EstimateRequest[ErrorModelParameters], made: ModelQuantities) -> list[str]:
+def _disagreement(request: EstimateRequest[ErrorModelParameters], made: ModelQuantities) -> list[Said]:
     """A warning if outputs give different values of an amplitude that they have in common."""
     from scipy.special import chdtrc
 
@@ -421,8 +424,13 @@ def _disagreement(request: EstimateRequest[ErrorModelParameters], made: ModelQua
         one.name for one, places in zip(made.common.amplitudes, made.common.members, strict=True) if len(places) > 1
     ]
     return [
-        f"{', '.join(names)}: the outputs give different values (χ² = {square:.3g} with {freedom} degrees of freedom), although they have "
-        "this in common: something else acts on them, or the model of an output is incomplete."
+        said(
+            "{names}: the outputs give different values (χ² = {chi_square:.3g} with {freedom} degrees of freedom), although "
+            "they have this in common: something else acts on them, or the model of an output is incomplete.",
+            names=tuple(names),
+            chi_square=square,
+            freedom=freedom,
+        )
     ]
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
+from planrunner.base.said import Said, said
 from planrunner.error_model.effects.interface import Effect, Explained, ExplainsTurning
 from planrunner.error_model.observed import axis_of
 from planrunner.error_model.segment_columns import (
@@ -49,7 +50,7 @@ class ReportedAmplitude:
     name: str
     unit: str
     si: float
-    description: str
+    description: Said
     common: bool = False
     origin: float = 0.0
 
@@ -291,8 +292,15 @@ def _coefficient(errors: OutputErrors, own: Unit, one: Amplitude) -> ReportedAmp
     if one.along == errors.axis and not direct:
         per = _PER[errors.kind]
         text, si = f"({own.text})/({per})", 1 / unit(per).factor
-        return ReportedAmplitude(name, text, si, f"Scale factor of {errors.output} along its own axis")
-    where = "" if common else f" in {errors.output}"
-    return ReportedAmplitude(
-        name, one.unit, one.factor, f"Parameter {one.name} of the effect {effect}{where}", common, one.origin
-    )
+        words = said("Scale factor of {output} along its own axis", output=errors.output)
+        return ReportedAmplitude(name, text, si, words)
+    if common:
+        words = said("Parameter {parameter} of the effect {effect}", parameter=one.name, effect=effect)
+    else:
+        words = said(
+            "Parameter {parameter} of the effect {effect} in {output}",
+            parameter=one.name,
+            effect=effect,
+            output=errors.output,
+        )
+    return ReportedAmplitude(name, one.unit, one.factor, words, common, one.origin)

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.said import Said, said
 from planrunner.error_model import flexure_gyro
 from planrunner.estimators import rank
 from planrunner.estimators.flexure_gyro.compensation_influences import (
@@ -58,7 +59,7 @@ AXES = ("ω_Y", "ω_X")
 _DEG_H = unit("deg/h").factor
 _NO_SET = "'{}' is not a set of the twelve static coefficients: `uses` names flexure_gyro_static estimates without product terms"
 _SUMS = "Ratios of the residual sums of squares, measured and expected"
-_CLAIM = (
+_CLAIM = said(
     "The source of this method claims a ratio of 4 to 8 between the traditional and the optimal positions. "
     "The ratios given here are predicted from equal noise in all positions; single experiments with few verification positions scatter "
     "widely about them."
@@ -222,13 +223,16 @@ def _assemble(
         coefficients.append(Coefficient(label, measured, text, spread, description=words))
         covariance.append(spread**2)
         expected = prediction.expected[name] / prediction.expected[first]
-        rows.append((f"{name} over {first}", measured, expected, middle, low, high))
+        rows.append((said("{first} over {second}", first=name, second=first), measured, expected, middle, low, high))
     titles = ("measured", "ratio of expected sums", "median expected", "5 % expected", "95 % expected")
     ratio_columns = (TableColumn("sets"), *(TableColumn(title, Role.VALUE) for title in titles))
-    outside = [str(row[0]) for row in rows if not row[4] <= row[1] <= row[5]]
+    outside = [row[0] for row in rows if not row[4] <= row[1] <= row[5]]
     notes = [
-        f"The measured ratio of {pair} is outside its expected range of 5 to 95 %; by chance alone this happens "
-        "in one of ten experiments."
+        said(
+            "The measured ratio of {pair} is outside its expected range of 5 to 95 %; by chance alone this happens in one "
+            "of ten experiments.",
+            pair=pair,
+        )
         for pair in outside
     ]
     return Estimate(
@@ -248,9 +252,11 @@ def _assemble(
         ),
         (_residual_plot(labels, residuals),),
         (
-            "The part of the uncertainties that comes from the data is half of the central 68 % interval of "
-            "simulated experiments with noise and declared bias instability; the contributions of the inputs "
-            "declared in the bench file are added to first order. The expected range of a ratio includes both.",
+            said(
+                "The part of the uncertainties that comes from the data is half of the central 68 % interval of simulated "
+                "experiments with noise and declared bias instability; the contributions of the inputs declared in the "
+                "bench file are added to first order. The expected range of a ratio includes both."
+            ),
             _CLAIM,
             *notes,
         ),
@@ -259,14 +265,15 @@ def _assemble(
     )
 
 
-def _sum(name: str) -> tuple[str, str, str]:
+def _sum(name: str) -> tuple[str, str, Said]:
     """Name, unit and description of the residual sum of squares of a set."""
-    return f"RSS_{name}", "(deg/h)^2", f"Residual sum of squares of {name}"
+    return f"RSS_{name}", "(deg/h)^2", said("Residual sum of squares of {name}", name=name)
 
 
-def _ratio(name: str, first: str) -> tuple[str, str, str]:
+def _ratio(name: str, first: str) -> tuple[str, str, Said]:
     """Name, unit and description of the ratio of two residual sums of squares."""
-    return f"ratio_{name}_to_{first}", "1", f"Residual sum of squares of {name} over that of {first}"
+    words = said("Residual sum of squares of {first} over that of {second}", first=name, second=first)
+    return f"ratio_{name}_to_{first}", "1", words
 
 
 def _residual_table(labels: Sequence[str], residuals: Mapping[str, Array]) -> Table:

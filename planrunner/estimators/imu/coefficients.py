@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, said
 from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.declared_axes import AxisResponse
 from planrunner.estimators.derived import Reported
@@ -96,7 +97,11 @@ def calibration(fitted: Sequence[Response], lower_triangular: bool) -> ImuResult
         for part in _axis(one, axis, one is reference)
     ]
     arcmin = unit("arcmin").factor
-    turns = [f"Rotation of the triad's own frame against the fixture's about {name}" for name in AXES if reference]
+    turns = [
+        said("Rotation of the triad's own frame against the fixture's about {axis}", axis=name)
+        for name in AXES
+        if reference
+    ]
 
     def in_frame(flat: Array) -> tuple[list[Array], Array | None]:
         values = _split(fitted, flat)
@@ -178,7 +183,7 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
     sensed, names = one.sensed, one.model.names
     found: list[_Part] = []
 
-    def add(name: str, text: str, of: RowFormula, words: str, si: float = own.factor) -> None:
+    def add(name: str, text: str, of: RowFormula, words: Said, si: float = own.factor) -> None:
         """text: the unit of the report; si: the SI value of the unit of `of`."""
         try:
             factor = si / unit(text).factor
@@ -194,7 +199,7 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
             f"bias_{letter}",
             _BIAS[one.kind] if direct else own.text,
             place(names.index("bias")),
-            f"Bias of output {letter}",
+            said("Bias of output {axis}", axis=letter),
         )
     if axis in sensed and not one.values[axis, list(sensed.values())].any():
         raise UnfitDataError(
@@ -204,18 +209,36 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
     for direction, part in scale_and_misalignments(sensed, axis).items():
         across = f"misalignment_{letter}_{AXES[direction]}"
         if direction == axis:
-            add(f"scale_{letter}", per, part, f"Scale factor of output {letter}, along its own input axis")
+            add(
+                f"scale_{letter}",
+                per,
+                part,
+                said("Scale factor of output {axis}, along its own input axis", axis=letter),
+            )
         elif axis not in sensed:
-            add(across, per, part, f"Response of output {letter} along {AXES[direction]}")
+            add(
+                across, per, part, said("Response of output {axis} along {across}", axis=letter, across=AXES[direction])
+            )
         elif not (own_frame_ and direction > axis):
-            add(across, "mrad", part, f"Component of the input axis {letter} along {AXES[direction]}", 1.0)
+            add(
+                across,
+                "mrad",
+                part,
+                said("Component of the input axis {axis} along {across}", axis=letter, across=AXES[direction]),
+                1.0,
+            )
     across_g = one.places("accel") if one.kind == "gyro" else {}
     for direction, k in across_g.items():
-        words = f"Response of output {letter} to specific force along {AXES[direction]}"
+        words = said("Response of output {axis} to specific force along {along}", axis=letter, along=AXES[direction])
         add(f"g_sensitivity_{letter}_{AXES[direction]}", f"{plain}/g", place(k), words)
     for k, term in enumerate(one.model.terms):
         if term.name != "bias" and k not in sensed.values() and k not in across_g.values():
             column = _COLUMNS.get(term.unit, f"({term.unit})")
             text = plain if term.unit == "1" else f"{plain}/{column}"
-            add(f"{term.name}_{letter}", text, place(k), f"Output {letter}: {term.description}")
+            add(
+                f"{term.name}_{letter}",
+                text,
+                place(k),
+                said("Output {output}: {term}", output=letter, term=term.description),
+            )
     return found

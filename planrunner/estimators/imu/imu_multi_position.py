@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, said
 from planrunner.error_model.terms import ErrorModel, columns_of, error_model, term_names
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.declared_axes import contradictions
@@ -23,7 +24,7 @@ from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
 from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_table
 from planrunner.estimators.imu import tables
-from planrunner.estimators.imu.coefficients import PLURAL, Framed, Response, calibration
+from planrunner.estimators.imu.coefficients import Framed, Response, calibration
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -53,6 +54,9 @@ Array = NDArray[np.float64]
 _RATES, _FORCES = ("rate_x", "rate_y", "rate_z"), ("accel_x", "accel_y", "accel_z")
 A_SENSOR = {"gyro": "a gyro", "accel": "an accelerometer"}
 _EARTH_ALONE = 1.5  # times Earth rate; a table's rate is at least some hundred times as large
+
+
+_TRIADS = {"gyro": said("Gyros"), "accel": said("Accelerometers")}
 
 
 class ImuMultiPositionParameters(Record):
@@ -169,17 +173,18 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         parameters = request.parameters
         basis = parameters.uncertainty
         triads, frame, found = made.triads, made.frame, made.found
-        notes: list[str] = [tables.formula(frame)]
-        warnings: list[str] = []
+        notes: list[Said] = [tables.formula(frame)]
+        warnings: list[Said] = []
         for one in triads:
             judged = judge(one.fit, basis)
             notes += [
-                note.text if note.output else f"{PLURAL[one.kind].capitalize()}: {note.text}" for note in judged.notes
+                note.text if note.output else said("{triad}: {note}", triad=_TRIADS[one.kind], note=note.text)
+                for note in judged.notes
             ]
             warnings += judged.warnings
             warnings += contradictions(_response(one).rows(one.observations.channels))
         if len(triads) == 2 and len(triads[0].design.segments) > len(triads[1].design.segments):
-            notes.append("Only the segments at rest are used for the accelerometers.")
+            notes.append(said("Only the segments at rest are used for the accelerometers."))
         return Words(
             headline=tuple(one.name for one in found.quantities),
             settings={

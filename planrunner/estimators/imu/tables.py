@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.said import Said, said
 from planrunner.estimators.imu.coefficients import AXES, Framed, Response
 from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 from planrunner.plan.units import unit
@@ -14,18 +15,27 @@ Array = NDArray[np.float64]
 _WORDS = {"gyro": ("ω", "deg/s"), "accel": ("f", "g")}
 
 
-def formula(frame: Framed) -> str:
+def formula(frame: Framed) -> Said:
     """How to apply the coefficients."""
     known = {one.kind for one in frame.responses}
-    parts = []
-    if "gyro" in known:
-        parts.append("gyros: ω = (S·M)⁻¹·(output − b − G·f)")
-    if "accel" in known:
-        parts.append("accelerometers: f = (S·M)⁻¹·(output − b)")
-    where = (
-        f"in the {frame.reference} triad's own frame" if frame.reference else "in the axes of the planned orientations"
+    formulas = {
+        "gyro": said("gyros: ω = (S·M)⁻¹·(output − b − G·f)"),
+        "accel": said("accelerometers: f = (S·M)⁻¹·(output − b)"),
+    }
+    frames = {
+        "gyro": said("in the gyro triad's own frame"),
+        "accel": said("in the accel triad's own frame"),
+        "": said("in the axes of the planned orientations"),
+    }
+    first, *others = (formula for kind, formula in formulas.items() if kind in known)
+    if not others:
+        return said("To calibrate an output, {frame}: {formula}.", frame=frames[frame.reference], formula=first)
+    return said(
+        "To calibrate an output, {frame}: {first}; {second}.",
+        frame=frames[frame.reference],
+        first=first,
+        second=others[0],
     )
-    return f"To calibrate an output, {where}: " + "; ".join(parts) + "."
 
 
 def matrices(one: Response) -> tuple[Table, ...]:

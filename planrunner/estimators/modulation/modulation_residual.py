@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.said import Said, said
 from planrunner.estimators.interface import (
     Cell,
     Coefficient,
@@ -40,7 +41,6 @@ from planrunner.plan.schedule import Segment
 Array = NDArray[np.float64]
 
 _AMPLITUDE = "modulation_{}"
-_AMPLITUDE_WORDS = "Amplitude of {}'s position error that repeats with its cycle"
 LONGEST = 4 * 86400.0  # s, of a planned navigation that errors are predicted for
 
 
@@ -102,7 +102,7 @@ class ModulationResidual:
         still = next((name for name, design in designs if not design.extra["turned"]), "")
         why = "it compares the errors of single navigations, which cannot be predicted"
         rows = [row for name in turned for row in _compared(name, still)]
-        rows += [(_AMPLITUDE.format(name), "m", _AMPLITUDE_WORDS.format(name)) for name in turned]
+        rows += [(_AMPLITUDE.format(name), "m", _amplitude(name)) for name in turned]
         return Foresight(unpredicted=tuple(Unpredicted(name, text, why, words) for name, text, words in rows))
 
     def estimate(self, request: EstimateRequest[ModulationResidualParameters]) -> Estimate:
@@ -114,7 +114,7 @@ class ModulationResidual:
         periodic, notes = _periodic(turned, request)
         amplitudes = tuple(
             Coefficient(
-                _AMPLITUDE.format(name), part.largest_position(), "m", part.position_noise(), description=_AMPLITUDE_WORDS.format(name),
+                _AMPLITUDE.format(name), part.largest_position(), "m", part.position_noise(), description=_amplitude(name),
             )
             for name, part in periodic.items()
         )  # fmt: skip
@@ -162,11 +162,19 @@ def _lacks(request: DesignRequest[ModulationResidualParameters]) -> Remark | Non
     )
 
 
-def _compared(name: str, still: str) -> tuple[tuple[str, str, str], tuple[str, str, str]]:
+def _amplitude(name: str) -> Said:
+    return said("Amplitude of {name}'s position error that repeats with its cycle", name=name)
+
+
+def _compared(name: str, still: str) -> tuple[tuple[str, str, Said], tuple[str, str, Said]]:
     """Name, unit and description of the two ratios of a navigation with rotation."""
     return (
-        (f"cep_rate_ratio_{name}", "1", f"CEP rate of {name} over that of {still}"),
-        (f"suppression_{name}", "1", f"Rms radial error of {still} over that of {name}"),
+        (f"cep_rate_ratio_{name}", "1", said("CEP rate of {first} over that of {second}", first=name, second=still)),
+        (
+            f"suppression_{name}",
+            "1",
+            said("Rms radial error of {first} over that of {second}", first=still, second=name),
+        ),
     )
 
 
@@ -194,7 +202,7 @@ def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coef
 
 def _periodic(
     turned: Sequence[Navigation], request: EstimateRequest[ModulationResidualParameters]
-) -> tuple[dict[str, PeriodicPart], tuple[str, ...]]:
+) -> tuple[dict[str, PeriodicPart], tuple[Said, ...]]:
     found: dict[str, PeriodicPart] = {}
     notes = []
     for item in turned:
@@ -203,20 +211,30 @@ def _periodic(
         try:
             part = periodic_part(time, velocity, item.cycle.period, item.highest, request.site)
         except TooLittleError as error:
-            notes.append(f"The part of '{item.name}' that repeats with its cycle cannot be determined: {error}.")
+            notes.append(
+                said(
+                    "The part of '{name}' that repeats with its cycle cannot be determined: {reason}.",
+                    name=item.name,
+                    reason=str(error),
+                )
+            )
             continue
         found[item.name] = part
         if part.hidden:
-            shown = ", ".join(map(str, part.hidden))
             notes.append(
-                f"'{item.name}': harmonic {shown} of the cycle cannot be distinguished from free oscillations and is "
-                "left out."
+                said(
+                    "'{name}': harmonic {numbers} of the cycle cannot be distinguished from free oscillations and is left out.",
+                    name=item.name,
+                    numbers=tuple(map(str, part.hidden)),
+                )
             )
     notes.append(
-        "Ratios compare navigations of one sensor over the same time; their uncertainties include only white noise, for "
-        "which each navigation gives an upper bound. Errors that rotation does not modulate (azimuth gyro, alignment) remain in all of "
-        "them. Scale factor errors and misalignments act during the turns and repeat with the cycle too; "
-        "the prediction from constant errors does not include them."
+        said(
+            "Ratios compare navigations of one sensor over the same time; their uncertainties include only white noise, for "
+            "which each navigation gives an upper bound. Errors that rotation does not modulate (azimuth gyro, alignment) "
+            "remain in all of them. Scale factor errors and misalignments act during the turns and repeat with the cycle "
+            "too; the prediction from constant errors does not include them."
+        )
     )
     return found, tuple(notes)
 

@@ -8,15 +8,15 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.rocking.runs import WORDS
+from planrunner.base.said import Said, said
 from planrunner.estimators.rocking.statistics import AXES, StateDrifts
 from planrunner.observation.observations import SIGNIFICANCE
 
 Array = NDArray[np.float64]
 
 
-def implausible(states: Sequence[StateDrifts], earth_rate: float, stated: float) -> Iterator[str]:
-    """Sentences about runs whose drift is that of the Earth, or differs between the two methods.
+def implausible(states: Sequence[StateDrifts], earth_rate: float, stated: float) -> Iterator[Said]:
+    """Warnings about runs whose drift is that of the Earth, or differs between the two methods.
 
     earth_rate: deg/h. stated: standard uncertainty [deg/h] of a difference between the methods from declared errors of the rings.
     """
@@ -24,21 +24,31 @@ def implausible(states: Sequence[StateDrifts], earth_rate: float, stated: float)
     for state in states:
         for dynamic, drifts in zip((False, True), state.runs, strict=True):
             for place, axis in enumerate(state.level):
-                name = f"{WORDS[dynamic]} runs, {state.name}, {AXES[axis]}"
+                runs = _runs(dynamic, state.name, AXES[axis])
                 mean = float(np.mean(drifts[:, place]))
                 if abs(mean) > earth_rate / 2:
-                    yield (
-                        f"{name}: the drift by accelerometers is {mean:.3g} deg/h, more than half the Earth rate. A reversed accelerometer "
-                        "causes such a drift: check the signs of the accelerometers and the orientation."
+                    yield said(
+                        "{runs}: the drift by accelerometers is {drift:.3g} deg/h, more than half the Earth rate. A reversed "
+                        "accelerometer causes such a drift: check the signs of the accelerometers and the orientation.",
+                        runs=runs,
+                        drift=mean,
                     )
                 elif drifts.shape[1] > 2:
                     difference = drifts[:, place + 2] - drifts[:, place]
                     if _differs(difference, stated, SIGNIFICANCE / tests):
-                        yield (
-                            f"{name}: the drifts by gimbal angles and by accelerometers differ by {np.mean(difference):.3g} deg/h, more "
-                            "than their scatter and the position uncertainty of the table explain: check the signs of the accelerometers, "
-                            "gimbals and rings, and `gimbal_axes`."
+                        yield said(
+                            "{runs}: the drifts by gimbal angles and by accelerometers differ by {difference:.3g} deg/h, more than "
+                            "their scatter and the position uncertainty of the table explain: check the signs of the "
+                            "accelerometers, gimbals and rings, and `gimbal_axes`.",
+                            runs=runs,
+                            difference=float(np.mean(difference)),
                         )
+
+
+def _runs(dynamic: bool, state: str, axis: str) -> Said:
+    if dynamic:
+        return said("dynamic runs, {state}, {axis}", state=state, axis=axis)
+    return said("static runs, {state}, {axis}", state=state, axis=axis)
 
 
 def _differs(difference: Array, stated: float, level: float) -> bool:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+from planrunner.base.said import Said, said
 from planrunner.estimators.interface import EstimateRequest, Plot, Role, Table, TableColumn
 from planrunner.estimators.rocking.checks import ARCSEC
 from planrunner.estimators.rocking.influences import DEG_PER_HOUR, Runs, azimuth_uncertainty, resolution
@@ -50,22 +51,27 @@ def comparison(pairings: Sequence[Pairings]) -> Table:
     return Table("Two methods over random pairings of a static and a dynamic run", columns, tuple(rows))
 
 
-def sentence(pairings: Sequence[Pairings]) -> str:
+def sentence(pairings: Sequence[Pairings]) -> Said:
     """The headline in words."""
     better = [AXES[pairs.axis] for pairs in pairings if pairs.deviations[0] < pairs.deviations[1]]
     worse = [AXES[pairs.axis] for pairs in pairings if AXES[pairs.axis] not in better]
     all_pairs = sum(len(pairs.accelerometers) for pairs in pairings)
     smaller = sum(pairs.smaller * len(pairs.accelerometers) for pairs in pairings) / all_pairs
     few = [AXES[pairs.axis] for pairs in pairings if pairs.smaller <= CLAIMED]
-    told = (
-        f"on every axis ({', '.join(better)})"
-        if not worse
-        else f"on {', '.join(better) or 'no axis'}, not on {', '.join(worse)}"
-    )
-    claim = "more than 70 % on every axis" if not few else f"not more than 70 % on {', '.join(few)}"
-    return (
-        f"Over {all_pairs} random pairings the accelerometer method has the smaller standard deviation {told}; "
-        f"{100 * smaller:.0f} % of its drifts are smaller than those by gimbal angles, {claim}."
+    if not worse:
+        where = said("on every axis ({axes})", axes=tuple(better))
+    elif better:
+        where = said("on {axes}, not on {others}", axes=tuple(better), others=tuple(worse))
+    else:
+        where = said("on no axis, not on {others}", others=tuple(worse))
+    claim = said("not more than 70 % on {axes}", axes=tuple(few)) if few else said("more than 70 % on every axis")
+    return said(
+        "Over {pairs} random pairings the accelerometer method has the smaller standard deviation {where}; {share:.0f} % of "
+        "its drifts are smaller than those by gimbal angles, {claim}.",
+        pairs=all_pairs,
+        where=where,
+        share=100 * smaller,
+        claim=claim,
     )
 
 
@@ -165,12 +171,14 @@ def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
     ]
 
 
-def leak_note(request: EstimateRequest[RockingDriftParameters], seconds: float) -> str:
+def leak_note(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Said:
     """The share of a drift about the vertical axis that appears as a drift about a level axis."""
     tilt = math.cos(request.site.latitude) * request.site.earth_rate * seconds
-    return (
-        f"By the second window the element has tilted by {math.degrees(tilt):.2f} deg relative to the site: up to "
-        f"{100 * math.sin(tilt):.1f} % of the rocking drift about the vertical axis appears as drift about a level axis."
+    return said(
+        "By the second window the element has tilted by {tilt:.2f} deg relative to the site: up to {share:.1f} % of the "
+        "rocking drift about the vertical axis appears as drift about a level axis.",
+        tilt=math.degrees(tilt),
+        share=100 * math.sin(tilt),
     )
 
 

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.said import Said, said
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -85,7 +86,7 @@ class RockingDrift:
         runs = find_runs([item.segment for item in request.segments], parameters.rotation_order)
         groups = by_state(quadruples(runs))
         windows = _windows([recorded[run.place] for run in runs], parameters)
-        encoders, why = _encoders(request)
+        encoders, doubt = _encoders(request)
         conditions = conditions_of(request.site, parameters)
         reduced = [
             [
@@ -126,7 +127,10 @@ class RockingDrift:
             ),
             plots=(*pair_plots(pairings), *curve_plots(curves)),
             notes=_notes(request, states, pairings, seconds),
-            warnings=(*((why,) if why else ()), *implausible(states, earth_rate, ring_error / seconds * DEG_PER_HOUR)),
+            warnings=(
+                *((doubt,) if doubt else ()),
+                *implausible(states, earth_rate, ring_error / seconds * DEG_PER_HOUR),
+            ),
             segments=tuple(run.label for run in runs),
             extra=_extra(states, pairings, reduced),
             influences=influences_of(reduced, combined, conditions, request),
@@ -170,22 +174,26 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
     return windows
 
 
-def _encoders(request: EstimateRequest[RockingDriftParameters]) -> tuple[bool, str]:
-    """Whether rings and gimbals can be used; if not, the reason."""
+def _encoders(request: EstimateRequest[RockingDriftParameters]) -> tuple[bool, Said | None]:
+    """Whether rings and gimbals can be used; if not, a warning with the reason."""
     parameters = request.parameters
     names = (*parameters.rings, *parameters.gimbals)
     missing = [name for name in names if any(name not in item.units for item in request.segments)]
     if missing:
-        why = f"the recording has no channel '{missing[0]}'"
+        why = said("the recording has no channel '{channel}'", channel=missing[0])
     elif request.setup.table is None:
-        why = "the bench has no table with readable rings"
+        why = said("the bench has no table with readable rings")
     elif len(request.setup.table.axes) != len(parameters.rings):
-        why = f"the table has {len(request.setup.table.axes)} axes, but `rings` names {len(parameters.rings)} channels"
+        why = said(
+            "the table has {axes} axes, but `rings` names {rings} channels",
+            axes=len(request.setup.table.axes),
+            rings=len(parameters.rings),
+        )
     else:
-        return True, ""
+        return True, None
     if parameters.azimuth == "encoders":
         raise EstimationError(f"the azimuth comes from encoders, but {why}: write `azimuth: nominal`, or record them")
-    return False, f"Without the gimbal-angle method: {why}."
+    return False, said("Without the gimbal-angle method: {why}.", why=why)
 
 
 def _coefficient(combined: CombinedDrifts, m: int) -> Coefficient:
@@ -216,7 +224,7 @@ def _notes(
     states: Sequence[StateDrifts],
     pairings: Sequence[Pairings],
     seconds: float,
-) -> tuple[str, ...]:
+) -> tuple[Said, ...]:
     notes = [sentence(pairings)] if pairings else []
     rocking = next(run.segment for run in states[0].quadruples[0].runs if run.dynamic)
     if isinstance(rocking.motion, Rock) and math.isfinite(rocking.motion.duration):
@@ -224,19 +232,28 @@ def _notes(
         begins, ends = rocking.motion.steady, rocking.motion.steady + rocking.motion.duration
         rocked = min(ends, first + seconds) - max(begins, first)
         notes.append(
-            f"Rocking drift is the mean from t0 to t1, {seconds:g} s, during which the base rocked for {rocked:g} s of them."
+            said(
+                "Rocking drift is the mean from t0 to t1, {seconds:g} s, during which the base rocked for {rocked:g} s of them.",
+                seconds=seconds,
+                rocked=rocked,
+            )
         )
     notes.append(leak_note(request, seconds))
     if any(len(state.quadruples) == 1 for state in states):
         notes.append(
-            "With only one quadruple in a state, the uncertainty is based on the difference between its two static "
-            "runs and between its two dynamic runs, with one degree of freedom; use `repeat` to record more quadruples for a narrower "
-            "interval."
+            said(
+                "With only one quadruple in a state, the uncertainty is based on the difference between its two static runs "
+                "and between its two dynamic runs, with one degree of freedom; use `repeat` to record more quadruples for a "
+                "narrower interval."
+            )
         )
     missing = [AXES[axis] for axis in range(3) if all(axis not in state.level for state in states)]
     if missing:
         notes.append(
-            f"The axes {', '.join(missing)} are level in no state, so gravity does not show a drift about them."
+            said(
+                "The axes {axes} are level in no state, so gravity does not show a drift about them.",
+                axes=tuple(missing),
+            )
         )
     return tuple(notes)
 
@@ -302,9 +319,9 @@ def _angle_by_gravity(request: DesignRequest[RockingDriftParameters]) -> float:
     return math.hypot(stability, math.sqrt(2) * noise) / request.site.gravity
 
 
-def _name(axis: int, by_gimbals: bool) -> tuple[str, str]:
+def _name(axis: int, by_gimbals: bool) -> tuple[str, Said]:
     """Name and description of a drift."""
     letter = AXES[axis]
     if by_gimbals:
-        return f"gimbal_drift_{letter}", f"rocking drift about {letter}, from gimbal and ring angles"
-    return f"drift_{letter}", f"rocking drift about {letter}"
+        return f"gimbal_drift_{letter}", said("rocking drift about {axis}, from gimbal and ring angles", axis=letter)
+    return f"drift_{letter}", said("rocking drift about {axis}", axis=letter)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, said
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.estimators.strapdown.reading import IncrementReader, Increments, reference_speed
 from planrunner.instruments.models import TableModel
@@ -52,7 +53,7 @@ class Aligned:
     white: Array
     seconds: float
     turned: bool
-    warnings: tuple[str, ...]
+    warnings: tuple[Said, ...]
 
 
 def align(
@@ -227,11 +228,12 @@ def _rates(mean: Array, site: Site) -> tuple[Array, Array]:
     return np.array([math.sqrt(max(0.0, rate * rate - up * up)), up]), earth
 
 
-def _quiet(label: str, mean: Array, site: Site) -> str:
-    shown = math.degrees(_rate_error(mean, site)) * 3600
-    return (
-        f"During '{label}' the noise is far smaller than the difference between the gyro readings and the Earth's rate, {shown:.3g} "
-        "deg/h; the alignment uses this difference as the uncertainty of the gyro readings."
+def _quiet(label: str, mean: Array, site: Site) -> Said:
+    return said(
+        "During '{segment}' the noise is far smaller than the difference between the gyro readings and the Earth's rate, "
+        "{rate:.3g} deg/h; the alignment uses this difference as the uncertainty of the gyro readings.",
+        segment=label,
+        rate=math.degrees(_rate_error(mean, site)) * 3600,
     )
 
 
@@ -258,8 +260,8 @@ def _check_at_rest(label: str, mean: Array, site: Site) -> None:
         )
 
 
-def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tuple[str, ...]]:
-    warnings: list[str] = []
+def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tuple[Said, ...]]:
+    warnings: list[Said] = []
     covariance = found.covariance
     if found.largest > _MOVED:
         raise UnfitDataError(
@@ -269,8 +271,12 @@ def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tu
     if found.consistency > _WIDENED:
         covariance = covariance * found.consistency**2
         warnings.append(
-            f"During '{label}' the velocity deviates from zero by {found.consistency:.2g} times the amount that "
-            "noise explains (vibration or a swaying base); the uncertainties of the alignment are widened by this factor."
+            said(
+                "During '{segment}' the velocity deviates from zero by {factor:.2g} times the amount that noise explains "
+                "(vibration or a swaying base); the uncertainties of the alignment are widened by this factor.",
+                segment=label,
+                factor=found.consistency,
+            )
         )
     heading = math.sqrt(covariance[TILT, TILT][2, 2])
     if heading > _HEADING_LIMIT:

@@ -10,6 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.said import Said, counted, said
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Plot, Role, Table, TableColumn
 from planrunner.estimators.strapdown.navigating import Navigated, StrapdownNavigationParameters
 from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, HOUR, NAUTICAL_MILE
@@ -169,61 +170,88 @@ def _plots(points: Array) -> tuple[Plot, ...]:
     )
 
 
-def _wandering(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> str:
+def _source(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> Said:
+    """What the uncertainties of the errors come from."""
     if found.wandering is None:
-        return ""
-    return (
-        f" and from the declared bias instability, for constants that are averages over {request.parameters.drift_span}"
+        return said(
+            "The uncertainties of the errors come from the white noise seen during alignment, propagated through the linear "
+            "error equations; constant sensor errors are part of the measured errors. For the largest error, the root mean "
+            "square and the rate, the uncertainties are upper bounds."
+        )
+    return said(
+        "The uncertainties of the errors come from the white noise seen during alignment and from the declared bias "
+        "instability, for constants that are averages over {span}, propagated through the linear error equations; constant "
+        "sensor errors are part of the measured errors. For the largest error, the root mean square and the rate, the "
+        "uncertainties are upper bounds.",
+        span=str(request.parameters.drift_span),
     )
 
 
 def _notes(
     request: EstimateRequest[StrapdownNavigationParameters], found: Navigated, values: dict[str, float]
-) -> tuple[str, ...]:
+) -> tuple[Said, ...]:
     low, high = (values["cep_rate"] * share for share in CEP_INTERVAL)
     notes = [
-        "One run determines a CEP poorly: if errors are normal with equal variances and zero mean, the CEP rate is between "
-        f"{low:.3g} and "
-        f"{high:.3g} nmi/h (95 %). Take the root mean square of radial_error_rate over several runs, times 0.8326.",
-        f"The uncertainties of the errors come from the white noise seen during alignment{_wandering(request, found)}, propagated through "
-        "the linear error equations; constant sensor errors are part of the measured errors. For the largest error, the root mean square "
-        "and the rate, the uncertainties are upper bounds.",
+        said(
+            "One run determines a CEP poorly: if errors are normal with equal variances and zero mean, the CEP rate is "
+            "between {low:.3g} and {high:.3g} nmi/h (95 %). Take the root mean square of radial_error_rate over several "
+            "runs, times 0.8326.",
+            low=low,
+            high=high,
+        ),
+        _source(request, found),
     ]
     parameters = request.parameters
     unknown = parameters.gyro_uncertainty is None or parameters.accelerometer_uncertainty is None
     if unknown and found.aligned.turned:
         notes.append(
-            "Alignment assumes constant errors with standard uncertainties of 0.1 deg/h and 1 "
-            "mg unless gyro_uncertainty and accelerometer_uncertainty are given."
+            said(
+                "Alignment assumes constant errors with standard uncertainties of 0.1 deg/h and 1 mg unless gyro_uncertainty "
+                "and accelerometer_uncertainty are given."
+            )
         )
     elif unknown:
         notes.append(
-            "The uncertainties of heading, pitch and roll include only the noise: the contribution of constant gyro "
-            "and accelerometer errors "
-            "(ε_E/(Ω·cos φ) and ∇/g) is not known without gyro_uncertainty and accelerometer_uncertainty."
+            said(
+                "The uncertainties of heading, pitch and roll include only the noise: the contribution of constant gyro and "
+                "accelerometer errors (ε_E/(Ω·cos φ) and ∇/g) is not known without gyro_uncertainty and "
+                "accelerometer_uncertainty."
+            )
         )
     if found.seconds < SCHULER_PERIOD:
         notes.append(
-            f"The navigation lasts {found.seconds / 60:.3g} min, less than a Schuler period of 84.4 min: rates in "
-            f"nmi/h describe the beginning of an oscillation and must not be extrapolated."
+            said(
+                "The navigation lasts {minutes:.3g} min, less than a Schuler period of 84.4 min: rates in nmi/h describe the "
+                "beginning of an oscillation and must not be extrapolated.",
+                minutes=found.seconds / 60,
+            )
         )
     if found.gap:
         notes.append(
-            f"{found.gap:.4g} s without samples separate alignment and navigation: the attitude was carried over, "
-            "because the unit was at rest or the table brought it back to the same orientation."
+            said(
+                "{gap:.4g} s without samples separate alignment and navigation: the attitude was carried over, because the "
+                "unit was at rest or the table brought it back to the same orientation.",
+                gap=found.gap,
+            )
         )
     truncated = [recorded.label for recorded in request.segments if recorded.truncated]
     if truncated:
-        notes.append(f"'{truncated[0]}' was cut short; the results are for {found.seconds / HOUR:.3g} h.")
+        notes.append(
+            said(
+                "'{segment}' was cut short; the results are for {hours:.3g} h.",
+                segment=truncated[0],
+                hours=found.seconds / HOUR,
+            )
+        )
     return tuple(notes)
 
 
-def _warnings(found: Navigated) -> tuple[str, ...]:
-    bridged = (
-        (
-            f"{found.bridged} missing samples were filled by linear interpolation; this may increase the navigation errors.",
-        )
-        if found.bridged
-        else ()
+def _warnings(found: Navigated) -> tuple[Said, ...]:
+    if not found.bridged:
+        return found.aligned.warnings
+    bridged = counted(
+        "{count} missing sample was filled by linear interpolation; this may increase the navigation errors.",
+        "{count} missing samples were filled by linear interpolation; this may increase the navigation errors.",
+        found.bridged,
     )
-    return (*found.aligned.warnings, *bridged)
+    return (*found.aligned.warnings, bridged)

@@ -14,6 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.said import said
 from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.strapdown.alignment import levelled_out
 from planrunner.estimators.strapdown.navigating import Navigated, StrapdownNavigationParameters, wandering_sensors
@@ -33,20 +34,23 @@ SCHULER_PERIOD = 5064.0  # s, 84.4 min
 PERIODS = {"heading": 360.0, "roll": 360.0}
 """Periods of the circular quantities, in their units; pitch is not circular: it is limited to ±90 deg."""
 NAMES = {
-    "heading": ("deg", "Azimuth of the unit's y axis after alignment, from true north towards east"),
-    "pitch": ("deg", "Elevation of the unit's y axis after alignment"),
-    "roll": ("deg", "Rotation about the unit's y axis after alignment, positive with the x axis down"),
-    "east_error": ("m", "East position error at the end"),
-    "north_error": ("m", "North position error at the end"),
-    "east_velocity_error": ("m/s", "East velocity error at the end"),
-    "north_velocity_error": ("m/s", "North velocity error at the end"),
-    "radial_error": ("m", "Radial position error at the end"),
-    "largest_radial_error": ("m", "Largest radial position error"),
-    "rms_radial_error": ("m", "Root mean square of the radial position error over time"),
-    "largest_velocity_error": ("m/s", "Largest horizontal velocity error"),
-    "rms_velocity_error": ("m/s", "Root mean square of the horizontal velocity error over time"),
-    "radial_error_rate": ("nmi/h", "Slope of the straight line through the origin fitted to radial error over time"),
-    "cep_rate": ("nmi/h", "CEP rate of this run: √(ln 2) of the radial error rate"),
+    "heading": ("deg", said("Azimuth of the unit's y axis after alignment, from true north towards east")),
+    "pitch": ("deg", said("Elevation of the unit's y axis after alignment")),
+    "roll": ("deg", said("Rotation about the unit's y axis after alignment, positive with the x axis down")),
+    "east_error": ("m", said("East position error at the end")),
+    "north_error": ("m", said("North position error at the end")),
+    "east_velocity_error": ("m/s", said("East velocity error at the end")),
+    "north_velocity_error": ("m/s", said("North velocity error at the end")),
+    "radial_error": ("m", said("Radial position error at the end")),
+    "largest_radial_error": ("m", said("Largest radial position error")),
+    "rms_radial_error": ("m", said("Root mean square of the radial position error over time")),
+    "largest_velocity_error": ("m/s", said("Largest horizontal velocity error")),
+    "rms_velocity_error": ("m/s", said("Root mean square of the horizontal velocity error over time")),
+    "radial_error_rate": (
+        "nmi/h",
+        said("Slope of the straight line through the origin fitted to radial error over time"),
+    ),
+    "cep_rate": ("nmi/h", said("CEP rate of this run: √(ln 2) of the radial error rate")),
 }
 _DIRECT = 7  # the first so many follow the state linearly
 DEGREE = math.degrees(1.0)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, said
 from planrunner.estimators.derived import independent
 from planrunner.estimators.interface import (
     Coefficient,
@@ -273,18 +274,25 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
         for k, (value, u, freedom) in enumerate(zip(one.fit.coefficients, *one.fit.uncertainties(), strict=True)):
             label, own = _label(made.form, name, text, k)
             if made.form == "spline":
-                words = f"{name} at {made.knots[k]:.6g} degC"
+                words = said("{name} at {temperature:.6g} degC", name=name, temperature=made.knots[k])
+            elif k == 0:
+                words = said("{name} at {temperature:.6g} degC", name=name, temperature=made.reference)
             else:
-                words = (
-                    f"{name} at {made.reference:.6g} degC"
-                    if k == 0
-                    else f"{name}: coefficient of (T − {made.reference:.6g} degC)^{k}"
+                words = said(
+                    "{name}: coefficient of (T − {temperature:.6g} degC)^{power}",
+                    name=name,
+                    temperature=made.reference,
+                    power=k,
                 )
             rows.append(Coefficient(label, float(value), own, float(u), float(freedom), words))
         blocks.append(one.fit.covariance)
         if one.widest is not None:
             largest, u, freedom, celsius = one.widest
-            words = f"{name}: largest difference between rising and falling temperature, at {celsius:.4g} degC"
+            words = said(
+                "{name}: largest difference between rising and falling temperature, at {temperature:.4g} degC",
+                name=name,
+                temperature=celsius,
+            )
             rows.append(
                 Coefficient(f"hysteresis_{name}", largest, text, u, freedom, words, role=CoefficientRole.MAXIMUM)
             )
@@ -445,71 +453,118 @@ def _plots(one: Modelled) -> list[Plot]:
     ]
 
 
-def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[str]:
+def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[Said]:
     name, fit = one.points.name, one.fit
     found = []
     if fit.errors:
         held = (
-            "each temperature in turn"
+            said("each temperature in turn")
             if parameters.folds == 0
-            else f"each of {parameters.folds} adjoining ranges in turn"
+            else said("each of {count} adjoining ranges in turn", count=parameters.folds)
         )
         by = (
-            "the simplest curve within one standard error of the smallest held-out error"
+            said("the simplest curve within one standard error of the smallest held-out error")
             if parameters.rule == "one_standard_error"
-            else "the smallest held-out error"
+            else said("the smallest held-out error")
         )
-        orders = ", ".join(str(item.order) for item in fit.errors)
-        found.append(f"{name}: order {fit.curve.order} was chosen of {orders} by {by}, leaving out {held}.")
+        found.append(
+            said(
+                "{name}: order {order} was chosen of {orders} by {rule}, leaving out {left_out}.",
+                name=name,
+                order=fit.curve.order,
+                orders=tuple(str(item.order) for item in fit.errors),
+                rule=by,
+                left_out=held,
+            )
+        )
         if fit.fullest is not None:
             found.append(
-                f"{name}: the uncertainties allow for the choice of the order: they combine the uncertainties of "
-                f"order {fit.fullest.curve.order}, the highest tried, with the difference from that curve. If physics gives the "
-                "order, state it in `order` for narrower intervals."
+                said(
+                    "{name}: the uncertainties allow for the choice of the order: they combine the uncertainties of order "
+                    "{order}, the highest tried, with the difference from that curve. If physics gives the order, state it "
+                    "in `order` for narrower intervals.",
+                    name=name,
+                    order=fit.fullest.curve.order,
+                )
             )
     low, high = one.points.temperature.min(), one.points.temperature.max()
-    found.append(f"{name}: known from {low:.4g} to {high:.4g} degC; beyond this range the curve is an extrapolation.")
+    found.append(
+        said(
+            "{name}: known from {low:.4g} to {high:.4g} degC; beyond this range the curve is an extrapolation.",
+            name=name,
+            low=low,
+            high=high,
+        )
+    )
     if not parameters.channels:
         found.append(
-            "Influences common to the values at all temperatures, such as a fixture's angle, are included in the uncertainties of the "
-            "estimates used, but not in those of this curve."
+            said(
+                "Influences common to the values at all temperatures, such as a fixture's angle, are included in the "
+                "uncertainties of the estimates used, but not in those of this curve."
+            )
         )
     if parameters.uncertainty == "residual":
         found.append(
-            f"{name}: the uncertainty is based on the scatter about the curve, with {fit.uncertainties()[1].min():.0f} "
-            "degrees of freedom."
+            said(
+                "{name}: the uncertainty is based on the scatter about the curve, with {freedom:.0f} degrees of freedom.",
+                name=name,
+                freedom=float(fit.uncertainties()[1].min()),
+            )
         )
     if one.widest is not None:
         found.append(
-            f"{name}: the curve is the mean of rising and falling temperature. Either branch lies up to {one.widest[0] / 2:.3g} "
-            f"{one.points.unit} from it; the curve's uncertainty does not contain this distance."
+            said(
+                "{name}: the curve is the mean of rising and falling temperature. Either branch lies up to {distance:.3g} "
+                "{unit} from it; the curve's uncertainty does not contain this distance.",
+                name=name,
+                distance=one.widest[0] / 2,
+                unit=one.points.unit,
+            )
         )
-    for way, ramps in zip(("offsets", "slopes"), fit.ramps, strict=False):
+    for way, ramps in zip((said("offsets"), said("slopes")), fit.ramps, strict=False):
         found.append(
-            f"{name}: ramps in the same direction differ by {way} with a standard deviation of {ramps.size:.3g} {one.points.unit} "
-            f"({ramps.degrees_of_freedom} degrees of freedom; variance ratio F = {ramps.ratio:.3g} to noise, probability of a larger "
-            f"ratio by chance {ramps.probability:.2g}). All uncertainties of the curve include this."
+            said(
+                "{name}: ramps in the same direction differ by {way} with a standard deviation of {deviation:.3g} {unit} "
+                "({freedom} degrees of freedom; variance ratio F = {ratio:.3g} to noise, probability of a larger ratio by "
+                "chance {chance:.2g}). All uncertainties of the curve include this.",
+                name=name,
+                way=way,
+                deviation=ramps.size,
+                unit=one.points.unit,
+                freedom=ramps.degrees_of_freedom,
+                ratio=ramps.ratio,
+                chance=ramps.probability,
+            )
         )
     if fit.correlation > 1:
         found.append(
-            f"{name}: consecutive values along the ramps are correlated; the variances are {fit.correlation:.3g} "
-            "times those of "
-            "independent values, and the degrees of freedom are smaller by the same factor."
+            said(
+                "{name}: consecutive values along the ramps are correlated; the variances are {factor:.3g} times those of "
+                "independent values, and the degrees of freedom are smaller by the same factor.",
+                name=name,
+                factor=fit.correlation,
+            )
         )
     return found
 
 
-def _warnings(one: Modelled) -> list[str]:
+def _warnings(one: Modelled) -> list[Said]:
     fit, points = one.fit, one.points
     found = []
     if fit.errors and fit.curve.order == fit.errors[-1].order and len(fit.errors) > 1:
         found.append(
-            f"{points.name}: the highest order that was tried is chosen; raise `highest_order` or add temperatures."
+            said(
+                "{name}: the highest order that was tried is chosen; raise `highest_order` or add temperatures.",
+                name=points.name,
+            )
         )
     if one.difference is not None and not fit.ramps and not points.expected:
         found.append(
-            f"{points.name}: rising and falling temperature were each recorded once, so that it is not known how much the hysteresis "
-            "differs from cycle to cycle; the uncertainties do not include this. Record a second cycle."
+            said(
+                "{name}: rising and falling temperature were each recorded once, so that it is not known how much the "
+                "hysteresis differs from cycle to cycle; the uncertainties do not include this. Record a second cycle.",
+                name=points.name,
+            )
         )
     return found
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, said
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.drift_order import planned_drift
@@ -62,9 +63,9 @@ Array = NDArray[np.float64]
 
 _DEGREE, _ARCSEC = unit("deg").factor, unit("arcsec").factor
 _WORDS = (
-    "scale factor along the axis",
-    "angle from the fixture's z axis",
-    "azimuth about the fixture's z axis, from x",
+    said("scale factor along the axis"),
+    said("angle from the fixture's z axis"),
+    said("azimuth about the fixture's z axis, from x"),
 )
 
 
@@ -167,8 +168,8 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
     def words(self, request: EstimateRequest[FixtureAnglesParameters], found: FixtureQuantities) -> Words:
         """Angles found and stated, and residuals."""
         parameters = request.parameters
-        notes: list[str] = []
-        warnings: list[str] = []
+        notes: list[Said] = []
+        warnings: list[Said] = []
         for _, fit in found.fits:
             judged = judge(fit, parameters.uncertainty)
             notes += [text for text in judged.texts if text not in notes]
@@ -207,7 +208,8 @@ def _derived(
             : len(gain)
         ]:
             period = 360.0 if word == "azimuth" else math.inf
-            reported.append(Reported(f"{word}_{axes.names[k]}", own, f"{axes.names[k]}: {words}", period))
+            described = said("{axis}: {quantity}", axis=axes.names[k], quantity=words)
+            reported.append(Reported(f"{word}_{axes.names[k]}", own, described, period))
 
     def formula(flat: Array) -> Array:
         made = []

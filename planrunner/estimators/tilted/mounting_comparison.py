@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.said import Said, said
 from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.plan.schedule import Segment
@@ -62,13 +63,20 @@ def comparison_table(axes: MountedAxes, noise: Array, angle: Array) -> Table:
     return Table("Standard uncertainty of K in one tilted mounting, and in one mounting per axis", columns, tuple(rows))
 
 
-def time_note(seconds: float, mountings: int, remounting: float) -> str:
+def time_note(seconds: float, mountings: int, remounting: float) -> Said:
     one, many = seconds + remounting, mountings * (seconds + remounting)
-    return (
-        f"Test time: {_hours(one)} in one tilted mounting ({_hours(seconds)} as scheduled, {_hours(remounting)} for mounting). With one "
-        f"axis at a time, it would be {_hours(many)}, in {mountings} mountings, each with a temperature cycle."
+    return said(
+        "Test time: {one} in one tilted mounting ({scheduled} as scheduled, {remounting} for mounting). With one axis at a "
+        "time, it would be {many}, in {mountings} mountings, each with a temperature cycle.",
+        one=_hours(one),
+        scheduled=_hours(seconds),
+        remounting=_hours(remounting),
+        many=_hours(many),
+        mountings=mountings,
     )
 
 
-def _hours(seconds: float) -> str:
-    return f"{seconds / 3600:.3g} h" if seconds >= 3600 else f"{seconds / 60:.3g} min"
+def _hours(seconds: float) -> Said:
+    if seconds >= 3600:
+        return said("{hours:.3g} h", hours=seconds / 3600)
+    return said("{minutes:.3g} min", minutes=seconds / 60)

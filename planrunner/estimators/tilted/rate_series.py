@@ -6,12 +6,14 @@ The segment after the end zero begins the next series, and so does a new tempera
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, said
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.selection import matches
@@ -31,10 +33,13 @@ class RateSeries:
     end: tuple[int, ...]
 
     @property
-    def lacks(self) -> str:
-        """Description of the missing parts; empty if the series is complete."""
-        missing = [what for what, held in (("start zero", self.start), ("end zero", self.end)) if not held]
-        return " and no ".join(missing if self.spins else [*missing, "rates"])
+    def lacks(self) -> Said | None:
+        """Description of the missing parts; None if the series is complete."""
+        parts = {said("start zero"): self.start, said("end zero"): self.end, said("rates"): self.spins}
+        missing = [what for what, held in parts.items() if not held]
+        if not missing:
+            return None
+        return reduce(lambda first, second: said("{first} and no {second}", first=first, second=second), missing)
 
     @property
     def segments(self) -> tuple[int, ...]:
@@ -71,8 +76,8 @@ def by_temperature(series: Sequence[RateSeries]) -> dict[float | None, tuple[Rat
     return {kelvin: tuple(held) for kelvin, held in found.items()}
 
 
-def temperature_label(kelvin: float | None) -> str:
-    return "" if kelvin is None else f"{round(kelvin - ZERO_CELSIUS, 6):g}degC"
+def temperature_label(kelvin: float | None) -> Said:
+    return Said("") if kelvin is None else said("{celsius:g}degC", celsius=round(kelvin - ZERO_CELSIUS, 6))
 
 
 def has_both_signs(rates: Array) -> bool:

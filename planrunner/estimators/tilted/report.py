@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.said import Said, said
 from planrunner.estimators.interface import Cell, Plot, Role, Table, TableColumn
 from planrunner.estimators.method import Words
 from planrunner.estimators.slope_units import slope_unit
@@ -202,65 +203,79 @@ def _temperature_plot(situation: Situation, spread: Array) -> tuple[Plot, ...]:
 
 def _notes(
     situation: Situation, scatter: Scatter, acting: Sequence[Influence], parameters: ScaleFactorTiltedParameters
-) -> list[str]:
+) -> list[Said]:
     axes, segments = situation.conditions.axes, situation.segments
     seconds = scheduled_seconds(segments, situation.seconds)
     notes = [
         _basis_words(situation, scatter, parameters.uncertainty, acting),
         _earth_words(situation, parameters.earth_rate),
         time_note(seconds, len(axes.names), parameters.remounting.value),
-        "Nonlinearity, response and offset are computed from the means over the repeats; asymmetry is 2·(K₊ − K₋)/(K₊ + "
-        "K₋) of two half-lines "
-        "that meet at zero rate.",
+        said(
+            "Nonlinearity, response and offset are computed from the means over the repeats; asymmetry is "
+            "2·(K₊ − K₋)/(K₊ + K₋) of two half-lines that meet at zero rate."
+        ),
     ]
     angles = _angles(situation, acting)
     if not angles.any():
         notes.append(
-            "No uncertainty of the fixture's angles is stated, so the budgets lack the usually dominant contribution: "
-            "tan θ·u(θ)."
+            said(
+                "No uncertainty of the fixture's angles is stated, so the budgets lack the usually dominant contribution: "
+                "tan θ·u(θ)."
+            )
         )
     if not np.isfinite(situation.found.coefficient).all():
-        notes.append("All rates were run at one temperature, so there is no temperature coefficient.")
+        notes.append(said("All rates were run at one temperature, so there is no temperature coefficient."))
     return notes
 
 
-def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Sequence[Influence]) -> str:
+def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Sequence[Influence]) -> Said:
     names_of_acting = {item.quantity.name for item in acting}
     outputs = situation.conditions.axes.outputs
     declared = [output for output in outputs if Aspect.BIAS_INSTABILITY.of(output) in names_of_acting]
-    names = ", ".join(declared)
+    if basis == "residual" and declared:
+        return said(
+            "Uncertainties are based on the residuals of the rates (means over the repeats) about the line. For {outputs} "
+            "the residuals scale noise and declared flicker together. The budget therefore lists flicker without adding it; "
+            "it does not add the drift between the zeros either, because that drift is one sample of the flicker. Any other "
+            "drift is in the budget as an offset.",
+            outputs=tuple(declared),
+        )
     if basis == "residual":
-        text = "Uncertainties are based on the residuals of the rates (means over the repeats) about the line"
-        if declared:
-            text += (
-                f". For {names} the residuals scale noise and declared flicker together. The budget therefore lists flicker "
-                "without adding it; it does not add the drift between the zeros either, because that drift is one sample of the flicker. "
-                "Any other drift is in the budget as an offset."
-            )
-            return text
-        return f"{text}; a drift between the zeros that exceeds their noise (1 %) is also in the budget, as an offset."
+        return said(
+            "Uncertainties are based on the residuals of the rates (means over the repeats) about the line; a drift between "
+            "the zeros that exceeds their noise (1 %) is also in the budget, as an offset."
+        )
+    if basis == "within_segment" and declared:
+        return said(
+            "Uncertainties are based on the noise within the segments; changes from segment to segment are included only if "
+            "stated. The budget contains the flicker of {outputs} as declared, in place of the drift between the zeros, "
+            "which is one sample of that flicker.",
+            outputs=tuple(declared),
+        )
     if basis == "within_segment":
-        text = "Uncertainties are based on the noise within the segments; changes from segment to segment are included only if stated."
-        if declared:
-            text += (
-                f" The budget contains the flicker of {names} as declared, in place of the drift between the zeros, which is one "
-                "sample of that flicker."
-            )
-        return text
-    count = min(len(group.names) for group in situation.groups)
-    text = f"Uncertainties are based on the scatter of {count} repeats at each temperature"
+        return said(
+            "Uncertainties are based on the noise within the segments; changes from segment to segment are included only if "
+            "stated."
+        )
+    repeats = min(len(group.names) for group in situation.groups)
     if len(situation.groups) == 1:
-        return f"{text}."
+        return said("Uncertainties are based on the scatter of {repeats} repeats at each temperature.", repeats=repeats)
     apart = int((~scatter.pooled).sum())
     if not apart:
-        return f"{text}, pooled over the temperatures."
-    return (
-        f"{text}, pooled over the temperatures except where it differs between them (Bartlett's test at 1 %): "
-        f"in {apart} of {len(scatter.pooled)} quantities."
+        return said(
+            "Uncertainties are based on the scatter of {repeats} repeats at each temperature, pooled over the temperatures.",
+            repeats=repeats,
+        )
+    return said(
+        "Uncertainties are based on the scatter of {repeats} repeats at each temperature, pooled over the temperatures except "
+        "where it differs between them (Bartlett's test at 1 %): in {apart} of {quantities} quantities.",
+        repeats=repeats,
+        apart=apart,
+        quantities=len(scatter.pooled),
     )
 
 
-def _earth_words(situation: Situation, how: str) -> str:
+def _earth_words(situation: Situation, how: str) -> Said:
     site, axes = situation.site, situation.conditions.axes
     hour = unit("deg/h").factor
     about = next(
@@ -271,22 +286,36 @@ def _earth_words(situation: Situation, how: str) -> str:
     most = across * float(np.abs(np.sin(axes.angles)).max()) / hour
     if how == "corrected":
         parts = part_turns(situation.segments, situation.seconds, [0.0] * len(situation.segments))
-        text = f"The Earth's rotation is corrected for; its component across the rotation axis is up to {most:.3g} deg/h on an axis."
         if parts:
-            text += " If a recording covers an incomplete turn, its starting angle is computed from the planned spin-up and settling."
-        return text
-    return (
-        f"The Earth's rotation across the rotation axis is {how}: "
-        f"F0 contains the part that the zeros measured at the home position, which is up to {most:.3g} deg/h on an axis."
+            return said(
+                "The Earth's rotation is corrected for; its component across the rotation axis is up to {most:.3g} deg/h on "
+                "an axis. If a recording covers an incomplete turn, its starting angle is computed from the planned spin-up "
+                "and settling.",
+                most=most,
+            )
+        return said(
+            "The Earth's rotation is corrected for; its component across the rotation axis is up to {most:.3g} deg/h on an "
+            "axis.",
+            most=most,
+        )
+    ways = {"averaged": said("averaged"), "ignored": said("ignored")}
+    return said(
+        "The Earth's rotation across the rotation axis is {how}: F0 contains the part that the zeros measured at the home "
+        "position, which is up to {most:.3g} deg/h on an axis.",
+        how=ways.get(how, how),
+        most=most,
     )
 
 
-def _warnings(situation: Situation) -> list[str]:
+def _warnings(situation: Situation) -> list[Said]:
     found, axes = situation.found, situation.conditions.axes
     return [
-        f"{name}: at the lowest rate the output changes by {value:.2g} of the change expected from the scale factor. "
-        "This is less than half, "
-        "so the rate is within the threshold or dead zone (IEEE Std 528)."
+        said(
+            "{axis}: at the lowest rate the output changes by {share:.2g} of the change expected from the scale factor. This "
+            "is less than half, so the rate is within the threshold or dead zone (IEEE Std 528).",
+            axis=name,
+            share=float(value),
+        )
         for name, value in zip(axes.names, found.means[situation.reference, :, RESPONSE], strict=True)
         if value < HALF
     ]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, said
 from planrunner.estimators.interface import Coefficient, CoefficientRole
 from planrunner.estimators.slope_units import slope_unit
 from planrunner.estimators.tilted.evaluation import QUANTITIES, Group, TiltedResults
@@ -22,14 +23,16 @@ from planrunner.uncertainty.influences import Influence
 Array = NDArray[np.float64]
 
 WORDS = {
-    "K": "scale factor along the axis",
-    "F0": "offset of the line at zero rate",
-    "nonlinearity": "largest residual over the largest output",
-    "asymmetry": "difference of forward and backward scale factors over their mean",
-    "response": "change of output between the lowest rates over the expected change",
-    "repeatability": "relative standard deviation of K between repeats",
-    "temperature_coefficient": "slope of K over temperature, divided by K at the reference temperature",
-    "temperature_sensitivity": "largest change of K from the reference temperature, divided by K and by the temperature difference",
+    "K": said("scale factor along the axis"),
+    "F0": said("offset of the line at zero rate"),
+    "nonlinearity": said("largest residual over the largest output"),
+    "asymmetry": said("difference of forward and backward scale factors over their mean"),
+    "response": said("change of output between the lowest rates over the expected change"),
+    "repeatability": said("relative standard deviation of K between repeats"),
+    "temperature_coefficient": said("slope of K over temperature, divided by K at the reference temperature"),
+    "temperature_sensitivity": said(
+        "largest change of K from the reference temperature, divided by K and by the temperature difference"
+    ),
 }
 ROLES = {
     "nonlinearity": CoefficientRole.MAXIMUM,
@@ -49,7 +52,7 @@ class Item:
     name: str
     unit: str
     factor: float
-    description: str
+    description: Said
     reference: bool
 
 
@@ -126,7 +129,6 @@ def _at(
 ) -> list[Item]:
     g, m, p = found.means.shape
     suffix = "" if k == reference else f"_{groups[k].label}"
-    where = f" at {groups[k].label}" if groups[k].label else ""
     made = []
     for quantity in (*QUANTITIES, "repeatability") if k == reference else ELSEWHERE:
         for axis, name in enumerate(axes.names):
@@ -136,13 +138,20 @@ def _at(
                 else (k * m + axis) * p + QUANTITIES.index(quantity)
             )
             unit, factor = _unit(quantity, units[axis])
-            words = f"{name}: {WORDS[quantity]}{where}"
+            words = said("{axis}: {quantity}", axis=name, quantity=WORDS[quantity])
+            if groups[k].label:
+                words = said(
+                    "{axis}: {quantity} at {temperature}",
+                    axis=name,
+                    quantity=WORDS[quantity],
+                    temperature=groups[k].label,
+                )
             made.append(Item(at, quantity, f"{quantity}_{name}{suffix}", unit, factor, words, k == reference))
     if k == reference:
         for row, quantity in enumerate(("temperature_coefficient", "temperature_sensitivity")):
             for axis, name in enumerate(axes.names):
                 at = g * m * (p + 1) + row * m + axis
-                words = f"{name}: {WORDS[quantity]}"
+                words = said("{axis}: {quantity}", axis=name, quantity=WORDS[quantity])
                 made.append(Item(at, quantity, f"{quantity}_{name}", "ppm/K", 1e6, words, True))
     return made
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, said
 from planrunner.error_model.observed import axis_of
 from planrunner.estimators.declared_axes import AxisResponse, against_nominal, contradictions
 from planrunner.estimators.interface import (
@@ -89,7 +90,7 @@ class TiltedQuantities(Quantities):
     within: Scatter
     noise: NoiseOfMeans
     acting: tuple[Influence, ...]
-    doubts: tuple[str, ...]
+    doubts: tuple[Said, ...]
     calibrated: bool
 
 
@@ -175,9 +176,9 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
         """Tables over rates, repeats and temperatures."""
         parameters = request.parameters
         situation = found.situation
-        said = report(situation, found.units, found.scatter, found.within, found.noise, found.acting, parameters)
+        told = report(situation, found.units, found.scatter, found.within, found.noise, found.acting, parameters)
         return replace(
-            said,
+            told,
             headline=tuple(
                 item.name for word in HEADLINE for item in found.shown if item.reference and item.quantity == word
             ),
@@ -187,12 +188,12 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
                 "reference_temperature": situation.groups[situation.reference].label or "not stated",
                 "fixture_angles": "calibrated" if found.calibrated else "as stated",
             },
-            warnings=(*found.doubts, *_against_declared(request, found), *said.warnings),
+            warnings=(*found.doubts, *_against_declared(request, found), *told.warnings),
             segments=found.kept,
         )
 
 
-def _against_declared(request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> list[str]:
+def _against_declared(request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> list[Said]:
     """Warnings about outputs whose scale factor is not the nominal one, or not one where an output of angular rate has none declared."""
     axes, slopes = found.situation.conditions.axes, found.situation.found.means[found.situation.reference, :, K]
     named: list[tuple[str, float, float]] = []
@@ -240,24 +241,28 @@ def _situation(
 
 def _complete(
     request: EstimateRequest[ScaleFactorTiltedParameters],
-) -> tuple[list[RecordedSegment], tuple[RateSeries, ...], list[str]]:
+) -> tuple[list[RecordedSegment], tuple[RateSeries, ...], list[Said]]:
     """The recorded segments of complete series, these series, and warnings about the others."""
     recorded = request.segments
     series = split_series([one.segment for one in recorded], request.parameters.zero)
-    whole_ones: list[tuple[RateSeries, str]] = []
-    lacking: list[tuple[RateSeries, str]] = []
+    whole_ones: list[RateSeries] = []
+    lacking: list[tuple[RateSeries, Said]] = []
     for repeats in by_temperature(series).values():
         rates = [tuple(recorded[index].segment.rate for index in one.spins) for one in repeats]
         most = max(rates, key=len)
         for one, own in zip(repeats, rates, strict=True):
             cut = [recorded[index].label for index in one.segments if recorded[index].truncated]
-            why = (one.lacks and f"has no {one.lacks}") or (cut and f"is cut short in '{cut[0]}'") or ""
-            if not why and own != most:
-                why = (
-                    f"has {len(own)} of {len(most)} rates" if len(own) < len(most) else "has other rates than the rest"
-                )
-            (lacking if why else whole_ones).append((one, why))
-    warnings = [f"Series {one.name} {why}: it is left out." for one, why in lacking]
+            if one.lacks:
+                lacking.append((one, said("has no {parts}", parts=one.lacks)))
+            elif cut:
+                lacking.append((one, said("is cut short in '{segment}'", segment=cut[0])))
+            elif len(own) < len(most):
+                lacking.append((one, said("has {count} of {most} rates", count=len(own), most=len(most))))
+            elif own != most:
+                lacking.append((one, said("has other rates than the rest")))
+            else:
+                whole_ones.append(one)
+    warnings = [said("Series {series} {why}: it is left out.", series=one.name, why=why) for one, why in lacking]
     if not whole_ones:
         one, why = lacking[0]
         raise EstimationError(
@@ -265,20 +270,18 @@ def _complete(
             "another after them, labelled as in `zero` "
             f"({', '.join(request.parameters.zero)})"
         )
-    rates_at = {tuple(recorded[index].segment.rate for index in one.spins) for one, _ in whole_ones}
+    rates_at = {tuple(recorded[index].segment.rate for index in one.spins) for one in whole_ones}
     if any(len(set(rates)) < 2 for rates in rates_at):
         raise EstimationError(
             "a series has only one rate, so a line cannot be distinguished from a constant: add rates"
         )
-    order = sorted(index for one, _ in whole_ones for index in one.segments)
+    order = sorted(index for one in whole_ones for index in one.segments)
     place = {index: row for row, index in enumerate(order)}
 
     def moved(indices: Sequence[int]) -> tuple[int, ...]:
         return tuple(place[index] for index in indices)
 
-    kept = tuple(
-        replace(one, start=moved(one.start), spins=moved(one.spins), end=moved(one.end)) for one, _ in whole_ones
-    )
+    kept = tuple(replace(one, start=moved(one.start), spins=moved(one.spins), end=moved(one.end)) for one in whole_ones)
     return [recorded[index] for index in order], kept, warnings
 
 
@@ -376,11 +379,14 @@ def _sigma(
     return sigma, np.array([one.degrees_of_freedom if one.known else 0.0 for one in known])
 
 
-def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[str]:
+def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[Said]:
     return [
-        f"From before to after the rates, the zeros of {axes.outputs[axis]} changed by more than noise "
-        "and the declared bias instability explain (at 1 %). The budget includes this drift; check for warm-up, or declare a larger bias "
-        "instability."
+        said(
+            "From before to after the rates, the zeros of {output} changed by more than noise and the declared bias "
+            "instability explain (at 1 %). The budget includes this drift; check for warm-up, or declare a larger bias "
+            "instability.",
+            output=axes.outputs[axis],
+        )
         for axis in sorted(further)
     ]
 

@@ -1,0 +1,133 @@
+"""Text for readers that can be translated: an English template together with the values that it inserts.
+
+`said("{output}: {count} samples are missing.", output="gyro_x", count=3)` is the text "gyro_x: 3 samples are missing." that also keeps its
+template and its values. The template is the message id of the catalogues in `locales/`, as for gettext; `make catalogues` finds it in the
+call. A page in another language looks up the template and inserts the values with the format that the template states.
+
+A `Said` is a `str`: where nothing is translated (the terminal, a page in English, a comparison) it is the English text.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from string import Formatter
+
+from planrunner.base.documents import Json, JsonObject
+
+Value = str | float | tuple[str, ...]
+"""A name or another `Said`, a number, or several names, which are written one after the other."""
+COUNT = "count"
+"""The value that selects the plural form."""
+_FORMAT = re.compile(r"\+?(\.\d{1,2})?[dgef%]?")
+"""What a template may state: no widths, which could fill the memory, and no access to the parts of a value."""
+
+
+class Said(str):
+    """A text in English with its template and the values in it; without a template, the text is not translated. plural: the template for
+    more than one `count`, if there is one."""
+
+    template: str
+    values: Mapping[str, Value]
+    plural: str
+
+    def __new__(
+        cls, text: str, template: str = "", values: Mapping[str, Value] | None = None, plural: str = ""
+    ) -> Said:
+        made = super().__new__(cls, text)
+        made.template, made.values, made.plural = template, dict(values or {}), plural
+        return made
+
+    def __reduce__(self) -> tuple[type[Said], tuple[str, str, Mapping[str, Value], str]]:
+        return Said, (str(self), self.template, self.values, self.plural)
+
+    @property
+    def formats(self) -> dict[str, str]:
+        """The names in the template, each with the format of its value."""
+        return formats(self.template) | formats(self.plural)
+
+    @property
+    def number(self) -> int:
+        """The number that selects the plural form."""
+        value = self.values.get(COUNT)
+        return value if isinstance(value, int) else 0
+
+    def to_json(self) -> JsonObject:
+        """The text, and what is needed to say it in another language."""
+        if not self.template:
+            return {"text": str(self)}
+        values = {name: _value_to(value) for name, value in self.values.items()}
+        return {
+            "text": str(self),
+            "template": self.template,
+            **({"plural": self.plural} if self.plural else {}),
+            **({"values": values} if values else {}),
+        }
+
+    @classmethod
+    def from_json(cls, data: Json) -> Said:
+        """What `to_json` wrote, or a plain text. Raises ValueError, KeyError or TypeError for anything else."""
+        if isinstance(data, str):
+            return cls(data)
+        if "template" not in data:
+            return cls(data["text"])
+        values = {str(name): _value_from(value) for name, value in data.get("values", {}).items()}
+        return _made(str(data["template"]), str(data.get("plural", "")), values)
+
+
+def said(template: str, /, **values: Value) -> Said:
+    """The template with the values inserted. `{name}` inserts a value, `{name:.3g}` a number with this format; `{{` is a brace.
+
+    Raises ValueError for a template that states something else, and KeyError for a name without a value."""
+    return _made(template, "", values)
+
+
+def counted(one: str, many: str, /, count: int, **values: Value) -> Said:
+    """As `said`, with the first template if `count` is 1, otherwise the second; both may contain `{count}`."""
+    return _made(one, many, {COUNT: count, **values})
+
+
+def formats(template: str) -> dict[str, str]:
+    """The names in a template, each with its format. Raises ValueError for a template that states something else."""
+    return {name: form for _, name, form in _pieces(template) if name is not None}
+
+
+def filled(template: str, shown: Mapping[str, str]) -> str:
+    """The template with these texts for its names."""
+    return "".join(text + ("" if name is None else shown[name]) for text, name, _ in _pieces(template))
+
+
+def _made(template: str, plural: str, values: Mapping[str, Value]) -> Said:
+    chosen = plural if plural and values[COUNT] != 1 else template
+    shown = {name: _english(values[name], form) for name, form in formats(chosen).items()}
+    return Said(filled(chosen, shown), template, values, plural)
+
+
+def _english(value: Value, form: str) -> str:
+    return ", ".join(value) if isinstance(value, tuple) else format(value, form)
+
+
+def _pieces(template: str) -> list[tuple[str, str | None, str]]:
+    """Text, and the name and the format of the value that follows it; no name after the last text."""
+    found: list[tuple[str, str | None, str]] = []
+    for text, name, form, conversion in Formatter().parse(template):
+        if name is not None and (not name.isidentifier() or conversion or not _FORMAT.fullmatch(form or "")):
+            raise ValueError(f"a text of a report cannot contain {{{name}{':' if form else ''}{form or ''}}}")
+        found.append((text, name, form or ""))
+    return found
+
+
+def _value_to(value: Value) -> Json:
+    if isinstance(value, tuple):
+        return [_value_to(item) for item in value]
+    return value.to_json() if isinstance(value, Said) else value
+
+
+def _value_from(value: Json) -> Value:
+    if isinstance(value, list):
+        return tuple(Said.from_json(item) if isinstance(item, Mapping) else str(item) for item in value)
+    if isinstance(value, Mapping):
+        return Said.from_json(value)
+    if isinstance(value, bool) or not isinstance(value, str | int | float):
+        raise TypeError(f"{value!r} is not a value of a text")
+    return value
