@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from planrunner.archive.recording import Find, FindKind, RecordedSegment
-from planrunner.base.said import Said, said
+from planrunner.base.said import Said, Value, said
 from planrunner.estimators.interface import (
     Cell,
     Estimate,
@@ -143,20 +143,17 @@ def _table(found: Sequence[tuple[RecordedSegment, Find]], excluded: bool) -> Tab
     return Table("Screening of the samples", columns, tuple(rows))
 
 
-def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> Said:
+def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> Value:
     """The longest finds by kind, segment, channel and time, and how many more there are."""
     ordered = sorted(found, key=lambda item: -item[1].rows)
     texts = tuple(_find(recorded, one) for recorded, one in ordered[:NAMED])
     more = len(ordered) - NAMED
     if more <= 0:
-        return said(_LIST, finds=texts)
+        return texts
     left = sum(
         rows_of([one for other, one in found if other is each]) for each in {id(r): r for r, _ in found}.values()
     )
     return said("{finds} and {more} more, {rows} rows in all", finds=texts, more=more, rows=left)
-
-
-_LIST = "{finds}"  # nothing to translate
 
 
 def _find(recorded: RecordedSegment, one: Find) -> Said:

@@ -18,6 +18,7 @@ import simulated_imu as imu
 import test_accelerometer_and_stillness as accelerometers
 import test_allan_recording as allan
 import test_compensation_residual as compensation
+import test_drift as drifting
 import test_error_model as models
 import test_fixture_angles as fixture
 import test_flexure_gyro_static as flexure
@@ -51,6 +52,9 @@ from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNaviga
 from planrunner.instruments.models import NoiseModel
 from planrunner.plan.units import unit
 from planrunner.reporting.language import languages, spoken, translations
+from tests.worlds.campaigns import CAMPAIGNS, Campaign
+from tests.worlds.coverage import recorded as recorded_in_world
+from tests.worlds.faults import WORLDS
 
 TRIAD = fixture.STATED
 GYROS = fixture.GYROS
@@ -140,10 +144,20 @@ def said_of_repeats() -> Iterator[Estimate | Said]:
     yield repeats.of_values({"a1": 1, "a2": 3, "b1": 6, "b2": 8}, groups={"a": ("a*",), "b": ("b*",)})
 
 
+def drifting_line(campaign: Campaign) -> Estimate:
+    world = WORLDS["linear drift"]
+    _, made = recorded_in_world(campaign, world, np.random.default_rng(1))
+    return drifting.found(campaign, world, made)
+
+
+def said_of_drifts() -> Iterator[Estimate | Said]:
+    yield drifting_line(drifting.asking("scale_factor", "linear"))
+
+
 SAYING: tuple[Callable[[], Iterator[Estimate | Said]], ...] = (
     said_by_flexure_gyros, said_of_scale_factors, said_of_navigation, said_of_rocking, said_of_triads, said_of_error_models,
     said_of_noise,
-    said_over_temperature, said_of_repeats,
+    said_over_temperature, said_of_repeats, said_of_drifts,
 )  # fmt: skip
 
 
@@ -292,6 +306,7 @@ WARNED: dict[str, Callable[[], Sequence[Said]]] = {
         ).warnings
     ),
     "repeats that scatter and drift": lambda: repeats.of_values({f"r{k}": float(k) for k in range(9)}).warnings,
+    "a drift that the segments show": lambda: drifting_line(CAMPAIGNS["scale_factor"]).warnings,
     "samples lost": lambda: lost(1),
     "samples lost in many segments": lambda: lost(5),
 }
