@@ -15,7 +15,7 @@ from string import Formatter
 
 from planrunner.base.documents import Json, JsonObject
 
-Value = str | float | tuple[str, ...]
+Inserted = str | float | tuple[str, ...]
 """A name or another `Said`, a number, or several names, which are written one after the other."""
 COUNT = "count"
 """The value that selects the plural form."""
@@ -28,17 +28,17 @@ class Said(str):
     more than one `count`, if there is one."""
 
     template: str
-    values: Mapping[str, Value]
+    values: Mapping[str, Inserted]
     plural: str
 
     def __new__(
-        cls, text: str, template: str = "", values: Mapping[str, Value] | None = None, plural: str = ""
+        cls, text: str, template: str = "", values: Mapping[str, Inserted] | None = None, plural: str = ""
     ) -> Said:
         made = super().__new__(cls, text)
         made.template, made.values, made.plural = template, dict(values or {}), plural
         return made
 
-    def __reduce__(self) -> tuple[type[Said], tuple[str, str, Mapping[str, Value], str]]:
+    def __reduce__(self) -> tuple[type[Said], tuple[str, str, Mapping[str, Inserted], str]]:
         return Said, (str(self), self.template, self.values, self.plural)
 
     @property
@@ -75,14 +75,14 @@ class Said(str):
         return _made(str(data["template"]), str(data.get("plural", "")), values)
 
 
-def said(template: str, /, **values: Value) -> Said:
+def said(template: str, /, **values: Inserted) -> Said:
     """The template with the values inserted. `{name}` inserts a value, `{name:.3g}` a number with this format; `{{` is a brace.
 
     Raises ValueError for a template that states something else, and KeyError for a name without a value."""
     return _made(template, "", values)
 
 
-def counted(one: str, many: str, /, count: int, **values: Value) -> Said:
+def counted(one: str, many: str, /, count: int, **values: Inserted) -> Said:
     """As `said`, with the first template if `count` is 1, otherwise the second; both may contain `{count}`."""
     return _made(one, many, {COUNT: count, **values})
 
@@ -97,13 +97,13 @@ def filled(template: str, shown: Mapping[str, str]) -> str:
     return "".join(text + ("" if name is None else shown[name]) for text, name, _ in _pieces(template))
 
 
-def _made(template: str, plural: str, values: Mapping[str, Value]) -> Said:
+def _made(template: str, plural: str, values: Mapping[str, Inserted]) -> Said:
     chosen = plural if plural and values[COUNT] != 1 else template
     shown = {name: _english(values[name], form) for name, form in formats(chosen).items()}
     return Said(filled(chosen, shown), template, values, plural)
 
 
-def _english(value: Value, form: str) -> str:
+def _english(value: Inserted, form: str) -> str:
     return ", ".join(value) if isinstance(value, tuple) else format(value, form)
 
 
@@ -117,13 +117,13 @@ def _pieces(template: str) -> list[tuple[str, str | None, str]]:
     return found
 
 
-def _value_to(value: Value) -> Json:
+def _value_to(value: Inserted) -> Json:
     if isinstance(value, tuple):
         return [_value_to(item) for item in value]
     return value.to_json() if isinstance(value, Said) else value
 
 
-def _value_from(value: Json) -> Value:
+def _value_from(value: Json) -> Inserted:
     if isinstance(value, list):
         return tuple(Said.from_json(item) if isinstance(item, Mapping) else str(item) for item in value)
     if isinstance(value, Mapping):

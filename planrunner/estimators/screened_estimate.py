@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from planrunner.archive.recording import Find, FindKind, RecordedSegment
-from planrunner.base.said import Said, Value, said
+from planrunner.base.said import Inserted, Said, said
 from planrunner.estimators.interface import (
     Cell,
     Estimate,
@@ -143,7 +143,7 @@ def _table(found: Sequence[tuple[RecordedSegment, Find]], excluded: bool) -> Tab
     return Table("Screening of the samples", columns, tuple(rows))
 
 
-def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> Value:
+def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> Inserted:
     """The longest finds by kind, segment, channel and time, and how many more there are."""
     ordered = sorted(found, key=lambda item: -item[1].rows)
     texts = tuple(_find(recorded, one) for recorded, one in ordered[:NAMED])

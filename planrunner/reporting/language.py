@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 
 from planrunner.base.documents import Json
-from planrunner.base.said import Said, Value
+from planrunner.base.said import Inserted, Said
 from planrunner.base.said import filled as inserted
 from planrunner.base.shipped import shipped
 
@@ -65,7 +65,7 @@ def spoken(language: str) -> dict[str, Callable[..., str]]:
             return singular if count == 1 else plural
         return said if isinstance(said, str) else said[plural_form(language)(count)]
 
-    def shown(value: Value, form: str) -> str:
+    def shown(value: Inserted, form: str) -> str:
         if isinstance(value, tuple):
             return ", ".join(shown(item, "") for item in value)
         if isinstance(value, Said):
