@@ -159,6 +159,8 @@ KEPT = {
     "order",
     "repeat",
     "drift",
+    "gimbal_axes",
+    "temperature",
     "none",
 }
 KEPT |= {
