@@ -161,8 +161,13 @@ def expected_segment(segment: Segment, units: dict[str, str], statistics: Statis
     return RecordedSegment(segment, units, statistics, blocks, expected=True)
 
 
-Ranges = Mapping[str, tuple[float, float]]
-"""Smallest and largest number by channel; NaN if one of the numbers is missing."""
+@dataclass(frozen=True, slots=True)
+class Ranges:
+    """Smallest and largest number in a block. values: by channel; NaN if one of the numbers is missing. steps: of the times from one row
+    to the next, s; infinite for a single row, NaN if not known."""
+
+    values: Mapping[str, tuple[float, float]]
+    steps: tuple[float, float]
 
 
 class Watcher(Protocol):

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.course import MotionCourse, course_of, follows_course
-from planrunner.archive.recording import BATCHES, Statistics, Watcher
+from planrunner.archive.recording import BATCHES, Ranges, Statistics, Watcher
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Motion, Rest
 
@@ -53,7 +53,8 @@ def statistics_of(
         if len(block.time):
             low, high = gathered.add(block.time, [block.channels[name] for name in channels])
             if watcher is not None:
-                watcher.add(block, dict(zip(channels, zip(low, high, strict=True), strict=True)))
+                values = dict(zip(channels, zip(low, high, strict=True), strict=True))
+                watcher.add(block, Ranges(values, gathered.steps))
     return gathered.statistics(tuple(channels))
 
 
@@ -91,6 +92,7 @@ class _Gathered:
         self.minimum = np.full(channels, math.inf)
         self.maximum = np.full(channels, -math.inf)
         self.start, self.end, self.gap = math.nan, math.nan, 0.0
+        self.steps = (math.nan, math.nan)  # of the rows added last: see `Ranges`
         self.chunk = np.empty((channels, max(1, min(CHUNK, rows))))
         self.filled = 0
         self.first = np.zeros(channels)  # the chunk's first sample
@@ -119,7 +121,8 @@ class _Gathered:
             self.opened[opening] = time[self.edges[opening] - self.row]
         self.row += len(time)
         low, high = found = _range(columns)
-        if not (low.min() > -LARGEST and high.max() < LARGEST):  # both comparisons are False for NaN
+        whole = low.min() > -LARGEST and high.max() < LARGEST  # both comparisons are False for NaN
+        if not whole:
             good = np.all([np.abs(column) < LARGEST for column in columns], axis=0)
             at = np.concatenate(([0], np.cumsum(good)))[at]
             time, columns = time[good], [column[good] for column in columns]
@@ -131,6 +134,8 @@ class _Gathered:
             np.maximum(self.maximum, high, out=self.maximum)
             self._times(time)
             self._fill(columns, len(time))
+        if not whole:
+            self.steps = (math.nan, math.nan)
         return found
 
     def _times(self, time: Array) -> None:
@@ -138,8 +143,11 @@ class _Gathered:
             self.gap = max(self.gap, float(time[0]) - self.end)
         else:
             self.start = float(time[0])
+        self.steps = (math.inf, -math.inf)
         if len(time) > 1:
-            self.gap = max(self.gap, float((time[1:] - time[:-1]).max()))
+            steps = time[1:] - time[:-1]
+            self.steps = float(steps.min()), float(steps.max())
+            self.gap = max(self.gap, self.steps[1])
         self.end = float(time[-1])
 
     def _fill(self, columns: list[Array], count: int) -> None:

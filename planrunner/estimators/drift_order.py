@@ -164,7 +164,7 @@ def _growth(matrix: Array, courses: Array, weights: Array) -> Array:
     _, values, directions = np.linalg.svd(beside @ scaled, full_matrices=False)  # Tᵀ·M·T = V·S²·Vᵀ
     separable = values[..., -1:] >= _INSEPARABLE * np.sqrt(len(matrix))
     share = gains @ scaled @ directions.swapaxes(-1, -2) / np.where(separable, values, 1.0)[..., None, :]
-    return np.where(separable, np.sqrt(1 + (share**2).sum(axis=-1) / own), np.inf)
+    return np.asarray(np.where(separable, np.sqrt(1 + (share**2).sum(axis=-1) / own), np.inf))
 
 
 @kept(64)
@@ -220,4 +220,4 @@ def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | 
 
 def _largest(designs: Sequence[_Design], orders: NDArray[np.int64]) -> Array:
     """The largest growth of all designs in each of k orders, (k,)."""
-    return np.max([design.reordered(orders).max(axis=1) for design in designs], axis=0)
+    return np.asarray(np.max([design.reordered(orders).max(axis=1) for design in designs], axis=0))

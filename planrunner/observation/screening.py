@@ -264,6 +264,8 @@ class Screening:
         self.values, self.time, self.rows = np.empty((k, room)), np.empty(room), np.empty(room, dtype=np.int64)
         self.filled = 0
         self.low, self.high = np.full(k, math.inf), np.full(k, -math.inf)  # of the blocks that it comes from
+        self.steps = (math.inf, -math.inf)  # of the same blocks, and of the steps between them
+        self.last = math.nan  # time of the last sample
         self.before, self.times_before = np.empty((k, 0)), np.empty(0)
         self.rows_before = np.empty(0, dtype=np.int64)
         self.waiting: list[tuple[int, _Window]] = []
@@ -284,8 +286,7 @@ class Screening:
         self.work = np.empty(room)  # differences of time
 
     def add(self, block: Block, ranges: Ranges | None = None) -> None:
-        """The next samples; rows with a missing number are passed over. ranges: smallest and largest number of each channel in them, NaN
-        if one is missing; found here by default."""
+        """The next samples; rows with a missing number are passed over. ranges: of them; found here by default, where they are needed."""
         count = len(block.time)
         rows: Numbered = range(self.row, self.row + count)
         self.row += count
@@ -293,21 +294,28 @@ class Screening:
             return
         time, columns = block.time, [block.channels[name] for name in self.channels]
         known = (
-            [(one.min(), one.max()) for one in columns] if ranges is None else [ranges[one] for one in self.channels]
+            [(one.min(), one.max()) for one in columns]
+            if ranges is None
+            else [ranges.values[one] for one in self.channels]
         )
         low, high = np.array(known).T
+        steps = (math.nan, math.nan) if ranges is None else ranges.steps
         if not (low.min() > -_LARGEST and high.max() < _LARGEST):  # true for NaN and infinity as well
             good = np.all([np.abs(column) < _LARGEST for column in columns], axis=0)
             time, rows, columns = time[good], _numbers(rows)[good], [column[good] for column in columns]
             if not len(time):
                 return
             low, high = np.array([(one.min(), one.max()) for one in columns]).T
+            steps = (math.nan, math.nan)
+        if not math.isnan(self.last):
+            steps = _widened(steps, (float(time[0]) - self.last,) * 2)
+        self.last = float(time[-1])
         at, room = 0, len(self.time)
         while at < len(time):
             whole = (len(time) - at) // _PIECE * _PIECE
             if not self.filled and whole:
                 part = slice(at, at + whole)
-                self._look(time[part], rows[part], [one[part] for one in columns], low, high)
+                self._look(time[part], rows[part], [one[part] for one in columns], low, high, steps)
                 at += whole
                 continue
             step = min(room - self.filled, len(time) - at)
@@ -318,6 +326,7 @@ class Screening:
             self.filled, at = self.filled + step, at + step
             np.minimum(self.low, low, out=self.low)
             np.maximum(self.high, high, out=self.high)
+            self.steps = _widened(self.steps, steps)
             if self.filled == room:
                 self._look_at_filled()
 
@@ -333,21 +342,24 @@ class Screening:
 
     def _look_at_filled(self) -> None:
         place = slice(0, self.filled)
-        self._look(self.time[place], self.rows[place], list(self.values[:, place]), self.low, self.high)
+        self._look(self.time[place], self.rows[place], list(self.values[:, place]), self.low, self.high, self.steps)
         self.filled = 0
+        self.steps = (math.inf, -math.inf)
         self.low.fill(math.inf)
         self.high.fill(-math.inf)
 
-    def _look(self, time: Array, rows: Numbered, columns: list[Array], low: Array, high: Array) -> None:
-        """Whole pieces, or the last one, which is shorter. low, high: no channel has values beyond them here."""
+    def _look(
+        self, time: Array, rows: Numbered, columns: list[Array], low: Array, high: Array, steps: tuple[float, float]
+    ) -> None:
+        """Whole pieces, or the last one, which is shorter. low, high: no channel has values beyond them here; steps: nor have the times
+        steps, if these are known."""
         for k, window in self.waiting:
             window.extended(columns[k][:_BESIDE], _numbers(rows[:_BESIDE]), time[:_BESIDE])
         self._examine_waiting()
         if not self.done:
             self.begin = float(time[0])
-        if len(time) > len(self.work):
-            self.work = np.empty(len(time))
-        self._times(time, rows, columns)
+        if not (steps[0] >= _EARLY * self.interval and steps[1] <= _PAUSE * self.interval):  # true where one is NaN
+            self._times(time, rows, columns)
         whole = len(time) - len(time) % self.bin
         if whole and self.steady:
             self.bin_times.append(time[: whole : self.bin].copy())
@@ -618,6 +630,8 @@ class Screening:
 
     def _times(self, time: Array, rows: Numbered, columns: Sequence[Array]) -> None:
         """Lost and repeated samples."""
+        if len(time) > len(self.work):
+            self.work = np.empty(len(time))
         first = 0 if self.done else 1
         steps = self.work[: len(time) - first]
         np.subtract(time[1:], time[:-1], out=steps[1 - first :])
@@ -654,6 +668,12 @@ class Screening:
         if self.pauses <= _JITTER * max(self.done, 1):
             return self.in_time
         return [one for one in self.in_time if one.kind is FindKind.LOST and one.seconds > _LONG_PAUSE * self.interval]
+
+
+def _widened(steps: tuple[float, float], others: tuple[float, float]) -> tuple[float, float]:
+    """The range of both; NaN if one is."""
+    low, high = np.minimum(steps[0], others[0]), np.maximum(steps[1], others[1])
+    return float(low), float(high)
 
 
 def _stands_out(window: _Window) -> bool:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import Find, FindKind
+from planrunner.archive.statistics import statistics_of
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import OutputModel, SensorModel
 from planrunner.observation.screening import Screening, threshold, watch_of
@@ -26,6 +28,16 @@ def screened(values: Array, *, steady: bool = True, time: Array | None = None, r
     for low in range(0, values.shape[1], rows):
         part = slice(low, low + rows)
         screening.add(Block(times[part], {name: values[k, part] for k, name in enumerate(names)}))
+    return screening.finds()
+
+
+def screened_while_read(values: Array, time: Array, edges: Sequence[int]) -> tuple[Find, ...]:
+    """The same in blocks between these edges, in the pass that makes the statistics; its ranges decide what is looked at."""
+    names = [f"c{k}" for k in range(len(values))]
+    screening = Screening(dict.fromkeys(names, 0.0), {}, values.shape[1], steady=True)
+    parts = [slice(low, high) for low, high in itertools.pairwise(edges)]
+    blocks = [Block(time[part], {name: values[k, part] for k, name in enumerate(names)}) for part in parts]
+    statistics_of(blocks, names, values.shape[1], screening)
     return screening.finds()
 
 
@@ -104,6 +116,28 @@ def test_a_step_is_reported_and_kept() -> None:
     (one,) = screened(values)
     assert one.kind is FindKind.STEP and not one.bad
     assert one.size == pytest.approx(1, abs=0.3) and one.time == pytest.approx(160, abs=1)
+
+
+@pytest.mark.parametrize("case", range(12))
+def test_finds_are_the_same_while_the_statistics_are_made(case: int) -> None:
+    """Samples are lost and repeated at the borders of blocks, in some cases also anywhere else; in some cases numbers are missing."""
+    random = np.random.default_rng(case)
+    values, rows = noise(case, rows=40_000), 40_000
+    edges = [0, *np.unique(random.integers(1, rows, 1 + case)).tolist(), rows]
+    inner = [] if case % 2 else random.integers(100, rows - 1, 6).tolist()
+    places = [*inner, *edges[1:-1]]
+    steps = np.full(rows, STEP)
+    for place in places:
+        steps[place] = random.choice([0.0, 3 * STEP])
+        if not steps[place]:
+            values[:, place] = values[:, place - 1]
+    if case % 3 == 0:
+        values[0, random.integers(0, rows, 4)] = np.nan
+    values[1, random.integers(0, rows, 3)] += 50
+    time = 100 + np.cumsum(steps)
+    found = screened_while_read(values, time, edges)
+    assert found == screened(values, time=time, rows=rows)
+    assert {FindKind.LOST, FindKind.REPEATED} & {one.kind for one in found}
 
 
 def test_lost_and_repeated_samples_are_read_from_the_time() -> None:
