@@ -37,6 +37,7 @@ COMMANDS = {
     "report": "write the reports of an analysis again",
     "diagnose": "find where a recording differs from its simulation, which effect explains the difference, and what to measure "
     "next",
+    "close": "diagnose, enter the effects found into the simulation, simulate and compare, until nothing is left that has a name",
     "new": "list the shipped plans, or copy one to start from",
     "bench": "list benches and installed drivers, or check whether the instruments of a bench answer",
     "simulate-bench": "serve simulated instruments at the addresses of a bench, and inject faults",

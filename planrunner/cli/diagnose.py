@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from planrunner.tasks.diagnose import Diagnosed, Recorded
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_recording(parser: argparse.ArgumentParser) -> None:
+    """The arguments that name a recording."""
     parser.add_argument(
         "subject", metavar="RUN|PLAN", type=Path, help="run folder, or the plan of a recording in a file"
     )
@@ -31,6 +32,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--recording", metavar="FILE", type=Path, help="with a plan: CSV or Parquet file of the samples"
     )
     parser.add_argument("--segments", metavar="CSV", type=Path, help="with a plan: table of the segments by label")
+
+
+def add_nominal(parser: argparse.ArgumentParser) -> None:
+    """The terms that the simulation fits."""
+    parser.add_argument(
+        "--nominal",
+        metavar="TERM",
+        nargs="+",
+        help="terms that the simulation fits (default: those in the plan, or all); a term that is left out "
+        "becomes a candidate like any other effect",
+    )
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_recording(parser)
     parser.add_argument(
         "--also",
         metavar="RUN",
@@ -55,15 +71,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--write-bench", metavar="FILE", type=Path, help="write a virtual bench with the named effects as found"
     )
     parser.add_argument(
-        "--simulation", metavar="BENCH", help="with --write-bench: the virtual bench (default: that of the recording)"
+        "--simulation",
+        metavar="BENCH",
+        help="with --write-bench and --compare: the virtual bench (default: that of the recording)",
     )
     parser.add_argument(
-        "--nominal",
-        metavar="TERM",
-        nargs="+",
-        help="terms that the simulation fits (default: those in the plan, or all); a term that is left out "
-        "becomes a candidate like any other effect",
+        "--compare",
+        action="store_true",
+        help="simulate the plan without and with the named effects, and compare the recording with both",
     )
+    add_nominal(parser)
     parser.add_argument(
         "--jobs",
         metavar="N",
@@ -77,13 +94,18 @@ def run(args: argparse.Namespace) -> int:
     from planrunner.tasks.diagnose import diagnose_recorded, joined
 
     with reading_progress() as notice:
-        recorded = joined(_recorded(args, notice), args.also, notice)
+        recorded = joined(recorded_of(args, notice), args.also, notice)
         print_findings(recorded.remarks)
-        made = diagnose_recorded(recorded, _options(args.nominal), args.jobs, notice)
+        made = diagnose_recorded(recorded, options_of(args.nominal), args.jobs, notice)
     print_findings(made.findings)
     found = made.to_json()
+    if args.compare:
+        if made.diagnosis.verdict.effects:
+            found["comparison"] = _compared(made, args.simulation)
+        else:
+            print("No effect is named: there is nothing to compare.", file=sys.stderr)
     text = _next(args, found)
-    context = _context(made, found, text)
+    context = context_of(made, found, text)
     if args.html is not None:
         from planrunner.reporting.diagnosis_page import render_page
 
@@ -102,6 +124,14 @@ def run(args: argparse.Namespace) -> int:
     return exit_codes.DONE
 
 
+def _compared(made: Diagnosed, simulation: str | None) -> JsonObject:
+    from planrunner.execution.stopping import StopRequest
+    from planrunner.tasks.closing import comparison
+
+    with StopRequest() as stop:
+        return comparison(made, stop, simulation).to_json()
+
+
 def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
     """Write the plan and the bench with the named effects, where they are asked for. Returns what to print about them."""
     asked = [path for path in (args.write_plan, args.write_bench) if path is not None]
@@ -118,7 +148,7 @@ def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
     return list(map(str, asked))
 
 
-def _options(nominal: list[str] | None) -> DiagnosisOptions | None:
+def options_of(nominal: list[str] | None) -> DiagnosisOptions | None:
     """The requested options; None: as stated in the plan."""
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
     from planrunner.gap.hypotheses.candidates import FULL
@@ -131,7 +161,7 @@ def _options(nominal: list[str] | None) -> DiagnosisOptions | None:
     return None if nominal is None else DiagnosisOptions(nominal=tuple(nominal))
 
 
-def _recorded(args: argparse.Namespace, notice: Announce | None) -> Recorded:
+def recorded_of(args: argparse.Namespace, notice: Announce | None) -> Recorded:
     """A run folder, or a plan with a recording."""
     from planrunner.tasks.diagnose import recorded_file, recorded_run
 
@@ -166,7 +196,7 @@ def _next(args: argparse.Namespace, found: JsonObject) -> str:
     return text
 
 
-def _context(made: Diagnosed, found: JsonObject, next_plan: str) -> DiagnosisContext:
+def context_of(made: Diagnosed, found: JsonObject, next_plan: str) -> DiagnosisContext:
     from planrunner.reporting.context import site_facts
     from planrunner.reporting.diagnosis_page import DiagnosisContext
 

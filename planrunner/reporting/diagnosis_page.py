@@ -183,6 +183,7 @@ def probability(p: float) -> str:
 def tables(found: Data) -> dict[str, Table]:
     """Tables by name; empty ones are left out."""
     made = {
+        "comparison": comparison(found),
         "gap": _gap(found),
         "where": _where(found),
         "hypotheses": _hypotheses(found),
@@ -205,6 +206,32 @@ def _gap(found: Data) -> Table:
     )
     figures = alike(Role.VALUE, "gap", "for noise alone", "times noise")
     return Table("Gap by channel", (TableColumn("Channel"), *figures, TableColumn("Unit")), rows)
+
+
+def comparison(found: Data) -> Table:
+    """The gap between the recording and simulations without and with the effects found, by channel; no rows without a comparison."""
+    channels = (found.get("comparison") or {}).get("channels", {})
+    rows = tuple(
+        (
+            name,
+            *(_short(one[key]) for key in ("before", "after", "noise")),
+            one["unit"],
+            *(f"{one[key]:.3g}" for key in ("before_sigma", "after_sigma")),
+            *(_short(one["sample_noise"][key]) for key in ("recorded", "before", "after")),
+        )
+        for name, one in channels.items()
+    )
+    return Table(
+        "Recording against simulation, without and with the effects found",
+        (
+            TableColumn("Channel"),
+            *alike(Role.VALUE, "gap without", "with", "noise alone"),
+            TableColumn("Unit"),
+            *alike(Role.VALUE, "σ without", "σ with"),
+            *alike(Role.VALUE, "sample noise recorded", "without", "with"),
+        ),
+        rows,
+    )
 
 
 def _where(found: Data) -> Table:

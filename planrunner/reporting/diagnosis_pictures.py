@@ -65,6 +65,15 @@ def _drawn(found: Data) -> Iterator[tuple[str, str, bool, str]]:
             "be distinguished."
         )
         yield "What this plan can confuse", words, False, confusability_svg(alike, "confusability")
+    compared: Data = found.get("comparison") or {}
+    for name, one in _largest(found, compared.get("channels", {})):
+        words = "Offsets of the segments after the fit of the nominal parameters."
+        yield (
+            f"{name}: recording and simulations",
+            words,
+            False,
+            plot_svg(_compared(name, compared, one), f"compared-{_key(name)}"),
+        )
     for name, one in _largest(found, data.get("means", {}).get("channels", {})):
         yield (
             f"Segment means of {name}, before and after",
@@ -94,6 +103,15 @@ def _means(name: str, segments: Sequence[str], one: Data) -> Plot:
     series = {key: _numbers(one[key]) for key in ("before", "after")}
     bars = {"before": _numbers(one["noise"]), "after": _numbers(one["noise"])} if "noise" in one else {}
     return Plot(f"Segment means of {name}", "segment", f"residual [{one['unit']}]", tuple(segments), series, bars)
+
+
+def _compared(name: str, compared: Data, one: Data) -> Plot:
+    means = one["means"]
+    names = {"recorded": "recording", "before": "simulation without", "after": "simulation with"}
+    series = {words: _numbers(means[key]) for key, words in names.items()}
+    bars = {words: _numbers(means["noise"]) for words in names.values()}
+    title = f"{name}: recording and simulations"
+    return Plot(title, "segment", f"offset [{one['unit']}]", tuple(compared["segments"]), series, bars)
 
 
 def _spectrum(name: str, one: Data) -> Plot:

@@ -50,7 +50,7 @@ DIAGNOSIS_FORMAT = 1
 @dataclass(frozen=True, slots=True)
 class Recorded:
     """A recording with its plan. where: the run folder or the file, for messages; bench: name or file of the bench, for use in another
-    plan. created: start of the run; remarks: notes on its folder."""
+    plan. created: start of the run; remarks: notes on its folder. several: of several runs, joined."""
 
     sound: Sound
     segments: tuple[RecordedSegment, ...]
@@ -58,6 +58,7 @@ class Recorded:
     bench: str = ""
     created: datetime | None = None
     remarks: tuple[Finding, ...] = ()
+    several: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +114,18 @@ def _diagnosed(recorded: Recorded, options: DiagnosisOptions | None) -> Diagnose
     except ObservationError as error:
         raise _unfit(recorded, error) from None
     return Diagnosed(recorded, found, findings, _following(recorded, found, findings))
+
+
+def diagnosed_again(made: Diagnosed, observed: Observed, options: DiagnosisOptions) -> Diagnosed:
+    """The diagnosis of the same recording with changed samples, from which effects were subtracted, without what to measure next. Raises
+    `InputError`."""
+    from planrunner.gap.answer.diagnosis import diagnose
+    from planrunner.observation.refusals import ObservationError
+
+    try:
+        return Diagnosed(made.recorded, diagnose(observed, options), Findings())
+    except ObservationError as error:
+        raise _unfit(made.recorded, error) from None
 
 
 def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | None:
@@ -378,7 +391,9 @@ def joined(first: Recorded, runs: Sequence[Path], notice: Announce | None = None
         end = max(item.statistics.end for item in whole.segments)
         later = max(later, end - min(0.0, min(item.statistics.start for item in further.segments)))
         segments = tuple(_moved(item, later, f"{run.name}/") for item in further.segments)
-        whole = replace(whole, segments=whole.segments + segments, remarks=whole.remarks + further.remarks)
+        whole = replace(
+            whole, segments=whole.segments + segments, remarks=whole.remarks + further.remarks, several=True
+        )
     return whole
 
 

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from planrunner.error_model.observed import Observed
     from planrunner.tasks.diagnose import Diagnosed, Recorded
 
+Stated = list[tuple[str, dict[str, str]]]
+"""Effects by name, each with its parameters as texts with units."""
 ESTIMATE = "diagnosed"
 """Name of the estimate in the plan; a number follows where the plan has one already."""
 
@@ -57,8 +59,9 @@ def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:
     recording. Raises `InputError` if it cannot simulate them."""
     base = simulated_by(made.recorded, simulation)
     shown = base.bench.origin.mark.file
-    listed = additions_to(base, stated_effects(made, base.schedule.segments), Mark(made.recorded.where))
-    return with_effects(source.decode(base.bench_bytes, shown), listed)
+    observed = made.diagnosis.grounds.weighing.observed
+    stated = as_planned(stated_effects(made), observed, base.schedule.segments)
+    return with_effects(source.decode(base.bench_bytes, shown), additions_to(base, stated, Mark(made.recorded.where)))
 
 
 def simulated_by(recorded: Recorded, simulation: str | None = None) -> Sound:
@@ -71,22 +74,32 @@ def simulated_by(recorded: Recorded, simulation: str | None = None) -> Sound:
     return sound
 
 
-def stated_effects(made: Diagnosed, segments: Sequence[Segment]) -> list[tuple[str, dict[str, str]]]:
-    """The named effects with their parameters as texts. segments: of the simulation, whose orientations are numbered in the order of first
-    use; the diagnosis numbers those of its own segments."""
-    observed = made.diagnosis.grounds.weighing.observed
+def stated_effects(made: Diagnosed) -> Stated:
+    """The named effects with their parameters as texts, orientations numbered as in the diagnosis."""
+    return [
+        (
+            name,
+            {
+                one.name: f"{one.value:.9g}" + ("" if one.unit == "1" else f" {one.unit}")
+                for one in made.diagnosis.parameters
+                if one.effect == name
+            },
+        )
+        for name in made.diagnosis.verdict.effects
+    ]
+
+
+def as_planned(stated: Stated, observed: Observed, segments: Sequence[Segment]) -> Stated:
+    """Effects of a diagnosis with the orientations numbered as in a simulation of these segments: in the order of first use. A diagnosis
+    numbers those of its own segments."""
     seen = list(dict.fromkeys(map(orientation_key, observed.attitude)))
     planned = list(dict.fromkeys(orientation_key(np.array(s.attitude)) for s in segments if s.attitude is not None))
-    stated: list[tuple[str, dict[str, str]]] = []
-    for name in made.diagnosis.verdict.effects:
-        each = isinstance(_loaded(name), PerOrientation)
-        values = {}
-        for one in made.diagnosis.parameters:
-            if one.effect == name:
-                key = _renumbered(one.name, seen, planned) if each else one.name
-                values[key] = f"{one.value:.9g}" + ("" if one.unit == "1" else f" {one.unit}")
-        stated.append((name, values))
-    return stated
+    return [
+        (name, {_renumbered(key, seen, planned): text for key, text in values.items()})
+        if isinstance(_loaded(name), PerOrientation)
+        else (name, values)
+        for name, values in stated
+    ]
 
 
 def _renumbered(name: str, seen: Sequence[tuple[float, ...]], planned: Sequence[tuple[float, ...]]) -> str:

@@ -1,0 +1,203 @@
+"""Comparison of a recording with two simulations of its plan: one without, and one with the effects that a diagnosis found.
+
+All three are reduced to the coefficients of `evidence.spectrum`: the means of segments, their slow changes, and the harmonics of turns and
+of rocking. Each is first freed of its own nominal motion, so that times and table angles need not agree to the sample. The nominal
+parameters of the simulated sensor are not those of the recorded one; therefore the nominal columns are fitted to the difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.documents import JsonObject
+from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence.spectrum import Spectrum, spectrum, white_level
+from planrunner.gap.hypotheses.candidates import Weighing, simulated
+from planrunner.observation.refusals import ObservationError
+
+Array = NDArray[np.float64]
+FEWEST = 3
+"""Segments that recording and simulation must share."""
+
+
+@dataclass(frozen=True)
+class ChannelComparison:
+    """One channel, in its `unit`. before, after: difference between recording and simulation without and with the effects: root mean square
+    over the segments, of which each contributes its mean, slow changes and harmonics. noise: what noise alone leaves. before_sigma,
+    after_sigma: the same in standard deviations of the noise, 1 for noise alone. sample_noise: standard deviation of a sample of the
+    recording, and of both simulations. means: offset of each common segment (S,), in the recording and both simulations, after the fit
+    of the nominal parameters; sigma: (S,), of the recording."""
+
+    unit: str
+    before: float
+    after: float
+    noise: float
+    before_sigma: float
+    after_sigma: float
+    sample_noise: tuple[float, float, float]
+    means: tuple[Array, Array, Array] = field(repr=False)
+    sigma: Array = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """labels: of the common segments."""
+
+    labels: tuple[str, ...]
+    channels: dict[str, ChannelComparison]
+
+    @property
+    def before_sigma(self) -> float:
+        """Over all channels, root mean square."""
+        return float(np.sqrt(np.mean([one.before_sigma**2 for one in self.channels.values()])))
+
+    @property
+    def after_sigma(self) -> float:
+        return float(np.sqrt(np.mean([one.after_sigma**2 for one in self.channels.values()])))
+
+    def to_json(self) -> JsonObject:
+        """According to `comparison` of `schemas/diagnosis.schema.json`."""
+        channels: JsonObject = {}
+        for name, one in self.channels.items():
+            recorded, before, after = one.means
+            channels[name] = {
+                "unit": one.unit,
+                "before": one.before,
+                "after": one.after,
+                "noise": one.noise,
+                "before_sigma": one.before_sigma,
+                "after_sigma": one.after_sigma,
+                "sample_noise": dict(zip(("recorded", "before", "after"), one.sample_noise, strict=True)),
+                "means": {
+                    "recorded": recorded.tolist(),
+                    "before": before.tolist(),
+                    "after": after.tolist(),
+                    "noise": one.sigma.tolist(),
+                },
+            }
+        return {"segments": list(self.labels), "channels": channels}
+
+
+def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after: Observed) -> Comparison:
+    """Compare a recording with two simulations. nominal: terms that are fitted to the differences. Raises `ObservationError` if recording
+    and simulations have too few segments or no channels in common."""
+    recorded = _Reduced.of(weighing.observed, weighing.spectrum, weighing.white)
+    first, second = (_Reduced.simulated(one, nominal) for one in (before, after))
+    labels = [name for name in recorded.observed.labels if name in first.rows and name in second.rows]
+    names = [channel.name for channel in recorded.observed.channels]
+    if len(labels) < FEWEST or any(name not in one.columns for name in names for one in (first, second)):
+        hint = "simulate the plan of the recording on a bench whose sensor has the same outputs"
+        raise ObservationError("recording and simulation have too few segments or channels in common", hint)
+    at = _common(labels, recorded, first, second)
+    channels = {name: _channel(weighing, index, (recorded, first, second), at) for index, name in enumerate(names)}
+    return Comparison(tuple(labels), channels)
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """A recording or simulation. values: coefficients (M, K), SI, as root mean squares over their segments; counts: samples (M,) of their
+    segments. rows: segment → its rows, the mean first. columns: channel → its column. white: (K,), of a sample."""
+
+    observed: Observed
+    values: Array
+    counts: Array
+    harmonic: NDArray[np.int64]
+    rows: dict[str, slice]
+    columns: dict[str, int]
+    white: Array
+
+    @classmethod
+    def of(cls, observed: Observed, found: Spectrum, white: Array) -> _Reduced:
+        counts = observed.counts[found.segment].astype(float)
+        ends = [*found.means[1:], len(found.segment)]
+        rows = {label: slice(int(a), int(b)) for label, a, b in zip(observed.labels, found.means, ends, strict=True)}
+        columns = {channel.name: index for index, channel in enumerate(observed.channels)}
+        return cls(observed, found.values / np.sqrt(counts)[:, None], counts, found.harmonic, rows, columns, white)
+
+    @classmethod
+    def simulated(cls, observed: Observed, nominal: Sequence[str]) -> _Reduced:
+        found = spectrum(observed, simulated(observed, nominal))
+        return cls.of(observed, found, white_level(observed, found)[0])
+
+
+@dataclass(frozen=True)
+class _Common:
+    """Rows that recording and simulations share, each (m,), and which of them are means."""
+
+    rows: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+    means: NDArray[np.bool_]
+
+
+def _common(labels: Sequence[str], *three: _Reduced) -> _Common:
+    """All coefficients of segments that have the same basis in all three; of the others the means."""
+    found: list[list[NDArray[np.int64]]] = [[], [], []]
+    means = []
+    for label in labels:
+        kinds = [one.harmonic[one.rows[label]].tolist() for one in three]
+        size = len(kinds[0]) if kinds[0] == kinds[1] == kinds[2] else 1
+        for listed, one in zip(found, three, strict=True):
+            listed.append(one.rows[label].start + np.arange(size))
+        means.append(np.arange(size) == 0)
+    recorded, before, after = (np.concatenate(listed) for listed in found)
+    return _Common((recorded, before, after), np.concatenate(means))
+
+
+def _channel(
+    weighing: Weighing, index: int, three: tuple[_Reduced, _Reduced, _Reduced], at: _Common
+) -> ChannelComparison:
+    channel = weighing.observed.channels[index]
+    columns = [one.columns[channel.name] for one in three]
+    recorded, first, second = (
+        one.values[rows, column] for one, rows, column in zip(three, at.rows, columns, strict=True)
+    )
+    white = [float(one.white[column]) for one, column in zip(three, columns, strict=True)]
+    root = np.sqrt(three[0].counts[at.rows[0]])
+    nominal = weighing.whole[index][at.rows[0]] / root[:, None]
+    own = white[0] ** 2 / root**2
+    spread = _slow(weighing, index, at)
+    variances = [own + white[k] ** 2 / three[k].counts[at.rows[k]] + 2 * spread for k in (1, 2)]
+    before = _left(recorded - first, nominal, variances[0])
+    after = _left(recorded - second, nominal, variances[1])
+    degrees = max(len(recorded) - np.linalg.matrix_rank(nominal), 1) if nominal.shape[1] else len(recorded)
+    segments = float(np.count_nonzero(at.means))
+
+    def size(values: Array) -> float:
+        return float(np.sqrt(values.sum() / segments * len(recorded) / degrees)) / channel.factor
+
+    means = tuple(_left(part, nominal, own + spread)[at.means] / channel.factor for part in (recorded, first, second))
+    sigma = np.sqrt((own + spread)[at.means]) / channel.factor
+    return ChannelComparison(
+        channel.unit,
+        size(before**2),
+        size(after**2),
+        float(np.sqrt(variances[1].sum() / segments)) / channel.factor,
+        float(np.sqrt((before**2 / variances[0]).sum() / degrees)),
+        float(np.sqrt((after**2 / variances[1]).sum() / degrees)),
+        (white[0] / channel.factor, white[1] / channel.factor, white[2] / channel.factor),
+        (means[0], means[1], means[2]),
+        sigma,
+    )
+
+
+def _slow(weighing: Weighing, index: int, at: _Common) -> Array:
+    """Variance (m,) of slow noise and rounding in the means of the recording; zero for other coefficients."""
+    weight, found = weighing.weights[index][0], weighing.spectrum
+    counts = weighing.observed.counts.astype(float)
+    whole = np.diag(weight.covariance(found.frequency == 0)) / counts - weighing.white[index] ** 2 / counts
+    out = np.zeros(len(at.means))
+    out[at.means] = np.maximum(whole[found.segment[at.rows[0]][at.means]], 0.0)
+    return out
+
+
+def _left(values: Array, nominal: Array, variance: Array) -> Array:
+    """Values (m,) after a weighted fit of the nominal columns (m, q)."""
+    if not nominal.shape[1]:
+        return values
+    weight = 1 / np.sqrt(variance)
+    size = np.linalg.norm(nominal, axis=0) + 1e-300
+    fit = np.linalg.lstsq(nominal / size * weight[:, None], values * weight, rcond=None)[0]
+    return np.asarray(values - nominal / size @ fit)

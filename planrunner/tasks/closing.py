@@ -1,0 +1,240 @@
+"""Closing the gap: the effects that a diagnosis finds are entered into the simulation, the plan is simulated again, and the recording is
+compared with the simulations without and with them.
+
+`close` repeats this: effects found are subtracted from the recording, which is diagnosed again, until nothing is left that has a name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from planrunner.base import plugins
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.progress import Announce
+from planrunner.plan import source
+from planrunner.plan.run_information import gather
+from planrunner.tasks import run as running
+from planrunner.tasks.check import Document, Sound, check_plan
+from planrunner.tasks.diagnose import Diagnosed, Recorded, diagnose_recorded, diagnosed_again, observe, recorded_run
+from planrunner.tasks.named_effects import Stated, as_planned, simulated_by, stated_effects
+from planrunner.tasks.simulate import additions_to, with_effects
+
+if TYPE_CHECKING:
+    from planrunner.error_model.effects.interface import Effect
+    from planrunner.error_model.observed import Observed
+    from planrunner.execution.stopping import StopRequest
+    from planrunner.gap.answer.comparison import Comparison
+    from planrunner.gap.answer.diagnosis import DiagnosisOptions
+
+ROUNDS = 6
+"""Most rounds of `close`."""
+SMALLEST = 0.01
+"""Share by which a round must reduce the gap, in standard deviations."""
+_OTHER_SEED = 0x5EED
+
+
+class Ending(Enum):
+    """Why `close` ended, in words."""
+
+    NOTHING_LEFT = "noise alone explains what is left"
+    NO_NAME = "the catalogue does not contain the cause of what is left"
+    NOISE = "an effect on the noise was entered, and no further effect can be separated from it"
+    AGAIN = "effects that have been entered are named again, and cannot be fitted one by one"
+    NO_GAIN = "the last effect did not reduce the gap, and was not entered"
+    ROUNDS = "the largest number of rounds was reached"
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of `close`: the diagnosis of what was left, and the comparison after entering its effects."""
+
+    made: Diagnosed
+    comparison: Comparison
+
+
+@dataclass(frozen=True)
+class Closed:
+    """first: diagnosis of the recording; last: of what is left. bench: text of the bench with all effects entered; empty if there are
+    none."""
+
+    first: Diagnosed
+    rounds: tuple[Round, ...]
+    last: Diagnosed
+    stated: Stated
+    bench: str
+    ending: Ending
+
+
+def comparison(
+    made: Diagnosed, stop: StopRequest, simulation: str | None = None, stated: Stated | None = None
+) -> Comparison:
+    """Compare the recording of a diagnosis with two simulations of its plan, without and with effects. simulation: the virtual bench, by
+    name or file; by default that of the recording. stated: the effects, as in the diagnosis; by default those of the verdict.
+
+    The noise of both simulations is independent of that of the recording. Raises `InputError` if the bench cannot simulate the plan.
+    """
+    from planrunner.gap.answer.comparison import compare
+    from planrunner.observation.refusals import ObservationError
+
+    base, grounds = _base(made.recorded, simulation), made.diagnosis.grounds
+    stated = stated_effects(made) if stated is None else stated
+    stated = as_planned(stated, grounds.weighing.observed, base.schedule.segments)
+    absent = _absent(grounds.nominal, stated)
+    mark = Mark(made.recorded.where)
+    try:
+        with TemporaryDirectory(prefix="planrunner-") as folder:
+            before, after = (
+                _simulated(_with(base, effects, mark), Path(folder), seed, grounds.nominal, stop)
+                for effects, seed in ((absent, 1), ([*absent, *stated], 2))
+            )
+        return compare(grounds.weighing, grounds.nominal, before, after)
+    except ObservationError as error:
+        raise InputError.at(mark, "gap-compare", str(error), error.hint) from None
+
+
+def close(
+    recorded: Recorded,
+    stop: StopRequest,
+    simulation: str | None = None,
+    options: DiagnosisOptions | None = None,
+    rounds: int = ROUNDS,
+    notice: Announce | None = None,
+) -> Closed:
+    """Diagnose, enter the effects found, simulate and compare, until nothing is left that has a name. Raises `InputError`."""
+    from planrunner.gap.answer.diagnosis import DiagnosisOptions
+
+    base = _base(recorded, simulation)
+    first = made = diagnose_recorded(recorded, options, notice=notice)
+    grounds = first.diagnosis.grounds
+    options = options or DiagnosisOptions(nominal=grounds.nominal)
+    entered: Stated = []
+    done: list[Round] = []
+    ending = Ending.ROUNDS
+    for _ in range(rounds):
+        kind = made.diagnosis.verdict.kind
+        if kind in ("none", "unknown"):
+            ending = Ending.NOTHING_LEFT if kind == "none" else Ending.NO_NAME
+            break
+        merged = _merged(entered, stated_effects(made))
+        if merged is None:  # fitted anew, with the other effects subtracted
+            named = made.diagnosis.verdict.effects
+            others = [one for one in entered if one[0] not in named]
+            made = diagnosed_again(first, _without(first, others), options)
+            merged = _merged(others, stated_effects(made))
+        if merged is None or {name for name, _ in entered} - {name for name, _ in merged}:
+            ending = Ending.AGAIN
+            break
+        found = comparison(first, stop, simulation, merged)
+        on_noise = any(_on_noise(name) for name in made.diagnosis.verdict.effects)
+        before = done[-1].comparison.after_sigma if done else found.before_sigma
+        if found.after_sigma > before * (1 - SMALLEST) and not on_noise:
+            ending = Ending.NO_GAIN
+            break
+        entered = merged
+        done.append(Round(made, found))
+        if on_noise:
+            ending = Ending.NOISE
+            break
+        made = diagnosed_again(first, _without(first, entered), options)
+    observed = grounds.weighing.observed
+    planned = as_planned(entered, observed, base.schedule.segments)
+    text = _with(base, planned, Mark(recorded.where)).bench_bytes.decode() if planned else ""
+    return Closed(first, tuple(done), made, entered, text, ending)
+
+
+def _merged(entered: Stated, further: Stated) -> Stated | None:
+    """All effects; of one that is named again and is linear, the sum of the amplitudes. None if one that is not linear is named again."""
+    from planrunner.error_model.effects.interface import HasShape
+
+    merged = dict(entered)
+    for name, values in further:
+        if name not in merged:
+            merged[name] = values
+        elif isinstance(_loaded(name), HasShape) or _on_noise(name):
+            return None
+        else:
+            merged[name] = {key: _sum(merged[name].get(key), text) for key, text in values.items()}
+    return list(merged.items())
+
+
+def _sum(first: str | None, second: str) -> str:
+    """The sum of two values with the same unit."""
+    number, space, unit = second.partition(" ")
+    return second if first is None else f"{float(first.partition(' ')[0]) + float(number):.9g}{space}{unit}"
+
+
+def _without(made: Diagnosed, stated: Stated) -> Observed:
+    """The samples of a diagnosis minus the effects, computed for the recorded motion."""
+    from planrunner.error_model.added import added, addition
+
+    weighing = made.diagnosis.grounds.weighing
+    fitted = weighing.fitted()
+    observed = replace(weighing.declared, fitted=fitted)
+    additions = [addition(name, values, observed, Mark(made.recorded.where)) for name, values in stated]
+    return replace(weighing.declared, values=observed.values - (added(observed, fitted, additions, 0) - fitted))
+
+
+def _loaded(name: str) -> Effect:
+    made: Effect = plugins.load(plugins.EFFECTS, name)()
+    return made
+
+
+def _on_noise(name: str) -> bool:
+    from planrunner.error_model.effects.interface import ActsOnNoise
+
+    return isinstance(_loaded(name), ActsOnNoise)
+
+
+def _base(recorded: Recorded, simulation: str | None) -> Sound:
+    """The plan on the virtual bench. Raises `InputError` for recordings whose schedule cannot be simulated."""
+    if recorded.several:
+        message = "several runs are analysed together, and a comparison simulates one plan"
+        raise InputError.at(Mark(recorded.where), "gap-compare", message, "compare each run separately, without --also")
+    base = simulated_by(recorded, simulation)
+    if any(segment.attitude is None for segment in base.schedule.segments):
+        message = "the orientations of the recording are unknown, so its plan cannot be simulated"
+        raise InputError.at(Mark(recorded.where), "gap-compare", message, "declare the orientations in the plan")
+    return base
+
+
+def _absent(nominal: Sequence[str], stated: Stated) -> Stated:
+    """What every simulated world contains and the nominal simulation of the diagnosis lacks, removed."""
+    from planrunner.error_model.effects.interface import InEveryWorld
+
+    known = {*nominal, *(name for name, _ in stated)}
+    return [
+        (name, {"": "0"})
+        for name in plugins.names(plugins.EFFECTS)
+        if name not in known and isinstance(_loaded(name), InEveryWorld)
+    ]
+
+
+def _with(base: Sound, stated: Stated, mark: Mark) -> Sound:
+    """The plan on the bench with these effects."""
+    if not stated:
+        return base
+    shown = base.bench.origin.mark.file
+    text = with_effects(source.decode(base.bench_bytes, shown), additions_to(base, stated, mark))
+    return check_plan(Document(base.plan_bytes, base.file), Document(text.encode(), shown)).sound()
+
+
+def _simulated(sound: Sound, folder: Path, seed: int, nominal: Sequence[str], stop: StopRequest) -> Observed:
+    """The samples of a simulation of the plan."""
+    info = gather(sound.plan, [f"{name}=simulated" for name, item in sound.plan.record.items() if item.required], None)
+    run, outcome = running.start(
+        sound,
+        info=info,
+        runs=folder / str(seed),
+        stop=stop,
+        seed=(sound.bench.seed or 0) + _OTHER_SEED + seed,
+        durability="flushed",
+    )
+    if not outcome.ok:
+        hint = "run the plan on the virtual bench with `planrunner simulate` to see the obstacle"
+        raise InputError.at(Mark(sound.file), "gap-compare", "the simulation did not finish", hint)
+    return observe(recorded_run(run), nominal)[0]
