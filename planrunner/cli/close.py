@@ -1,4 +1,4 @@
-"""`planrunner close`: diagnose, enter the effects found into the simulation, simulate and compare, until nothing is left that has a name."""
+"""`planrunner close`: diagnose, enter the effects found into the simulation, simulate and compare, until no named cause is left."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from planrunner.error_model.effects.interface import Effect
     from planrunner.error_model.observed import Observed
     from planrunner.execution.stopping import StopRequest
-    from planrunner.gap.answer.comparison import Comparison
+    from planrunner.gap.answer.comparison import GapComparison
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
 
 ROUNDS = 6
@@ -50,11 +50,11 @@ class Ending(Enum):
 
 
 @dataclass(frozen=True)
-class Round:
+class ClosingRound:
     """One round of `close`: the diagnosis of what was left, and the comparison after entering its effects."""
 
     made: Diagnosed
-    comparison: Comparison
+    comparison: GapComparison
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Closed:
     none."""
 
     first: Diagnosed
-    rounds: tuple[Round, ...]
+    rounds: tuple[ClosingRound, ...]
     last: Diagnosed
     stated: Stated
     bench: str
@@ -72,7 +72,7 @@ class Closed:
 
 def comparison(
     made: Diagnosed, stop: StopRequest, simulation: str | None = None, stated: Stated | None = None
-) -> Comparison:
+) -> GapComparison:
     """Compare the recording of a diagnosis with two simulations of its plan, without and with effects. simulation: the virtual bench, by
     name or file; by default that of the recording. stated: the effects, as in the diagnosis; by default those of the verdict.
 
@@ -113,7 +113,7 @@ def close(
     grounds = first.diagnosis.grounds
     options = options or DiagnosisOptions(nominal=grounds.nominal)
     entered: Stated = []
-    done: list[Round] = []
+    done: list[ClosingRound] = []
     ending = Ending.ROUNDS
     for _ in range(rounds):
         kind = made.diagnosis.verdict.kind
@@ -136,7 +136,7 @@ def close(
             ending = Ending.NO_GAIN
             break
         entered = merged
-        done.append(Round(made, found))
+        done.append(ClosingRound(made, found))
         if on_noise:
             ending = Ending.NOISE
             break

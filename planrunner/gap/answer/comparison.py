@@ -44,7 +44,7 @@ class ChannelComparison:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class GapComparison:
     """labels: of the common segments."""
 
     labels: tuple[str, ...]
@@ -82,7 +82,7 @@ class Comparison:
         return {"segments": list(self.labels), "channels": channels}
 
 
-def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after: Observed) -> Comparison:
+def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after: Observed) -> GapComparison:
     """Compare a recording with two simulations. nominal: terms that are fitted to the differences. Raises `ObservationError` if recording
     and simulations have too few segments or no channels in common."""
     recorded = _Reduced.of(weighing.observed, weighing.spectrum, weighing.white)
@@ -94,7 +94,7 @@ def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after:
         raise ObservationError("recording and simulation have too few segments or channels in common", hint)
     at = _common(labels, recorded, first, second)
     channels = {name: _channel(weighing, index, (recorded, first, second), at) for index, name in enumerate(names)}
-    return Comparison(tuple(labels), channels)
+    return GapComparison(tuple(labels), channels)
 
 
 @dataclass(frozen=True)
