@@ -15,6 +15,7 @@ from planrunner.estimators.interface import Coefficient, Estimate
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.reporting import words
 from planrunner.reporting.budgets import freedom, shown_unit, two_digits
+from planrunner.reporting.certificate_names import of_estimator
 from planrunner.reporting.context import CertificateFacts, ReportContext
 from planrunner.reporting.rounding import format_pair
 from planrunner.reporting.template_data import Told
@@ -108,7 +109,12 @@ def _results(estimate: Estimate, before: Estimate | None, probability: float) ->
             }
         )
     has_before = any(row["before"] for row in rows)
-    return {"name": estimate.name, "estimator": estimate.estimator, "rows": rows, "has_before": has_before}
+    return {
+        "name": estimate.name,
+        "estimator": of_estimator(estimate.estimator),
+        "rows": rows,
+        "has_before": has_before,
+    }
 
 
 def _factor(item: Coefficient, probability: float) -> str:

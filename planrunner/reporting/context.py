@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from planrunner.archive.recording import RecordedSegment, Statistics
+from planrunner.base.said import Said
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.estimators.results import DataOrigin
@@ -19,7 +20,7 @@ from planrunner.reporting.verdict import Headline, headline
 class Traced:
     """A reference of the calibration: the site or an instrument, its description of itself, and its stated calibration."""
 
-    name: str
+    name: Said
     identity: str = ""
     certificate: str = ""
     date: str = ""
@@ -43,7 +44,7 @@ class CertificateFacts:
     told: Mapping[str, str] = field(default_factory=dict)
     corrected: Mapping[str, str] = field(default_factory=dict)
     references: tuple[Traced, ...] = ()
-    conditions: tuple[tuple[str, str], ...] = ()
+    conditions: tuple[tuple[Said, str], ...] = ()
     events: tuple[tuple[str, str, str], ...] = ()
     performed: tuple[str, str] = ("", "")
     issued: str = ""

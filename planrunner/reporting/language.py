@@ -48,8 +48,8 @@ def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
 
 
 def spoken(language: str) -> dict[str, Callable[..., str]]:
-    """The functions that Jinja's i18n extension calls, and `term` for words and sentences that come with the data, such as the
-    description of a coefficient. Text without a translation stays as it is. The result is escaped like other text."""
+    """The functions that Jinja's i18n extension calls, and `term` for texts with a template that come with the data, such as
+    the description of a coefficient. Text without a template or a translation stays as it is. The result is escaped like other text."""
     known = translations(language)
 
     def gettext(message: str, /, **values: Json) -> str:
@@ -74,8 +74,7 @@ def spoken(language: str) -> dict[str, Callable[..., str]]:
 
     def term(text: str) -> str:
         if not isinstance(text, Said) or not text.template:
-            said = known.get(text)
-            return said if isinstance(said, str) else text
+            return text
         values = {name: shown(text.values[name], form) for name, form in text.formats.items()}
         if text.plural:
             return inserted(chosen(text.template, text.plural, text.number), values)

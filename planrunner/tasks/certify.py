@@ -11,11 +11,13 @@ from planrunner.archive.recording import RecordedSegment, duration_of
 from planrunner.archive.run_reader import RunReader
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, Findings, Mark, closest
+from planrunner.base.said import Said
 from planrunner.bench.model import AmbientSpec
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.results import Results
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.reporting.certificate import named_in
+from planrunner.reporting.certificate_names import CHAMBER_TEMPERATURE, of_reference, of_room
 from planrunner.reporting.certificate_requirements import (
     ASKED,
     DATES,
@@ -80,30 +82,31 @@ def _day(moment: object) -> str:
 
 def _traced(item: Reference, said: Mapping[str, str]) -> Traced:
     identity = ", ".join(text for text in (*said.values(), item.asset) if text)
-    found = item.calibration
+    found, name = item.calibration, of_reference(item.name, item.role)
     if found is None:
-        return Traced(item.name, identity)
-    return Traced(item.name, identity, found.certificate, found.date, found.due or "", found.laboratory or "")
+        return Traced(name, identity)
+    return Traced(name, identity, found.certificate, found.date, found.due or "", found.laboratory or "")
 
 
 def _conditions(
     sound: Sound, recording: tuple[RecordedSegment, ...], told: Mapping[str, str]
-) -> Iterable[tuple[str, str]]:
+) -> Iterable[tuple[Said, str]]:
     room = sound.bench.ambient or AmbientSpec()
     declared = {"temperature": room.temperature, "pressure": room.pressure, "humidity": room.humidity}
     stated = {condition: text for name, text in told.items() if (condition := room_condition(name))}
     for condition in dict.fromkeys((*declared, *stated)):
         if value := stated.get(condition) or declared.get(condition):
-            yield f"Ambient {condition.replace('_', ' ')}", str(value)
+            yield of_room(condition), str(value)
     held = [item.segment.temperature for item in recording if item.segment.temperature is not None]
     if held:
-        yield "Chamber temperature", _range([kelvin - ZERO_CELSIUS for kelvin in held], " °C")
+        yield CHAMBER_TEMPERATURE, _range([kelvin - ZERO_CELSIUS for kelvin in held], " °C")
     table = next((f"{item.name}." for item in references(sound.bench) if item.role == "table"), "no table")
     for name in {name: None for item in recording for name in item.readings if not name.startswith(table)}:
         read, _, unit = name.rpartition("_")
         values = [item.readings[name] for item in recording if math.isfinite(item.readings.get(name, math.nan))]
         if values:
-            yield (read, _range(values, " " + _UNITS[unit])) if unit in _UNITS else (name, _range(values, ""))
+            in_words = (read, " " + _UNITS[unit]) if unit in _UNITS else (name, "")
+            yield Said(in_words[0]), _range(values, in_words[1])
 
 
 _UNITS = {"degC": "°C", "K": "K", "Pa": "Pa", "hPa": "hPa", "kPa": "kPa", "percent": "%", "V": "V", "A": "A"}

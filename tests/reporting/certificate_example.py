@@ -7,6 +7,7 @@ from typing import Any
 
 import reporting_example as example
 
+from planrunner.reporting.certificate_names import CHAMBER_TEMPERATURE, of_reference, of_room
 from planrunner.reporting.context import CertificateFacts, ReportContext, Traced
 
 TOLD = {
@@ -46,13 +47,18 @@ FACTS = CertificateFacts(
     told=TOLD,
     corrected={"customer": "The costumer"},
     references=(
-        Traced("site", "", "survey 2026-1", "2026-02-10"),
+        Traced(of_reference("site", "site"), "", "survey 2026-1", "2026-02-10"),
         Traced(
-            "table", "Maker, RT-3, RT-0042", "RT-0042 / 2026-117", "2026-03-01", "2027-03-01", "Accredited laboratory"
+            of_reference("table", "table"),
+            "Maker, RT-3, RT-0042",
+            "RT-0042 / 2026-117",
+            "2026-03-01",
+            "2027-03-01",
+            "Accredited laboratory",
         ),
-        Traced("chamber", "Maker, TC-1"),
+        Traced(of_reference("chamber", "chamber"), "Maker, TC-1"),
     ),
-    conditions=(("Ambient temperature", "23 degC"), ("Chamber temperature", "25 °C")),
+    conditions=((of_room("temperature"), "23 degC"), (CHAMBER_TEMPERATURE, "25 °C")),
     events=(
         ("truncated", "P3", "cut short"),
         ("rejected", "P5", "vibration"),

@@ -7,6 +7,7 @@ import io
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.metadata import entry_points
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from planrunner.base.said import counted, said
 from planrunner.error_model.flexure_gyro import output_names, physical_names
 from planrunner.estimators.flexure_gyro.tables import descriptions
 from planrunner.reporting import language as catalogues
-from planrunner.reporting import translated_words
+from planrunner.reporting.certificate_names import of_estimator, of_reference, of_room
 from planrunner.reporting.language import filled, languages, spoken, translations
 from planrunner.reporting.templates import ReportError, available, render
 from planrunner.reporting.view import render_report
@@ -60,10 +61,10 @@ def said_in_code() -> Iterator[str]:
     """The templates of the texts that the code makes, in nested calls too; the singular if there is a plural."""
     for path in sorted((ROOT / "planrunner").rglob("*.py")):
         code = path.read_text(encoding="utf-8")
-        if "base.said import" in code or path.stem == "translated_words":
+        if "base.said import" in code:
             calls = (node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Call))
             for call in calls:
-                if isinstance(call.func, ast.Name) and call.func.id in ("said", "counted", "_"):
+                if isinstance(call.func, ast.Name) and call.func.id in ("said", "counted"):
                     template = call.args[0]
                     assert isinstance(template, ast.Constant), f"{path}:{call.lineno}: the template must be a literal"
                     yield str(template.value)
@@ -102,7 +103,7 @@ def test_a_chinese_page_has_no_english_left() -> None:
         example.FACTS, told=told, run="1", before_run="2", corrected={"3": "4"}, plan_digest="5",
         laboratory=dict.fromkeys(example.FACTS.laboratory, "6"),
         references=tuple(replace(item, identity="7", certificate="8", laboratory="9") for item in example.FACTS.references),
-        conditions=tuple((name, "10") for name in translated_words.CONDITIONS),
+        conditions=tuple((of_room(name), "10") for name in ("temperature", "pressure", "humidity")),
         events=tuple((kind, "11", "12") for kind, _, _ in example.FACTS.events), simulated=False, replayed=True,
     )  # fmt: skip
     context = replace(example.context(), title="13", certificate=facts)
@@ -131,6 +132,16 @@ def test_a_chinese_page_has_no_english_left() -> None:
         left = set(re.findall(r"[A-Za-z]{2,}", text + " " + attributes)) - names - SYMBOLS
         assert left == set()
         assert "校准证书" in text and "包含因子" in text and "计量溯源性" in text and "判定规则" in text
+
+
+def test_only_names_of_the_program_are_translated() -> None:
+    """Names that a laboratory gives stay as they are, even if a word of them is in the catalogue."""
+    term = spoken("zh")["term"]
+    assert (term(of_reference("table", "table")), term(of_reference("table", "chamber"))) == ("转台", "table")
+    assert term(of_reference("table 2", "table")) == "table 2"
+    assert term(of_room("air_flow")) == "环境条件：air flow"
+    assert term(of_estimator("someone's own")) == "someone's own"
+    assert term("Ambient temperature") == "Ambient temperature"  # as a laboratory may call one of its instruments
 
 
 def test_both_languages_hold_the_same_figures_and_dates() -> None:
@@ -181,8 +192,9 @@ def test_translated_words_have_no_english_left() -> None:
     chinese = translations("zh")
     sentences = [text for text in chinese if "{" in text]
     assert len(sentences) > 100
-    for text in (*sentences, *translated_words.ESTIMATORS):
-        own = {text} if text in translated_words.ESTIMATORS else set()
+    estimators = {entry.name for entry in entry_points(group="planrunner.estimators") if "planrunner." in entry.value}
+    for text in (*sentences, *estimators):
+        own = {text} & estimators
         left = set(re.findall(r"[A-Za-z]{2,}(?:_[a-z]+)*", PLACE.sub("", str(chinese[text])))) - KEPT - own
         assert not left, text
 

@@ -11,6 +11,7 @@ import pytest
 import reporting_example
 from test_report_page import NAMESPACES, read
 
+from planrunner.base.said import Said
 from planrunner.estimators.interface import Coefficient, Estimate
 from planrunner.reporting.certificate import certificate_view, css_string
 from planrunner.reporting.certificate_requirements import ASKED
@@ -164,8 +165,8 @@ def test_text_from_anywhere_is_text_and_nothing_is_loaded(name: str) -> None:
     bad = "<script>alert(1)</script>\"'\\</style>&{{ 7*7 }} %(x)s %s"
     facts = replace(
         example.FACTS, laboratory=dict.fromkeys(example.FACTS.laboratory, bad), told=dict.fromkeys(example.TOLD, bad),
-        corrected={bad: bad}, conditions=((bad, bad),), events=(("fault", bad, bad), ("rejected", bad, bad)),
-        references=(replace(example.FACTS.references[1], name=bad, identity=bad, certificate=bad),),
+        corrected={bad: bad}, conditions=((Said(bad), bad),), events=(("fault", bad, bad), ("rejected", bad, bad)),
+        references=(replace(example.FACTS.references[1], name=Said(bad), identity=bad, certificate=bad),),
     )  # fmt: skip
     told = {**facts.told, "certified_estimates": "", "external_estimates": ""}
     page = render_report(reporting_example.context(title=bad, certificate=replace(facts, told=told)), name)
