@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import signal
@@ -18,9 +19,10 @@ from tests.conftest import ROOT
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and inherited pipes as on POSIX")
 
 _LONG = 300  # s
+_FORKS = "forks are used on Linux only"
 
 _SCRIPT = """
-import os, signal, sys
+import errno, os, signal, sys
 from multiprocessing import parent_process
 from planrunner.base import processes
 from planrunner.base.interruption import Interruption
@@ -45,6 +47,9 @@ def waits(item):
     os.read(int(sys.argv[2]), 1)
     return item
 
+def refused():
+    raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
 def main(work, jobs, items=20):
     with Interruption() as interruption:
         try:
@@ -67,7 +72,7 @@ def _answer(folder: Path, call: str, method: str = "fork") -> str:
 
 
 def _command(folder: Path, call: str, method: str = "fork") -> list[str]:
-    chosen = "pass" if method == "fork" else "processes._may_fork = bool"
+    chosen = {"fork": "pass", "spawn": "processes._may_fork = bool", "refused": "os.fork = refused"}[method]
     path = folder / "script.py"
     path.write_text(_SCRIPT.replace("METHOD", chosen).replace("CALL", call), encoding="utf-8")
     return [sys.executable, str(path)]
@@ -99,6 +104,12 @@ def test_a_process_that_is_killed_is_an_error(tmp_path: Path, method: str) -> No
     assert said.startswith("ProcessEndedError: ") and "SIGKILL" in said
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason=_FORKS)
+def test_a_process_that_cannot_be_started_is_an_error(tmp_path: Path) -> None:
+    said = _answer(tmp_path, "square, 3", "refused")
+    assert said.startswith("ProcessEndedError: ") and os.strerror(errno.EAGAIN) in said
+
+
 @dataclass(frozen=True, slots=True)
 class _Waiting:
     """A process and its forks, all of which wait. held: a pipe that is at its end as soon as none of them exists."""
@@ -110,6 +121,8 @@ class _Waiting:
 
 @pytest.fixture
 def waiting(tmp_path: Path) -> Iterator[_Waiting]:
+    if sys.platform != "linux":
+        pytest.skip(_FORKS)
     held, inside = os.pipe()
     wait, release = os.pipe()
     process = subprocess.Popen(
