@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tests.worlds.felt import GRAVITY, LATITUDE, STANDARD_GRAVITY, UPWARD, Felt, Step
 from tests.worlds.navigation import figures, navigated
-from tests.worlds.platform import AMPLITUDE, FREQUENCY, PHASES, RINGS, ROCKED, SETTLE, Platform
+from tests.worlds.platform import AMPLITUDE, FIRST, FREQUENCY, PHASES, RINGS, ROCKED, SECOND, SETTLE, Platform, Sizes
 
 Array = NDArray[np.float64]
 
@@ -624,12 +624,16 @@ _ROCKING_STEPS = tuple(
 
 def _rocking(azimuth: str) -> Campaign:
     angles = ", ".join(f"{name}: {value} arcsec ± 2 arcsec" for name, value in _INSTALLED.items())
+    sizes = Sizes()
+    stability = sizes.bias_walk * np.sqrt((SECOND - FIRST) / 3600)
     return Campaign(
         _plan(
             _ROCKING_STEPS,
             "title: rocking\nsensor: {kind: stabilised-platform, outputs: [accel_x, accel_y, accel_z]}\n"
             f"defaults: {{settle: {SETTLE} s}}",
-            f'  rocking: {{estimator: rocking_drift, segments: "*", azimuth: {azimuth}, installation_angles: {{{angles}}}}}',
+            f'  rocking: {{estimator: rocking_drift, segments: "*", azimuth: {azimuth}, '
+            f"azimuth_uncertainty: {sizes.caging} arcmin, drift_repeatability: {sizes.drift} deg/h, random_walk: {sizes.walk} deg/sqrt(h), "
+            f"accelerometer_stability: {stability:.3g} ug, installation_angles: {{{angles}}}}}",
         ),
         f"""planrunner_bench: 1
 name: world

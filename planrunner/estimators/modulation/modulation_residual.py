@@ -230,10 +230,10 @@ def _periodic(
             )
     notes.append(
         said(
-            "Ratios compare navigations of one sensor over the same time; their uncertainties include only white noise, for "
-            "which each navigation gives an upper bound. Errors that rotation does not modulate (azimuth gyro, alignment) "
-            "remain in all of them. Scale factor errors and misalignments act during the turns and repeat with the cycle "
-            "too; the prediction from constant errors does not include them."
+            "Ratios compare navigations of one sensor over the same time. Their uncertainties come from the white noise and the "
+            "declared bias instability of the navigations, for which each navigation gives an upper bound. Errors that rotation "
+            "does not modulate (azimuth gyro, alignment) remain in all of them. Scale factor errors and misalignments act during "
+            "the turns and repeat with the cycle too; the prediction from constant errors does not include them."
         )
     )
     return found, tuple(notes)

@@ -1,8 +1,8 @@
 """Type B influences on rocking drifts.
 
-Effects that differ from run to run (accelerometer stability, azimuth after caging, counts) appear in the scatter of the repeats. The budget
-lists them for comparison but does not add them. Effects common to all runs (site, installation angles) are added; they almost cancel
-between static and dynamic runs.
+Effects that differ from run to run (accelerometer stability and noise, drift, azimuth after caging, counts) appear in the scatter of the
+repeats. The budget lists them for comparison but does not add them; the prediction consists of them. Effects common to all runs (site,
+installation angles) are added; they almost cancel between static and dynamic runs.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.interface import EstimateRequest
+from planrunner.estimators.interface import DesignRequest, EstimateRequest
+from planrunner.estimators.rocking.attitude import turned_by
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
 from planrunner.estimators.rocking.solution import ReducedRun, RockingConditions, accelerometer_drift, gimbal_drift
 from planrunner.estimators.rocking.statistics import AXES, WEIGHTS, CombinedDrifts
@@ -29,6 +30,7 @@ from planrunner.uncertainty.influences import Influence, InputQuantity
 Array = NDArray[np.float64]
 Runs = Sequence[Sequence[Sequence[ReducedRun]]]
 """The runs, state by state, quadruple by quadruple, four runs each."""
+Request = EstimateRequest[RockingDriftParameters] | DesignRequest[RockingDriftParameters]
 DEG_PER_HOUR = math.degrees(1.0) * 3600
 
 
@@ -60,6 +62,13 @@ def influences_of(
                 own = influences_on(lambda moved: drifts_of(moved, conditions), _of_one_run(reduced, request))
                 found += [one.through(share * weight / len(state)) for one in own]
     return merged(found)
+
+
+def expected_scatter(reduced: ReducedRun, conditions: RockingConditions, request: Request) -> Array:
+    """Covariance of the drifts of one run about their mean over all runs, (k, k) deg²/h², from what is declared."""
+    own = influences_on(lambda moved: drifts_of(moved, conditions), _of_one_run(reduced, request))
+    count = len(drifts_of(reduced, conditions))
+    return np.asarray(sum((one.covariance for one in own), np.zeros((count, count))))
 
 
 def _of_all_runs(
@@ -100,12 +109,22 @@ def _coefficients(runs: Runs, combined: CombinedDrifts, conditions: RockingCondi
     return total
 
 
-def _of_one_run(
-    reduced: ReducedRun, request: EstimateRequest[RockingDriftParameters]
-) -> Iterator[StatedCondition[ReducedRun]]:
+def _of_one_run(reduced: ReducedRun, request: Request) -> Iterator[StatedCondition[ReducedRun]]:
     """Quantities that are drawn anew in each run."""
     parameters, label = request.parameters, reduced.run.label
-    accelerometers = {f"{label} {AXES[axis]}": partial(_tilted, reduced, axis) for axis in reduced.run.state.level}
+    names = {axis: f"{label} {AXES[axis]}" for axis in reduced.run.state.level}
+    accelerometers = {name: partial(_tilted, reduced, axis) for axis, name in names.items()}
+    drifting = {name: partial(_drifting, reduced, axis) for axis, name in names.items()}
+    if repeatability := parameters.drift_repeatability:
+        quantity = InputQuantity("drift", 0.0, "rad/s", repeatability.value, source="plan drift_repeatability")
+        yield StatedCondition(quantity, drifting, in_scatter=True)
+    if walk := parameters.random_walk:
+        rate = walk.value / math.sqrt(reduced.seconds)
+        quantity = InputQuantity("random walk", 0.0, "rad/s", rate, source="plan random_walk, from t0 to t1")
+        yield StatedCondition(quantity, drifting, in_scatter=True)
+    if noise := _noise(request):
+        quantity = InputQuantity("accelerometer noise", 0.0, "m/s^2", noise, source="bench sensor")
+        yield StatedCondition(quantity, accelerometers, in_scatter=True)
     stability = parameters.accelerometer_stability
     if stability is not None and stability.value:
         quantity = InputQuantity(
@@ -128,13 +147,14 @@ def _of_one_run(
     if azimuth is not None:
         yield StatedCondition(azimuth, {label: lambda by: replace(reduced, off=by)}, in_scatter=True)
     table = request.setup.table
-    if reduced.second.turn is not None and table is not None and table.position_uncertainty:
-        # The error of a ring differs between t0 and t1; the gimbal method interprets the difference as drift of the element.
+    moved = reduced.run.dynamic and reduced.second.turn is not None
+    if moved and table is not None and table.position_uncertainty:
+        # The error of a ring that has moved differs between t0 and t1; the gimbal method interprets the difference as drift of the element.
         off = math.sqrt(2) * table.position_uncertainty
         quantity = InputQuantity(
             "table position", 0.0, "rad", off, source="bench table position_uncertainty, at t0 and at t1"
         )
-        rings = {f"{label} {AXES[axis]}": partial(_ringed, reduced, axis) for axis in reduced.run.state.level}
+        rings = {name: partial(_ringed, reduced, axis) for axis, name in names.items()}
         yield StatedCondition(quantity, rings, in_scatter=True)
 
 
@@ -144,6 +164,14 @@ def _tilted(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
     return replace(reduced, second=replace(second, readings=second.readings + by * np.eye(3)[axis]))
 
 
+def _drifting(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
+    """The drifts if the element also drifts at this rate [rad/s] about one of its axes."""
+    second, vector = reduced.second, by * reduced.seconds * np.eye(3)[axis]
+    readings = second.readings @ turned_by(vector[None])[0].T
+    turn = None if second.turn is None else second.turn + vector
+    return replace(reduced, second=replace(second, readings=readings, turn=turn))
+
+
 def _ringed(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
     """The drifts if the attitude from the encoders turns by this angle from the first window to the second while the element does not."""
     second = reduced.second
@@ -151,7 +179,16 @@ def _ringed(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
     return replace(reduced, second=replace(second, turn=second.turn + by * np.eye(3)[axis]))
 
 
-def azimuth_uncertainty(request: EstimateRequest[RockingDriftParameters]) -> InputQuantity | None:
+def _noise(request: Request) -> float:
+    """White noise of the noisiest accelerometer [m/s^2] in the difference between two windows, after the filter."""
+    parameters = request.parameters
+    averaging = max(parameters.window.value, 0.5 / parameters.cutoff.value)
+    declared = [request.sensor.output(name) for name in parameters.accelerometers]
+    sizes = [one.noise.white * unit(one.unit).factor for one in declared if one is not None]
+    return math.sqrt(2 / averaging) * max(sizes, default=0.0)
+
+
+def azimuth_uncertainty(request: Request) -> InputQuantity | None:
     """Uncertainty of the element's azimuth at t0 in one run; None if not stated."""
     parameters = request.parameters
     if parameters.azimuth_uncertainty is not None:
@@ -163,7 +200,7 @@ def azimuth_uncertainty(request: EstimateRequest[RockingDriftParameters]) -> Inp
     return InputQuantity("azimuth of the element", 0.0, "rad", value, source=source) if value else None
 
 
-def resolution(request: EstimateRequest[RockingDriftParameters], parameters: RockingDriftParameters) -> float:
+def resolution(request: Request, parameters: RockingDriftParameters) -> float:
     """One count of the coarsest accelerometer [m/s^2], as declared in the bench file; 0 without a declaration."""
     counts = [0.0]
     for name in parameters.accelerometers:

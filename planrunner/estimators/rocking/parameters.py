@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.instruments.parameters import QuantityLike
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, RecordOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 
@@ -107,6 +108,18 @@ class RockingDriftParameters(Record):
         QuantityOf("acceleration", "not negative"),
         "Standard uncertainty of the change of an accelerometer's bias from the first window to the second.",
         "10 ug",
+        default=None,
+    )
+    drift_repeatability: Quantity | None = key(
+        QuantityOf("angular rate", "not negative"),
+        "Standard uncertainty of the difference between the element's drift in one run and its mean drift over all runs.",
+        "0.002 deg/h",
+        default=None,
+    )
+    random_walk: Quantity | None = key(
+        QuantityLike("deg/sqrt(h)", "not negative"),
+        "Random walk of the element's attitude.",
+        "0.0004 deg/sqrt(h)",
         default=None,
     )
     smallest_drift: Quantity = key(

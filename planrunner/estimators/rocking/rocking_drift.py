@@ -29,7 +29,13 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.rocking.angle_curves import curve_plots, drift_curves
 from planrunner.estimators.rocking.checks import count_in_words, count_seconds, remarks, span
-from planrunner.estimators.rocking.influences import DEG_PER_HOUR, conditions_of, drifts_of, influences_of
+from planrunner.estimators.rocking.influences import (
+    DEG_PER_HOUR,
+    conditions_of,
+    drifts_of,
+    expected_scatter,
+    influences_of,
+)
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
 from planrunner.estimators.rocking.plausibility import implausible
 from planrunner.estimators.rocking.report import (
@@ -43,11 +49,10 @@ from planrunner.estimators.rocking.report import (
     sentence,
 )
 from planrunner.estimators.rocking.runs import Quadruple, Run, by_state, find_runs, quadruples
-from planrunner.estimators.rocking.solution import ReducedRun, reduce_run
-from planrunner.estimators.rocking.statistics import AXES, CombinedDrifts, Pairings, StateDrifts, combine, pair
+from planrunner.estimators.rocking.solution import ReducedRun, expected_run, reduce_run
+from planrunner.estimators.rocking.statistics import AXES, WEIGHTS, CombinedDrifts, Pairings, StateDrifts, combine, pair
 from planrunner.estimators.rocking.windows import Windows
 from planrunner.plan.schedule import Rock
-from planrunner.plan.units import unit
 
 UNIT = "deg/h"
 
@@ -74,8 +79,8 @@ class RockingDrift:
         return Design((), notes=tuple(notes), remarks=tuple(found))
 
     def foresee(self, request: DesignRequest[RockingDriftParameters]) -> Foresight:
-        """Prediction from stated stability, declared noise and counts, and the table's position uncertainty: runs of several minutes are
-        not simulated."""
+        """Prediction from declared effects that differ from run to run: accelerometers, drift, azimuth and rings. Runs of several minutes
+        are not simulated. Effects common to all runs cancel almost completely and are left out."""
         runs = find_runs(request.segments, request.parameters.rotation_order)
         return _foreseen(request, by_state(quadruples(runs)), span(runs))
 
@@ -280,43 +285,28 @@ def _foreseen(
     request: DesignRequest[RockingDriftParameters], groups: Sequence[Sequence[Quadruple]], dwell: float | None
 ) -> Foresight:
     """dwell: s; None if it is not known."""
-    parameters = request.parameters
-    table = request.setup.table
-    angles = {False: _angle_by_gravity(request)}
-    encoders = all(request.sensor.output(name) is not None for name in (*parameters.rings, *parameters.gimbals))
-    if encoders and table is not None and len(table.axes) == len(parameters.rings):
-        angles[True] = math.sqrt(2) * table.position_uncertainty
-    predicted, unpredicted = [], []
-    for by_gimbals, angle in angles.items():
-        for axis in range(3):
-            counts = [len(group) for group in groups if axis in group[0].runs[0].state.level]
-            if not counts:
-                continue
-            name, words = _name(axis, by_gimbals)
-            if dwell is None:
-                why = "the plan does not give the length of the runs"
-                unpredicted.append(Unpredicted(name, UNIT, why, words))
-                continue
-            seconds = parameters.second(dwell) - parameters.release.value
-            share = math.sqrt(sum(1 / count for count in counts)) / len(counts)
-            freedom = float(max(1, sum(count - 1 for count in counts)))
-            spread = angle / seconds * DEG_PER_HOUR * share
-            predicted.append(Coefficient(name, 0.0, UNIT, spread, freedom, words))
-    return Foresight(tuple(predicted), tuple(unpredicted))
-
-
-def _angle_by_gravity(request: DesignRequest[RockingDriftParameters]) -> float:
-    """Standard uncertainty of a change of tilt [rad]."""
-    parameters = request.parameters
-    averaging = max(parameters.window.value, 0.5 / parameters.cutoff.value)
-    stability = parameters.accelerometer_stability.value if parameters.accelerometer_stability else 0.0
-    noise = 0.0
-    for name in parameters.accelerometers:
-        output = request.sensor.output(name)
-        assert output is not None  # count_seconds has asked for each
-        rate = request.sensor.sample_rate
-        noise = max(noise, output.noise.standard_error(averaging, rate) * unit(output.unit).factor)
-    return math.hypot(stability, math.sqrt(2) * noise) / request.site.gravity
+    parameters, table = request.parameters, request.setup.table
+    recorded = all(request.sensor.output(name) is not None for name in (*parameters.rings, *parameters.gimbals))
+    encoders = recorded and table is not None and len(table.axes) == len(parameters.rings)
+    columns = 4 if encoders else 2
+    conditions = conditions_of(request.site, parameters)
+    states = []
+    for group in groups:
+        expected = np.zeros((columns, columns))
+        if dwell is not None:
+            times = parameters.release.value, parameters.second(dwell)
+            for run, weight in zip(group[0].runs, WEIGHTS, strict=True):
+                fixed = expected_run(run, times, conditions, encoders)
+                expected += weight**2 * expected_scatter(fixed, conditions, request)
+        first = group[0].runs[0]
+        drifts = np.zeros((len(group), 4, columns))
+        states.append(StateDrifts(first.segment.orientation, first.state.level, tuple(group), drifts, expected))
+    combined = combine(states)
+    coefficients = tuple(_coefficient(combined, m) for m in range(len(combined.axes)))
+    if dwell is not None:
+        return Foresight(coefficients)
+    why = "the plan does not give the length of the runs"
+    return Foresight(unpredicted=tuple(Unpredicted(one.name, UNIT, why, one.description) for one in coefficients))
 
 
 def _name(axis: int, by_gimbals: bool) -> tuple[str, Said]:

@@ -44,11 +44,15 @@ class RockingConditions:
         c, s = np.cos(self.turned), np.sin(self.turned)
         return np.array([c * east - s * north, s * east + c * north, up])
 
+    @property
+    def inputs(self) -> Array:
+        """(3, 3): specific force in element axes to the accelerometers' readings."""
+        xz, xy, yz, yx, zy, zx = self.installation
+        return np.array([[1.0, xz, -xy], [-yz, 1.0, yx], [zy, -zx, 1.0]])
+
     def compensated(self, readings: Array) -> Array:
         """Specific force in element axes (n, 3) from the accelerometers (n, 3)."""
-        xz, xy, yz, yx, zy, zx = self.installation
-        matrix = np.array([[1.0, xz, -xy], [-yz, 1.0, yx], [zy, -zx, 1.0]])
-        return np.asarray(np.linalg.solve(matrix, readings.T).T)
+        return np.asarray(np.linalg.solve(self.inputs, readings.T).T)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +114,17 @@ def reduce_run(
     if parameters.azimuth == "nominal" or not encoders:
         lead = lead_of(run, parameters, request.setup, recorded.in_mode)
     return ReducedRun(run, made[0], made[1], made[2] if len(made) > 2 else None, lead)
+
+
+def expected_run(run: Run, times: tuple[float, float], conditions: RockingConditions, encoders: bool) -> ReducedRun:
+    """The reduced run of an element that is fixed in inertial space. times: t0 and t1, s from the beginning of the record."""
+    windows = []
+    for time in np.array(times):
+        attitude = run.state.nominal @ earth_turn(conditions.felt_earth, np.array([time + run.planned_lead]))
+        readings = conditions.gravity * (attitude @ UP) @ conditions.inputs.T
+        turn = rotation_vector(attitude @ run.state.nominal.T) if encoders else None
+        windows.append(Window(np.array([time]), readings, turn))
+    return ReducedRun(run, windows[0], windows[1], None, None if encoders else run.planned_lead)
 
 
 def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode: float | None = None) -> float:

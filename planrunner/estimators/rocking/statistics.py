@@ -24,12 +24,14 @@ WEIGHTS = np.array([-0.5, 0.5, 0.5, -0.5])
 @dataclass(frozen=True, slots=True)
 class StateDrifts:
     """Results of one state. level: the two level axes. quadruples: q of them. drifts: (q, 4, k) deg/h, of the four runs of each; the k
-    columns are the two axes by the accelerometers, then the same by the gimbals if there are encoders."""
+    columns are the two axes by the accelerometers, then the same by the gimbals if there are encoders. expected: covariance (k, k) of the
+    rocking drift of one quadruple, for a prediction."""
 
     name: str
     level: tuple[int, int]
     quadruples: tuple[Quadruple, ...]
     drifts: Array
+    expected: Array | None = None
 
     @property
     def rocking(self) -> Array:
@@ -49,6 +51,8 @@ class StateDrifts:
         is not known which of the two scatters more, so one degree of freedom is used (Welch's formula gives between one and two).
         """
         count = len(self.quadruples)
+        if self.expected is not None:
+            return self.expected / count, max(1.0, count - 1.0)
         if count > 1:
             return np.atleast_2d(np.cov(self.rocking.T)) / count, count - 1.0
         static, dynamic = self.runs
