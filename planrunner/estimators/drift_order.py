@@ -170,7 +170,7 @@ def _growth(matrix: Array, courses: Array, weights: Array) -> Array:
 @kept(64)
 def _projections(matrix: Array) -> tuple[Array, Array, Array]:
     """Of a design A: G = A⁺ (p, n), the diagonal of G·Gᵀ (p,), and M = 1 − A·G (n, n)."""
-    gains = np.linalg.pinv(matrix)
+    gains = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
     return gains, np.einsum("ij,ij->i", gains, gains), np.eye(len(matrix)) - matrix @ gains
 
 
