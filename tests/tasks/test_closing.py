@@ -93,3 +93,19 @@ def test_the_commands_show_and_write_it(tilted: Path, tmp_path: Path, capsys: py
     assert "accel_x: recording and simulations" in page.read_text(encoding="utf-8")
     assert main(["diagnose", *common, "--json", "--compare"]) == 0
     assert set(json.loads(capsys.readouterr().out)["comparison"]["channels"]) >= {"gyro_x", "accel_z"}
+
+
+@pytest.mark.slow
+def test_the_shipped_plan_over_temperature_is_simulated_and_closed(tmp_path: Path) -> None:
+    """The plan names a bench that plays recordings back; its twin among the virtual benches can simulate it."""
+    plan, bench = Path(__file__).parents[2] / "plans/imu_recorded_over_temperature.yaml", "virtual_imu_over_temperature"
+    effect = "gyro_bias_temperature=c1_x:0.002,c1_y:-0.001,c1_z:0.0015"
+    asked = ["simulate", str(plan), "--bench", bench, "--with", effect, "--quiet", "--runs", str(tmp_path)]
+    assert main(asked) == 0
+    closed = close(recorded_run(next(tmp_path.iterdir())), StopRequest(), bench, DiagnosisOptions(), 2)
+    stated = dict(closed.stated)
+    assert float(stated["gyro_bias_temperature"]["c1_x"].split()[0]) == pytest.approx(0.002, rel=0.02)
+    found = closed.rounds[-1].comparison
+    assert all(
+        found.channels[f"gyro_{axis}"].after_sigma < 1.5 < found.channels[f"gyro_{axis}"].before_sigma for axis in "xyz"
+    )
