@@ -124,7 +124,7 @@ def test_a_recording_without_rates_and_forces_is_refused(tmp_path):
     bench = (tmp_path / "bench.yaml").read_text(encoding="utf-8")
     kept = [line for line in bench.splitlines() if not line.strip().startswith(("gyro", "accel"))]
     (tmp_path / "bench.yaml").write_text("\n".join(kept), encoding="utf-8")
-    replace(tmp_path / "plan.yaml", "[gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]", "[temperature]")
+    replace(tmp_path / "plan.yaml", "[gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]", "[sensor_temperature]")
     assert "error[gap-unfit]" in refused(tmp_path)
 
 
