@@ -367,11 +367,14 @@ def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[Said]:
     flickering = {effect.quantity.name for effect in (*fit.effects, *fit.unweighted)}
     silent = [name for name in channels if Aspect.BIAS_INSTABILITY.of(name) not in flickering]
     if silent:
-        notes.append(
-            said(
-                "No bias instability is declared for {outputs}: the intervals are valid only if the noise is white from "
-                "segment to segment.",
-                outputs=tuple(silent),
-            )
-        )
+        notes.append(no_flicker_declared(silent))
     return notes
+
+
+def no_flicker_declared(channels: Sequence[str]) -> Said:
+    """A note about channels without a declared bias instability."""
+    return said(
+        "No bias instability is declared for {outputs}: the intervals are valid only if the noise is white from "
+        "segment to segment.",
+        outputs=tuple(channels),
+    )

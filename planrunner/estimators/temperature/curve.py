@@ -12,6 +12,9 @@ If the data select the order, the usual interval is too narrow, because terms of
 missing. The uncertainty of a selected curve is therefore that of the highest order tried, which does not depend on the selection; its
 distance from that curve is added as an uncorrected systematic error (JCGM 100:2008, F.2.4.5).
 
+The noise of values may be correlated over time, by flicker that the bench declares. Values and columns are then whitened by its covariance,
+and held-out errors are those of whitened values. Without this, a slow change of an output along a ramp looks like curvature.
+
 Beside the curve, further columns may be fitted, such as those of the difference between rising and falling temperature (`branches`).
 Ramps differ from one another by more than noise: each has an offset and a slope of random size, whose variances come from the reduction of
 the sum of squares by separate ones (Henderson's method 3: Searle, Casella and McCulloch, Variance Components, 5.5) and are part of all
@@ -22,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import field, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,9 +114,12 @@ def held_out(
     sigma: Array,
     fold: Integers,
     beside: Array | None = None,
+    whitening: Array | None = None,
 ) -> tuple[HeldOut, ...]:
     """Held-out errors of each order. sigma: (n,), for weights; fold: (n,), the fold with which each value is held out; beside: (n, q),
-    columns that are fitted with each curve."""
+    columns that are fitted with each curve; whitening: (n, n), of correlated values, by default 1/sigma."""
+    whitener = np.diag(1 / sigma) if whitening is None else whitening
+    whitened = whitener @ value
     further = np.zeros((len(value), 0)) if beside is None else beside
     weight = 1 / sigma**2
     found = []
@@ -122,10 +128,10 @@ def held_out(
         for one in np.unique(fold):
             out = fold == one
             made = curve(form, order, reference, temperature[~out])
-            columns = np.column_stack([made.columns(temperature), further])
-            fit = least_squares.fit(columns[~out], value[~out], sigma[~out])
-            missed = value[out] - columns[out] @ fit.coefficients
-            errors.append(float(np.sum(weight[out] * missed**2) / np.sum(weight[out])))
+            columns = whitener @ np.column_stack([made.columns(temperature), further])
+            fit = least_squares.fit(columns[~out], whitened[~out])
+            missed = whitened[out] - columns[out] @ fit.coefficients
+            errors.append(float(np.sum(missed**2) / np.sum(weight[out])))
         spread = float(np.std(errors, ddof=1) / np.sqrt(len(errors))) if len(errors) > 1 else 0.0
         found.append(HeldOut(order, float(np.mean(errors)), spread))
     return tuple(found)
@@ -257,7 +263,8 @@ class CurveFit:
 class OverTemperature:
     """n values over temperature. temperature: degC; sigma: for weights; group: number of the temperature; series: number of the ramp along
     which a value lies, in order, −1 for a single value; ramp: number of the ramp or sweep whose offset it has in common, −1 for none;
-    direction: of the ramp; all (n,). beside: (n, q), columns that are fitted with the curve."""
+    direction: of the ramp; all (n,). beside: (n, q), columns that are fitted with the curve. covariance: (n, n), of the values, if they are
+    correlated; sigma is then the part that is not."""
 
     temperature: Array
     value: Array
@@ -267,6 +274,12 @@ class OverTemperature:
     ramp: Integers
     direction: Integers
     beside: Array
+    covariance: Array | None = None
+
+    @cached_property
+    def whitening(self) -> Array:
+        """W (n, n), by which the values become uncorrelated with variance one."""
+        return np.diag(1 / self.sigma) if self.covariance is None else least_squares.whitener(self.covariance)
 
 
 def fit_curve(
@@ -303,7 +316,9 @@ def fit_curve(
         raise EstimationError(
             f"{distinct} temperatures are too few to choose an order: give `order` or add temperatures"
         )
-    errors = held_out(form, orders, reference, temperature, values.value, values.sigma, fold, values.beside)
+    errors = held_out(
+        form, orders, reference, temperature, values.value, values.sigma, fold, values.beside, values.whitening
+    )
     simple = replace(fitted(chosen(errors, rule).order), errors=errors)
     return simple if simple.curve.order == most else _as_chosen(simple, fitted(most))
 
@@ -311,7 +326,7 @@ def fit_curve(
 def _fitted(made: Curve, values: OverTemperature, scatter: bool) -> CurveFit:
     """A curve through all values. Raises `EstimationError` if there is no basis for its uncertainty."""
     columns = np.column_stack([made.columns(values.temperature), values.beside])
-    fit = least_squares.fit(columns, values.value, values.sigma)
+    fit = least_squares.fit(columns, values.value, values.sigma, covariance=values.covariance)
     p = made.order + 1
     if not scatter:
         return _parted(CurveFit(made, fit.coefficients, SummedCovariance(((fit.cofactor, np.inf),))), p)
@@ -323,7 +338,7 @@ def _fitted(made: Curve, values: OverTemperature, scatter: bool) -> CurveFit:
     ways = _ways(columns, values)
     if ways:
         return _parted(_with_ramps(made, columns, values, ways), p)
-    time = _correlation(fit.residuals / values.sigma, values.series)
+    time = _correlation(values.whitening @ fit.residuals, values.series)
     freedom = max(1.0, len(values.value) / time - columns.shape[1]) if time > 1 else float(fit.degrees_of_freedom)
     covariance = fit.cofactor * (fit.chi_squared / fit.degrees_of_freedom * time)
     return _parted(CurveFit(made, fit.coefficients, SummedCovariance(((covariance, freedom),)), correlation=time), p)
@@ -361,11 +376,12 @@ def _ways(columns: Array, values: OverTemperature) -> list[_Way]:
     beside the fitted columns and with two residuals left."""
     numbers, first = np.unique(values.ramp[values.ramp >= 0], return_index=True)
     senses = values.direction[values.ramp >= 0][first]
-    own = (values.ramp[:, None] == numbers) / values.sigma[:, None]
+    each = (values.ramp[:, None] == numbers).astype(float)
     away = values.temperature - values.temperature.mean()
-    slopes = own * (away / max(float(np.std(away)), _TINY))[:, None]
+    own = values.whitening @ each
+    slopes = values.whitening @ (each * (away / max(float(np.std(away)), _TINY))[:, None])
     alike = (senses[:, None] == np.unique(senses)).astype(float)  # ramps to directions
-    fitted = columns / values.sigma[:, None]
+    fitted = values.whitening @ columns
     found: list[_Way] = []
     for way in (own, slopes) if (values.series >= 0).any() else (own,):
         together = [fitted, way @ alike, *(one.columns for one in found)]
@@ -401,7 +417,7 @@ def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequ
     """
     from scipy.special import fdtrc
 
-    y, A = values.value / values.sigma, columns / values.sigma[:, None]
+    y, A = values.whitening @ values.value, values.whitening @ columns
     everything = _space(np.column_stack([A, *(one.columns for one in ways)]))
     rest = y - everything @ (everything.T @ y)
     left = len(y) - everything.shape[1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from planrunner.estimators.temperature.curve import FORMS, RULES
+from planrunner.observation.flicker import drift_span
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 
@@ -64,6 +65,7 @@ class TemperatureModelParameters(Record):
         "2 K",
         default=parse_quantity("1 K"),
     )
+    drift_span: Quantity = drift_span()
     uncertainty: str = key(
         Choice(("residual", "propagated")),
         "Basis of the uncertainties: the scatter of the values about the curve, or the values' own uncertainties.",

@@ -15,7 +15,12 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.estimators.interface import Estimate, EstimationError
 from planrunner.estimators.temperature.branches import approached, branches
+from planrunner.observation.correlated_errors import mixed
+from planrunner.observation.flicker import mean_covariance
+from planrunner.observation.observations import recorded_times
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, UnknownUnitError, unit
+from planrunner.uncertainty.influences import Aspect, Inputs
+from planrunner.uncertainty.monte_carlo import square_root
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -23,6 +28,8 @@ Integers = NDArray[np.int64]
 _LEAST_IN_BIN = 3  # samples that a scatter about a line can be taken from
 _PIECES = 4096  # of a segment, whose mean temperatures show where it turns
 _IN_PIECE = 4  # samples at least
+_INTERVALS = 512  # of all segments together, whose flicker is correlated with one another's
+_FEWEST_INTERVALS = 8  # of each segment
 
 
 @dataclass(frozen=True)
@@ -30,7 +37,8 @@ class Points:
     """One quantity at n temperatures. temperature: (n,), degC. uncertainty: (n,), standard, NaN if not known. direction: (n,), +1 at rising
     temperature or at one reached from below, −1 at falling temperature or at one reached from above, 0 if neither is known. ramp: (n,),
     number of the ramp, or of the sweep of held temperatures; −1 without a direction. labels: source of each value. along: whether the
-    values follow each other along ramps. expected: whether the values come from a schedule, without scatter."""
+    values follow each other along ramps. expected: whether the values come from a schedule, without scatter. covariance: (n, n), of the
+    values with the flicker that the bench declares; None if it declares none, or the uncertainties are not known."""
 
     name: str
     unit: str
@@ -42,6 +50,7 @@ class Points:
     labels: tuple[str, ...]
     along: bool = False
     expected: bool = False
+    covariance: Array | None = None
 
     @property
     def series(self) -> Integers:
@@ -107,10 +116,15 @@ def _joined(name: str, data: Sequence[tuple[str, Mapping[str, object]]]) -> Poin
 
 
 def from_channels(
-    segments: Sequence[RecordedSegment], channels: Sequence[str], thermometer: str | None, width: float
+    segments: Sequence[RecordedSegment],
+    channels: Sequence[str],
+    thermometer: str | None,
+    width: float,
+    inputs: Inputs,
+    span: float,
 ) -> list[Points]:
     """Channels over temperature: the samples of each segment in bins of `width` [K] of the thermometer, or its mean at the planned
-    temperature. Raises `EstimationError`."""
+    temperature. inputs, span: the declared flicker, and the time over which a constant is the average, s. Raises `EstimationError`."""
     for recorded in segments:
         for channel in (*channels, *([thermometer] if thermometer else [])):
             if channel not in recorded.units:
@@ -118,17 +132,36 @@ def from_channels(
                     f"segment '{recorded.label}' has no channel '{channel}': {closest(channel, recorded.units)}"
                 )
     expected = all(recorded.expected for recorded in segments)
-    return [replace(_channel(segments, channel, thermometer, width), expected=expected) for channel in channels]
+    found, kernel = [], None
+    for channel in channels:
+        points, intervals, shares = _channel(segments, channel, thermometer, width)
+        declared = inputs.of_output(Aspect.BIAS_INSTABILITY, channel)
+        if declared is not None and declared.standard_uncertainty and points.known:
+            kernel = mean_covariance(*intervals, span) if kernel is None else kernel
+            root = declared.standard_uncertainty * square_root(shares @ kernel @ shares.T)
+            points = replace(points, covariance=mixed(points.uncertainty, root))
+        found.append(replace(points, expected=expected))
+    return found
 
 
-def _channel(segments: Sequence[RecordedSegment], channel: str, thermometer: str | None, width: float) -> Points:
+Intervals = tuple[Array, Array]
+"""Beginnings and ends of q intervals of time, s, (q,) each."""
+
+
+def _channel(
+    segments: Sequence[RecordedSegment], channel: str, thermometer: str | None, width: float
+) -> tuple[Points, Intervals, Array]:
+    """The n values of a channel; q intervals of time; and the share of each interval in each value, (n, q)."""
     units = sorted({recorded.units[channel] for recorded in segments})
     if len(units) > 1:
         raise EstimationError(f"channel '{channel}' is recorded in different units ({', '.join(units)})")
     if thermometer is None:
-        return _at_held(segments, channel, units[0], width)
+        return _at_held(segments, channel, units[0], width), recorded_times(segments), np.eye(len(segments))
     held = in_time_order(segments)
-    labelled = [(ramp, recorded.label) for recorded in held for ramp in _ramps(recorded, channel, thermometer, width)]
+    intervals = max(_FEWEST_INTERVALS, _INTERVALS // len(held))
+    labelled = [
+        (ramp, place) for place, one in enumerate(held) for ramp in _ramps(one, channel, thermometer, width, intervals)
+    ]
     if not labelled:
         raise EstimationError(f"channel '{channel}' has no usable samples in the chosen segments")
     ramps = [ramp for ramp, _ in labelled]
@@ -138,7 +171,13 @@ def _channel(segments: Sequence[RecordedSegment], channel: str, thermometer: str
     enough = count >= _LEAST_IN_BIN
     freedom = float(np.sum(count[enough] - 2))
     scatter = math.sqrt(float(np.sum(squares[enough])) / freedom) if freedom > 0 else math.nan
-    return Points(
+    shares = np.zeros((len(count), len(held), intervals))
+    shares[np.arange(len(count)), np.repeat([place for _, place in labelled], sizes)] = np.concatenate(
+        [ramp.shares for ramp in ramps]
+    )
+    start, end = recorded_times(held)
+    edges = start[:, None] + (end - start)[:, None] * np.linspace(0, 1, intervals + 1)
+    points = Points(
         channel,
         units[0],
         np.concatenate([ramp.celsius for ramp in ramps]),
@@ -146,9 +185,10 @@ def _channel(segments: Sequence[RecordedSegment], channel: str, thermometer: str
         scatter / np.sqrt(count),
         np.repeat([ramp.direction for ramp in ramps], sizes),
         np.repeat(_numbers(ramps, width), sizes),
-        tuple(label for (_, label), size in zip(labelled, sizes, strict=True) for _ in range(size)),
+        tuple(held[place].label for (_, place), size in zip(labelled, sizes, strict=True) for _ in range(size)),
         along=True,
     )
+    return points, (edges[:, :-1].ravel(), edges[:, 1:].ravel()), shares.reshape(len(count), -1)
 
 
 def _at_held(segments: Sequence[RecordedSegment], channel: str, text: str, width: float) -> Points:
@@ -177,7 +217,8 @@ def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, flo
 @dataclass(frozen=True, slots=True)
 class _Ramp:
     """A branch of a segment's temperature in bins, ascending. direction: sense, 0 if the temperature hardly changes. ends: first and last
-    temperature, degC. count: samples; celsius, mean: of the bin; squares: about a straight line within the bin; all (b,)."""
+    temperature, degC. count: samples; celsius, mean: of the bin; squares: about a straight line within the bin; all (b,). shares: (b, q),
+    of the samples of each bin in q intervals of equal length of the segment."""
 
     direction: int
     ends: tuple[float, float]
@@ -185,9 +226,10 @@ class _Ramp:
     celsius: Array
     mean: Array
     squares: Array
+    shares: Array
 
 
-def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: float) -> list[_Ramp]:
+def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: float, intervals: int) -> list[_Ramp]:
     """The branches of a segment, in one pass over its samples: sums are kept by bin and by piece of the segment, and the pieces' mean
     temperatures show the branches."""
     try:
@@ -230,6 +272,9 @@ def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: flo
         place
     ]  # a piece at a turning point belongs to both branches
     own, inverse = _distinct(np.column_stack([number[place], key[:, 1]])[clear])
+    shares = np.zeros((len(own), intervals))
+    np.add.at(shares, (inverse, (key[clear, 0] * intervals) // pieces), total[clear, 0])
+    shares /= shares.sum(axis=1, keepdims=True)
     n, t1, t2, y1, y2, ty = (np.bincount(inverse, column, minlength=len(own)) for column in total[clear].T)
     tt, cross = t2 - t1**2 / n, ty - t1 * y1 / n
     left = y2 - y1**2 / n - np.where(tt > 0, cross**2 / np.where(tt > 0, tt, 1.0), 0.0)
@@ -241,7 +286,9 @@ def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: flo
         direction = int(np.sign(here[-1] - begin)) if abs(here[-1] - begin) > width else 0
         squares = np.maximum(left[at], 0.0)
         ends = (first[0] + begin, first[0] + float(here[-1]))
-        found.append(_Ramp(direction, ends, n[at], first[0] + t1[at] / n[at], first[1] + y1[at] / n[at], squares))
+        found.append(
+            _Ramp(direction, ends, n[at], first[0] + t1[at] / n[at], first[1] + y1[at] / n[at], squares, shares[at])
+        )
     return found
 
 

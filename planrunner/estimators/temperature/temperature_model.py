@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
+from planrunner.estimators.basis_judgement import no_flicker_declared
 from planrunner.estimators.derived import independent
 from planrunner.estimators.interface import (
     Coefficient,
@@ -148,7 +149,9 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
         _one_source(parameters, bool(request.uses))
         if parameters.channels:
             width = parameters.bin.value
-            found = from_channels(request.segments, parameters.channels, parameters.temperature_channel, width)
+            thermometer, span = parameters.temperature_channel, parameters.drift_span.value
+            inputs = request.setup.inputs
+            found = from_channels(request.segments, parameters.channels, thermometer, width, inputs, span)
         else:
             found = from_estimates(request.uses, parameters.coefficients)
         models = tuple(_model(points, parameters) for points in found)
@@ -239,6 +242,7 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
         np.zeros((len(points.value), 0))
         if difference is None
         else difference.columns(points.temperature, points.direction),
+        points.covariance,
     )
     try:
         fit = fit_curve(
@@ -501,6 +505,16 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[Said]:
             said(
                 "Influences common to the values at all temperatures, such as a fixture's angle, are included in the "
                 "uncertainties of the estimates used, but not in those of this curve."
+            )
+        )
+    elif one.points.covariance is None:
+        found.append(no_flicker_declared([name]))
+    else:
+        found.append(
+            said(
+                "{name}: the declared bias instability makes values at neighbouring times alike; the weights and the "
+                "uncertainties include this.",
+                name=name,
             )
         )
     if parameters.uncertainty == "residual":
