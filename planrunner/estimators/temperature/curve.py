@@ -13,7 +13,7 @@ missing. The uncertainty of a selected curve is therefore that of the highest or
 distance from that curve is added as an uncorrected systematic error (JCGM 100:2008, F.2.4.5).
 
 The noise of values may be correlated over time, by flicker that the bench declares. Values and columns are then whitened by its covariance,
-and held-out errors are those of whitened values. Without this, a slow change of an output along a ramp looks like curvature.
+and held-out errors are those of whitened values.
 
 Beside the curve, further columns may be fitted, such as those of the difference between rising and falling temperature (`branches`).
 Ramps differ from one another by more than noise: each has an offset and a slope of random size, whose variances come from the reduction of
