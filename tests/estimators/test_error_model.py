@@ -13,11 +13,14 @@ import simulated_imu as imu
 from recorded import from_means, from_samples, sensor
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base import plugins
 from planrunner.design.identifiability import identify
+from planrunner.error_model.effects.interface import Column, Variant, single
+from planrunner.error_model.observed import Observed
 from planrunner.estimators import method
 from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
 from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
-from planrunner.estimators.analysis import combined
+from planrunner.estimators.analysis import analyse, combined
 from planrunner.estimators.error_model.estimator import ErrorModelEstimator
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
@@ -27,6 +30,7 @@ from planrunner.estimators.scale_factor import ScaleFactor, ScaleFactorParameter
 from planrunner.estimators.temperature.parameters import TemperatureModelParameters
 from planrunner.estimators.temperature.temperature_model import TemperatureModel
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+from planrunner.plan.model import EstimateSpec
 from planrunner.plan.schedule import Segment
 from planrunner.uncertainty.influences import Aspect, InputQuantity, Inputs
 
@@ -425,6 +429,25 @@ def test_uncertainties_are_predicted() -> None:
         assert item.standard_uncertainty == pytest.approx(predicted[item.name].standard_uncertainty, rel=0.05), (
             item.name
         )
+
+
+def test_an_effect_of_another_package_that_gives_no_axis_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without it, nobody would know whether the outputs have its amplitude in common."""
+
+    class Forgetful:
+        id, stage, shown_by = "gyro_bias", "sensor", "positions"
+
+        def variants(self, observed: Observed) -> list[Variant]:
+            parts = {index: np.ones(len(observed.time)) for index in observed.of_kind("gyro")}
+            return single([Column("b", "deg/h", 4.8e-6, 4.8e-6, parts)])  # type: ignore[call-arg]
+
+    shipped = plugins.load
+    monkeypatch.setattr(plugins, "load", lambda group, name: Forgetful if name == "gyro_bias" else shipped(group, name))
+    parameters = ErrorModelParameters(outputs={"gx": ("gyro_bias",)}, axes={"gx": "x"})
+    estimates = {"model": EstimateSpec(estimator="error_model", segments=("*",), uses=(), parameters=parameters)}
+    recorded = imu.recorded(imu.plan(), imu.drawn_truth(np.random.default_rng(1)))
+    found = analyse(estimates, [], recorded, imu.SITE, sensor(*AXES))
+    assert "argument: 'axis'" in found.failures["model"] and "author" in found.failures["model"]
 
 
 def test_what_the_segments_do_not_show_is_named_with_what_would_show_it() -> None:

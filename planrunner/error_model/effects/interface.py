@@ -38,9 +38,10 @@ class Column:
     """One amplitude of an effect. magnitude: its prior scale in SI, relative to the effect's other columns. unit, factor: unit for
     display and its SI value. parts: channel index → signature (N,), SI output for an amplitude of 1 in SI. segments: (S,), where it
     acts; None for everywhere. whole: the effect is either present or absent, so its amplitude is not a parameter. along: the axis of
-    the sensor (0, 1, 2) whose input it is: on that of the channel, the amplitude is the error of the scale factor. axis: the axis
-    (0, 1, 2) to which it belongs alone, whose letter ends its name after "_". plain: its unit as that
-    of a quantity, if `unit` also contains a factor without a unit, such as the strength of a field."""
+    the sensor (0, 1, 2) whose input it is: on that of the channel, the amplitude is the error of the scale factor. plain: its unit as that
+    of a quantity, if `unit` also contains a factor without a unit, such as the strength of a field. axis: the axis (0, 1, 2) to which it
+    belongs alone, whose letter ends its name after "_"; None for an amplitude of the whole sensor or of its surroundings. It must always
+    be given, because a column of one axis is reported for each output, and one without axis for all outputs in common."""
 
     name: str
     unit: str
@@ -50,8 +51,8 @@ class Column:
     segments: NDArray[np.bool_] | None = field(default=None, repr=False)
     whole: bool = False
     along: int | None = None
-    axis: int | None = None
     plain: str = ""
+    axis: int | None = field(kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +201,7 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
 
 def whole(parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None) -> Column:
     """The column of an effect that is fully determined by its shape: a lag, a limit, a delay."""
-    return Column("share", "1", 1.0, 1.0, parts, segments, True)
+    return Column("share", "1", 1.0, 1.0, parts, segments, True, axis=None)
 
 
 def single(columns: Sequence[Column]) -> list[Variant]:

@@ -88,7 +88,7 @@ class SiteLatitude:
         phi = observed.site.latitude + half  # the secant of a circle is parallel to the tangent halfway
         change = observed.site.earth_rate * np.sinc(half / np.pi) * np.array([0.0, -np.sin(phi), np.cos(phi)])
         parts = on_stimulus(observed, observed.in_sensor_axes(change), None)
-        return single([Column("error", "deg", DEG, DEG, parts)] if parts else [])
+        return single([Column("error", "deg", DEG, DEG, parts, axis=None)] if parts else [])
 
 
 class LeverArm:
@@ -111,7 +111,7 @@ class LeverArm:
         columns = []
         for name, arm in zip("xyz", np.eye(3), strict=True):
             felt = np.cross(turn, np.cross(turn, arm)) + np.cross(spin_up, arm)
-            columns.append(Column(f"r_{name}", "mm", 1e-3, 1e-2, on_stimulus(observed, None, felt)))
+            columns.append(Column(f"r_{name}", "mm", 1e-3, 1e-2, on_stimulus(observed, None, felt), axis=None))
         return single(columns)
 
 

@@ -22,7 +22,7 @@ def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
     earth, force = observed.site.earth_rate_enu, observed.site.specific_force_enu
     omega = observed.in_sensor_axes(_secant(axis, earth, turned))
     felt = observed.in_sensor_axes(_secant(axis, force, turned))
-    return Column(name, "arcsec", ARCSEC, 60 * ARCSEC, on_stimulus(observed, omega, felt))
+    return Column(name, "arcsec", ARCSEC, 60 * ARCSEC, on_stimulus(observed, omega, felt), axis=None)
 
 
 def _secant(axis: Array, vector: Array, turned: Array) -> Array:
@@ -119,7 +119,7 @@ class TableRateRipple:
         for n in (1, 2):
             waves = {"cos": np.cos(n * observed.angle), "sin": np.sin(n * observed.angle)}
             columns = tuple(
-                Column(name, "ppm", 1e-6, 1e-3, on_stimulus(observed, wave[:, None] * turn, None))
+                Column(name, "ppm", 1e-6, 1e-3, on_stimulus(observed, wave[:, None] * turn, None), axis=None)
                 for name, wave in waves.items()
             )
             found.append(Variant(columns, float(n)))
@@ -150,7 +150,9 @@ class TableWobble:
         for name, axis in (("cos", EAST), ("sin", NORTH)):
             delta = np.einsum("sij,j->si", observed.attitude, axis)[observed.owner]
             omega, force = -np.cross(delta, observed.omega), -np.cross(delta, observed.force)
-            columns.append(Column(name, "arcsec", ARCSEC, 60 * ARCSEC, on_stimulus(observed, omega, force), moving))
+            columns.append(
+                Column(name, "arcsec", ARCSEC, 60 * ARCSEC, on_stimulus(observed, omega, force), moving, axis=None)
+            )
         return single(columns)
 
 
@@ -170,4 +172,4 @@ class TableRateError:
         if not observed.rate.any():
             return []
         turn = observed.rate[:, None] * observed.table_axis
-        return single([Column("epsilon", "ppm", 1e-6, 1e-3, on_stimulus(observed, turn, None))])
+        return single([Column("epsilon", "ppm", 1e-6, 1e-3, on_stimulus(observed, turn, None), axis=None)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 
@@ -32,6 +33,30 @@ def test_a_model_is_known_without_connecting() -> None:
     assert accel.unit == "g" and accel.full_scale == pytest.approx(10)
     assert accel.noise.white == pytest.approx(0.06 / 60 / 9.80665)
     assert model.sample_rate == 2000
+
+
+def test_declared_accelerometers_are_the_channels_in_units_of_acceleration_whatever_their_names() -> None:
+    keys = (
+        "driver: declared_frame; sample_rate: 200 Hz; sync: A5 5A; length: 10; fields: {f_north: {at: 2, type: i16, scale: 0.001, "
+        "unit: g}, lift: {at: 4, type: i16, scale: 0.01, unit: m/s^2}, turn: {at: 6, type: i16, scale: 0.01, unit: deg/s}, "
+        "accel_temperature: {at: 8, type: i16, scale: 0.01, unit: degC}}; "
+        "accelerometers: {velocity_random_walk: 0.06 m/s/sqrt(h), full_scale: 10 g}"
+    )
+    model = model_of(keys)
+    outputs = {item.name: item for item in model.outputs}
+    assert outputs["f_north"].full_scale == pytest.approx(10)
+    assert outputs["f_north"].noise.white == pytest.approx(0.06 / 60 / 9.80665)
+    assert outputs["lift"].full_scale == pytest.approx(98.0665)
+    assert outputs["lift"].noise.white == pytest.approx(0.06 / 60)
+    for name in ("turn", "accel_temperature"):
+        assert outputs[name].full_scale == math.inf and outputs[name].noise.white == 0
+
+
+def test_inclinometers_have_the_unit_of_accelerometers_and_not_their_properties() -> None:
+    model = model_of("driver: stim300; sample_rate: 500 Hz; datagram: 0xA7; accelerometers: {full_scale: 10 g}")
+    outputs = {item.name: item for item in model.outputs}
+    assert outputs["accel_x"].unit == outputs["inclination_x"].unit == "g"
+    assert (outputs["accel_x"].full_scale, outputs["inclination_x"].full_scale) == (pytest.approx(10), math.inf)
 
 
 def test_a_model_needs_neither_numba_nor_serial() -> None:
