@@ -557,7 +557,7 @@ class Screening:
         many = self.more[k] > 0 or len(spikes) + len(bursts) > max(_MANY, _SHARE * samples)
         long = sum(one.rows for one in bursts) > max(_MANY, _BURSTS * samples)
         found = [*stuck, *(_as_one(spikes) if many else spikes), *(_as_one(bursts) if many or long else bursts)]
-        return [*found, *self._flat_tops(k, stuck), *self._steps(k, found)]
+        return [*found, *self._flat_tops(k, found), *self._steps(k, found)]
 
     def _judged(self, one: Find) -> Find:
         """A burst with which the segment begins or ends may be motion that is not over yet, or already ends: it counts."""
@@ -575,14 +575,15 @@ class Screening:
         after = before if math.isnan(after) else after
         return Find(kind, self.channels[k], run.row, run.length, run.time, seconds, run.value, math.nan, before, after)
 
-    def _flat_tops(self, k: int, stuck: Sequence[Find]) -> list[Find]:
-        """Noise that is cut off at the largest or smallest value: the samples there are many more than those just below."""
+    def _flat_tops(self, k: int, known: Sequence[Find]) -> list[Find]:
+        """Noise that is cut off at the largest or smallest value: the samples there are many more than those just below. known: other
+        finds, whose samples may be at the extremes."""
         runs = self.runs[k]
         if not runs.bends or runs.bend / runs.bends / PER_SIGMA <= 1.1 * runs.count:
             return []
         found = []
         for value, (at, beside) in ((self.largest[k], self.at_top[:, k]), (self.smallest[k], self.at_bottom[:, k])):
-            own = at - sum(one.rows for one in stuck if one.size == value)
+            own = at - sum(one.rows for one in known if one.bad or one.size == value)
             if own >= _CLIPPED and own > 4 * beside:
                 kind, begin = FindKind.CLIPPED, self.begin
                 found.append(Find(kind, self.channels[k], 0, int(own), begin, 0.0, float(value), bad=False))

@@ -15,6 +15,7 @@ from tests.worlds.faults import WORLDS, Recorded, flicker
 from tests.worlds.felt import Step, felt, starts, turn
 
 HERE = Path(__file__).parent
+EACH = [name for name in CAMPAIGNS if "nominal azimuth" not in name]
 COARSE = "counts of 5 times the noise"
 COUNTED = [name for name, one in CAMPAIGNS.items() if COARSE not in one.without and "from stop to stop" not in name]
 """One navigation is enough."""
@@ -93,7 +94,7 @@ def test_counts_larger_than_the_noise_are_warned_of(estimator: str) -> None:
         assert any("is too small for counts" in text for text in one.warnings) == warned
 
 
-@pytest.mark.parametrize("estimator", CAMPAIGNS)
+@pytest.mark.parametrize("estimator", EACH)
 def test_every_coefficient_of_a_device_is_estimated(estimator: str) -> None:
     """Names, units and signs agree: in white noise each is found within five standard uncertainties, which are small beside the truth."""
     campaign, world = CAMPAIGNS[estimator], WORLDS["white noise"]
@@ -109,7 +110,7 @@ def test_every_coefficient_of_a_device_is_estimated(estimator: str) -> None:
         assert abs(error) <= 5 * found[name].standard_uncertainty, name
 
 
-@pytest.mark.parametrize("estimator", [name for name in CAMPAIGNS if name != "allan_deviation"])
+@pytest.mark.parametrize("estimator", [name for name in EACH if name != "allan_deviation"])
 def test_a_reversed_channel_is_reported_by_every_estimator_that_has_a_scale_factor(estimator: str) -> None:
     """Noise figures do not depend on a channel's sign, so Allan deviations are left out."""
     campaign, world = CAMPAIGNS[estimator], WORLDS["reversed channel"]
