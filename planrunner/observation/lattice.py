@@ -9,6 +9,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 COARSER = 1.2  # of the declared count: a larger common step is another resolution
 DISTINCT = 20  # different values needed to recognise a lattice
+MANY = 4  # different values needed to recognise the lattice of a channel without a declared count
+REPEATED = 4  # mean number of times that each value of a lattice occurs at least
+ROUNDED = 1.1  # of the smallest step: steps up to this differ from it by floating-point rounding
+OFF_LATTICE = 0.05  # of a count
 _PIECE = 4096  # values taken at once
 
 
@@ -28,6 +32,22 @@ def coarsening(levels: Array) -> float:
 def settled(levels: Array) -> bool:
     """Whether further values cannot change the result, because the declared count is already confirmed."""
     return len(levels) >= DISTINCT and coarsening(levels) == 1.0
+
+
+def holds(levels: Array) -> bool:
+    """Whether levels, in declared counts, are whole: the values lie on the declared lattice."""
+    return float(np.abs(levels - np.round(levels)).max(initial=0.0)) <= 2 * OFF_LATTICE
+
+
+def undeclared_step(values: Array) -> float:
+    """The count of a channel (N,) without a declared one, in its unit; 0 if its values do not lie on a lattice."""
+    some = values[:: max(len(values) // _PIECE, 1)]
+    distinct = np.unique(np.round((some - some.min()) / max(float(np.ptp(some)), 1e-300), 9))
+    steps = np.diff(distinct) * float(np.ptp(some))
+    if not MANY <= len(distinct) <= len(some) / REPEATED:
+        return 0.0
+    count = float(np.median(steps[steps < ROUNDED * steps.min()]))
+    return count if float(np.abs(steps / count - np.round(steps / count)).max()) < OFF_LATTICE else 0.0
 
 
 def seen_levels(values: Array, step: float) -> Array:

@@ -5,6 +5,7 @@ The input is plain data according to `schemas/diagnosis.schema.json`. Only fract
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +22,8 @@ SURE = 0.95
 """Probability of pure noise at and above which the page reports no gap."""
 CONSPICUOUS = 0.05
 """Deviations that noise alone causes with more than this probability are not shown."""
+DEPARTURE = 0.05
+"""Relative departure of the noise from its declaration that is reported."""
 MOST_PLACES = 12
 MOST_PARAMETERS = 24
 FOOTER = (
@@ -185,6 +188,7 @@ def tables(found: Data) -> dict[str, Table]:
     made = {
         "comparison": comparison(found),
         "gap": _gap(found),
+        "noise": _noise(found),
         "where": _where(found),
         "hypotheses": _hypotheses(found),
         "parameters": _parameters(found),
@@ -231,6 +235,35 @@ def comparison(found: Data) -> Table:
             *alike(Role.VALUE, "sample noise recorded", "without", "with"),
         ),
         rows,
+    )
+
+
+def _noise(found: Data) -> Table:
+    """Channels whose noise is not white, not as declared, or not alike in all segments."""
+    rows = tuple(
+        (one["channel"], one["unit"], *entries) for one in found.get("noise", ()) if any(entries := _departures(one))
+    )
+    titles = ("white noise", "count", "slow noise ÷ white", "in the segments ÷ white", "tone")
+    return Table(
+        "Noise that differs from white noise as declared",
+        (TableColumn("Channel"), TableColumn("Unit"), *alike(Role.VALUE, *titles)),
+        rows,
+    )
+
+
+def _departures(noise: Data) -> tuple[str, str, str, str, str]:
+    """The five figures of a channel's noise; empty where they are as expected."""
+    white, declared, count, line = noise["white"], noise["declared"], noise["count"], noise["line"]
+    ratio = white / declared if declared else 1.0
+    other_count = not math.isclose(count, noise["declared_count"], rel_tol=0.01, abs_tol=1e-300)
+    return (
+        "" if abs(ratio - 1) < DEPARTURE else f"{_short(white)} ({ratio:.2g} × declared)",
+        f"{_short(count)}" if count and other_count else "",
+        "" if abs(noise["slow"] - 1) < DEPARTURE else f"{noise['slow']:.2g}",
+        ""
+        if noise["loudest"] - noise["quietest"] < DEPARTURE
+        else f"{noise['quietest']:.2g} to {noise['loudest']:.2g}",
+        "" if line is None else f"{_short(line['amplitude'])} at {line['frequency']:.4g} Hz",
     )
 
 

@@ -43,8 +43,11 @@ def plan() -> list[tuple[Array, Motion, float, float]]:
     return rows
 
 
-def record(seed: int = 1, fault: Fault | None = None, noise: float = 1.0, sampling: float = RATE) -> Observed:
-    """A recording with unknown matrices and biases, white noise and rounding; `fault` gives what is added to rate and specific force."""
+def record(
+    seed: int = 1, fault: Fault | None = None, noise: float = 1.0, sampling: float = RATE, clean: bool = False
+) -> Observed:
+    """A recording with unknown matrices and biases, white noise and rounding, or with neither; `fault` gives what is added to rate and
+    specific force."""
     draw = np.random.default_rng(seed)
     rows = plan()
     n = [int(seconds * sampling) for _, _, seconds, _ in rows]
@@ -73,8 +76,11 @@ def record(seed: int = 1, fault: Fault | None = None, noise: float = 1.0, sampli
     matrices = [np.eye(3) + draw.normal(0, 2e-3, (3, 3)) for _ in range(2)]
     gyro = (omega + more[0]) @ matrices[0].T + draw.normal(0, 0.02 * DEG, 3)
     accel = (force + more[1]) @ matrices[1].T + draw.normal(0, 0.02, 3)
+    exact = np.hstack([gyro, accel])
     gyro += draw.normal(0, noise * GYRO_WHITE * np.sqrt(sampling), gyro.shape)
     accel += draw.normal(0, ACCEL_WHITE * np.sqrt(sampling), accel.shape)
+    if clean:
+        return replace(shell, values=exact)
     values = np.hstack([np.round(gyro / (5e-4 * DEG)) * 5e-4 * DEG, np.round(accel / 2e-4) * 2e-4])
     return Observed(**{**{name: getattr(shell, name) for name in shell.__dataclass_fields__}, "values": values})
 

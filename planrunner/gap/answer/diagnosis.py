@@ -8,7 +8,7 @@ for patterns outside the catalogue (`posterior`, `open_set`); a verdict that nam
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from planrunner.error_model.effects.interface import ActsOnNoise, Effect, NoHypo
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer import parameters as estimates
 from planrunner.gap.answer.closure import NOT_RESOLVABLE, Closure, FoldChoice, closure
+from planrunner.gap.answer.noise_found import NoiseFound, noise_found
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.answer.pictures import gap_by_channel, pictures
 from planrunner.gap.answer.posterior import PRIORS, Posterior, posterior
@@ -57,10 +58,11 @@ class Grounds:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """gap: by channel, in its unit. posterior: of all hypotheses. absorbed: effect → share of its energy that remains after the nominal
-    parameters. pictures: data for plots."""
+    """gap: by channel, in its unit. noise: of every channel. posterior: of all hypotheses. absorbed: effect → share of its energy that
+    remains after the nominal parameters. pictures: data for plots."""
 
     gap: Mapping[str, Mapping[str, Json]]
+    noise: tuple[NoiseFound, ...]
     where: tuple[MisfitPlace, ...]
     posterior: Posterior
     verdict: Verdict
@@ -76,6 +78,7 @@ class Diagnosis:
         shut = self.closure
         plain = {
             "gap": {name: dict(entry) for name, entry in self.gap.items()},
+            "noise": [asdict(one) for one in self.noise],
             "where": [
                 {
                     "channel": p.channel,
@@ -150,6 +153,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
     beyond = 1 - found.probability["none"] - sum(choice.probability for choice in choices)
     return Diagnosis(
         gap_by_channel(weighing),
+        noise_found(weighing, found.lines),
         tuple(places(weighing, found.by_channel)[:SHOWN_PLACES]),
         found,
         said,

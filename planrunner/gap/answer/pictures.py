@@ -9,23 +9,21 @@ from numpy.typing import NDArray
 
 from planrunner.base.documents import JsonObject
 from planrunner.gap.answer.confusability import matrix
-from planrunner.gap.evidence.spectrum import band_edges
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 
 Array = NDArray[np.float64]
 
 
 def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
-    """By channel: root mean square of the residual coefficients of the nominal simulation, the value for noise alone, and the unit."""
+    """By channel: root mean square over the samples of the residual of the nominal simulation, as far as the coefficients show it, the
+    value for noise alone, and the unit. It does not depend on the sampling rate: a constant offset counts with its size."""
     found = {}
     for index, channel in enumerate(weighing.observed.channels):
-        weight = weighing.weights[index][0]
-        rest = weight.residual
-        degrees = max(len(rest) - weight.basis.shape[1], 1)
-        level = weighing.white[index] / channel.factor
+        gap, noise = weighing.weights[index][0].gap_and_noise()
+        size = 1 / np.sqrt(weighing.observed.counts.sum()) / channel.factor
         found[channel.name] = {
-            "before": float(level * np.sqrt(rest @ rest / degrees)),
-            "noise_floor": float(level),
+            "before": float(np.sqrt(gap) * size),
+            "noise_floor": float(np.sqrt(max(noise, 0.0)) * size),
             "unit": channel.unit,
         }
     return found
@@ -70,11 +68,11 @@ def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None
     observed, spectrum = weighing.observed, weighing.spectrum
     size = observed.bin_size.max()
     shown = observed.bin_size == size
-    edges = band_edges(1 << 12) / (1 << 12) * observed.sample_rate / 2 / size
-    middle = (edges[:-1] + edges[1:]) / 2
+    middle = (spectrum.edges[:-1] + spectrum.edges[1:]) / 2
     within = (spectrum.frequency > 0) & shown[spectrum.segment]
-    band = np.clip(np.searchsorted(edges, spectrum.frequency[within], side="right") - 1, 0, len(middle) - 1)
+    band = np.searchsorted(spectrum.edges, spectrum.frequency[within], side="right") - 1
     count = np.maximum(spectrum.count[shown].sum(0), 0.0) + np.bincount(band, minlength=len(middle))
+    used = count > 0
     found = {}
     for index, channel in enumerate(observed.channels):
         scale = np.sqrt(2 / observed.sample_rate) / channel.factor
@@ -84,12 +82,12 @@ def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None
         curves = [
             outside + np.bincount(band, (level * values[within]) ** 2, len(middle)) for values in (residual, rest)
         ]
-        before, afterwards = (np.sqrt(power / np.maximum(count, 1.0)) * scale for power in curves)
+        before, afterwards = (np.sqrt(power[used] / count[used]) * scale for power in curves)
         found[channel.name] = {
-            "frequency_hz": middle.tolist(),
+            "frequency_hz": middle[used].tolist(),
             "before": before.tolist(),
             "after": afterwards.tolist(),
-            "noise": [float(level * scale)] * len(middle),
+            "noise": [float(level * scale)] * int(used.sum()),
             "unit": f"{channel.unit}/sqrt(Hz)",
         }
     return found

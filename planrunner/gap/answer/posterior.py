@@ -13,10 +13,11 @@ from planrunner.error_model.effects.interface import ActsOnNoise, Effect, Varian
 from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, pair_log_bayes_factor
 from planrunner.gap.evidence.noise_levels import log_densities
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
-from planrunner.gap.hypotheses.open_set import competitors, unknown
+from planrunner.gap.hypotheses.open_set import Kinds, Line, competitors, unknown
 from planrunner.gap.hypotheses.patterns import Pattern
 
 Array = NDArray[np.float64]
+BESIDE = 0.001  # probability of a tone or bursts beside an effect, from an independent cause
 PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.15, "unknown": 0.15}
 FIRST = 6  # number of effects from which pairs are formed: the likeliest
 WEIGHED = 10  # number of pairs evaluated in full, selected by a quick evaluation
@@ -25,9 +26,11 @@ PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
 
 @dataclass(frozen=True)
 class Posterior:
-    """probability: of every hypothesis, pairs as 'a+b' in alphabetical order. log_evidence: of each, relative to none. pairs: the
+    """probability: of every hypothesis, pairs as 'a+b' in alphabetical order. log_evidence: of each, relative to none, for effects from the
+    coefficients alone. pairs: the
     weighed variant of pairs of two deterministic effects. kinds: log evidence, relative to none, of what "unknown" could be. by_channel:
-    log BF (K,) of each of those in one channel alone. levels: effects that only raise the noise level."""
+    log BF (K,) of each of those in one channel alone. levels: effects that only raise the noise level. lines:
+    tones. beside: probability of a tone or bursts beside an effect."""
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
@@ -35,6 +38,8 @@ class Posterior:
     kinds: dict[Pattern, float]
     by_channel: dict[Pattern, Array] = field(repr=False)
     levels: frozenset[str] = frozenset()
+    lines: tuple[Line, ...] = ()
+    beside: float = 0.0
 
 
 def pair_key(first: str, second: str) -> str:
@@ -63,7 +68,22 @@ def posterior(weighing: Weighing, effects: Sequence[Effect], candidates: Sequenc
     kinds = competitors(weighing)
     found["unknown"] = weighing.evidence(unknown(kinds)) + levels["declared"] - start
     plainly = {what: weighing.evidence(value) + levels["declared"] - start for what, value in kinds.log_bayes.items()}
-    return Posterior(_normalised(found), found, weighed, plainly, kinds.by_channel, frozenset(acting.values()))
+    beside = float(np.exp(np.log(BESIDE) + kinds.outside - _beside(kinds)))
+    return Posterior(
+        _normalised({name: value + (0.0 if name in PRIORS else _beside(kinds)) for name, value in found.items()}),
+        found,
+        weighed,
+        plainly,
+        kinds.by_channel,
+        frozenset(acting.values()),
+        kinds.lines,
+        beside,
+    )
+
+
+def _beside(kinds: Kinds) -> float:
+    """log BF of any effect, averaged over the presence of a tone or bursts from an independent cause."""
+    return float(np.logaddexp(np.log1p(-BESIDE), np.log(BESIDE) + kinds.outside))
 
 
 def _normalised(log_evidence: dict[str, float]) -> dict[str, float]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from planrunner.gap.evidence.bayes_factors import log_mean_exp
 from planrunner.gap.evidence.noise_levels import excess_by_channel
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import BAND_NOISE, TONE
+from planrunner.gap.hypotheses.open_set import TONE
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort
 from planrunner.plan.directions import word_of
 
@@ -77,11 +77,10 @@ def _by_factor(noisier: Array, kinds: Mapping[Pattern, Array]) -> dict[Factor, A
 
 
 def _outside(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> Array:
-    """log BF (3, K) of slow changes within segments, of more white noise than declared, and of noise or a tone outside the basis."""
+    """log BF (3, K) of slow changes within segments, of more white noise than declared, and of a tone outside the basis."""
     none = np.full(len(weighing.observed.channels), -np.inf)
     more = excess_by_channel(weighing.declared, weighing.white, weighing.white_degrees)
-    other = np.maximum(kinds.get(BAND_NOISE, none), kinds.get(TONE, none))
-    return np.array([kinds.get(WHOLE[Sort.TRANSIENT], none), more, other])
+    return np.array([kinds.get(WHOLE[Sort.TRANSIENT], none), more, kinds.get(TONE, none)])
 
 
 def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> MisfitPlace:

@@ -6,14 +6,14 @@ in all channels or differently in each triad. Only larger deviations, or deviati
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, log_mean_exp
-from planrunner.observation.lattice import COARSER, coarsening, seen_levels
+from planrunner.observation.lattice import COARSER, coarsening, holds, seen_levels, undeclared_step
 
 Array = NDArray[np.float64]
 HOLDS = 0.02  # standard deviation of the logarithm of a correct declaration
@@ -24,13 +24,17 @@ CERTAIN = 60.0  # log odds assigned to a lattice of counts that is seen, or not 
 
 
 def counts(observed: Observed) -> Array:
-    """The count (K,) of each channel, of which all values are multiples; the declared count unless a coarser one is found."""
+    """The count (K,) of each channel, of which all values are multiples: the declared count unless a coarser one is found; for a channel
+    whose values do not lie on a declared lattice, the count that is found, or 0."""
     found = []
     for index, channel in enumerate(observed.channels):
         step = channel.resolution
         if step > 0:
             whole = observed.bins
-            step *= coarsening(seen_levels(observed.values[:, index], step) if whole is None else whole.levels[index])
+            levels = seen_levels(observed.values[:, index], step) if whole is None else whole.levels[index]
+            step = step * coarsening(levels) if holds(levels) else 0.0
+        if step == 0 and observed.bins is None:
+            step = undeclared_step(observed.values[:, index])
         found.append(step)
     return np.array(found)
 
@@ -40,9 +44,14 @@ def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array
 
     If the noise does not dither the count, there is no white level to compare; the level of the gyros then counts as declared.
     """
-    gyro, counted = _excess(observed, white, degrees, None), _excess(observed, white, degrees, steps)
-    if any(steps[c] > 2 * observed.channels[c].white * np.sqrt(observed.sample_rate) for c in observed.of_kind("gyro")):
-        counted[0]["gyro"] = counted[0].get("accel", 0.0)
+    declared = [channel.resolution or step for channel, step in zip(observed.channels, steps, strict=True)]
+    gyro, counted = (_excess(observed, white, degrees, each) for each in (declared, steps))
+    for excess, counts_ in ((gyro, declared), (counted, steps)):
+        if any(
+            counts_[c] > 2 * observed.channels[c].white * np.sqrt(observed.sample_rate)
+            for c in observed.of_kind("gyro")
+        ):
+            excess[0]["gyro"] = excess[0].get("accel", 0.0)
     seen = any(
         channel.kind == "gyro" and channel.resolution > 0 and step > COARSER * channel.resolution
         for channel, step in zip(observed.channels, steps, strict=True)
@@ -57,7 +66,9 @@ def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array
     }
 
 
-def _excess(observed: Observed, white: Array, degrees: Array, steps: Array | None) -> tuple[dict[str, float], float]:
+def _excess(
+    observed: Observed, white: Array, degrees: Array, steps: Sequence[float] | Array
+) -> tuple[dict[str, float], float]:
     """Log of (measured ÷ declared) white level by triad, and its standard deviation."""
     found, sigma = {}, 0.01
     for kind in ("gyro", "accel"):
@@ -65,7 +76,7 @@ def _excess(observed: Observed, white: Array, degrees: Array, steps: Array | Non
         for index in observed.of_kind(kind):
             channel = observed.channels[index]
             declared = channel.white**2 * observed.sample_rate
-            step = channel.resolution if steps is None else float(steps[index])
+            step = float(steps[index])
             if channel.white > 0:
                 ratios.append(np.log(white[index] ** 2 / (declared + step**2 / 12)) / 2)
                 sigma = float(np.sqrt(1 / (2 * degrees[index] * len(observed.of_kind(kind))) + 1e-6))

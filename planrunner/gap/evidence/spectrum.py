@@ -22,7 +22,9 @@ from planrunner.plan.schedule import Rest, Rock, Spin
 
 Array = NDArray[np.float64]
 LOW_ORDERS = 5
-BANDS = 6
+OCTAVES = 12  # below half the sampling rate, down to which the remainder is divided into bands
+FINE = 5  # uppermost octaves, each of which has four bands
+UPPER = 0.999 / 8  # of the sampling rate: bands from here on define the white level, above all slow processes
 _DEPENDENT = 0.05  # share of its norm that a harmonic must retain after the lower orders are removed
 
 
@@ -40,9 +42,10 @@ class SpectralBasis:
 @dataclass(frozen=True)
 class Spectrum:
     """M coefficients of all segments, and the remainder. segment, frequency, harmonic: (M,). means: (S,), their index of order 0.
-    values: (M, K), SI·√samples. energy: (S, B, K), SI², of the DCT-II of the remainder in bands, with `count` (S, B) coefficients.
-    remainder: (N, K), samples minus their components in the basis. spikes: (K,), samples replaced. Means over bins of k samples are
-    multiplied by √k in all of these, so that their white noise is that of a sample."""
+    values: (M, K), SI·√samples. energy: (S, B, K), SI², of the DCT-II of the remainder in bands between `edges` (B + 1,), Hz, with `count`
+    (S, B) coefficients. remainder: (N, K), samples minus their components in the basis. spikes: (K,), samples replaced. readings:
+    (S, K), SI, mean outputs. Means over bins of k samples are multiplied by √k in all others, so that their white noise is that of a
+    sample."""
 
     bases: tuple[SpectralBasis, ...]
     segment: NDArray[np.int64]
@@ -50,10 +53,12 @@ class Spectrum:
     harmonic: NDArray[np.int64]
     means: NDArray[np.int64]
     values: Array
+    edges: Array
     energy: Array
     count: Array
     remainder: Array
     spikes: NDArray[np.int64]
+    readings: Array
 
     def project(self, observed: Observed, columns: Array, acting: NDArray[np.bool_] | None = None) -> Array:
         """The coefficients (M, P) of columns of samples (N, P). acting: (S,), segments to compute; by default all."""
@@ -136,8 +141,9 @@ def spectrum(observed: Observed, reference: Array) -> Spectrum:
     known: dict[tuple[int, int, object], SpectralBasis] = {}
     bases = tuple(_shared(known, observed, index) for index in range(len(observed)))
     sizes = [len(basis.frequency) for basis in bases]
-    values, energy = [], np.zeros((len(bases), BANDS, len(observed.channels)))
-    count = np.zeros((len(bases), BANDS))
+    edges = band_edges(observed.sample_rate / 2)
+    values, energy = [], np.zeros((len(bases), len(edges) - 1, len(observed.channels)))
+    count = np.zeros((len(bases), len(edges) - 1))
     remainder = np.empty_like(observed.values)
     spikes = np.zeros(len(observed.channels), dtype=np.int64)
     roots = _roots(observed)
@@ -153,10 +159,13 @@ def spectrum(observed: Observed, reference: Array) -> Spectrum:
         values.append(coefficients)
         remainder[part] = rest
         squares = dct(rest, type=2, norm="ortho", axis=0) ** 2
-        edges = band_edges(len(rest))
-        energy[index] = np.add.reduceat(squares, edges[:-1], axis=0)
-        count[index] = np.diff(edges)
-        count[index, 0] -= len(basis.frequency)
+        half = observed.sample_rate / int(observed.bin_size[index]) / 2
+        orders = np.minimum(np.round(edges / half * len(rest)).astype(np.int64), len(rest))
+        energy[index] = np.diff(np.vstack([np.zeros(squares.shape[1]), np.cumsum(squares, axis=0)])[orders], axis=0)
+        count[index] = np.diff(orders)
+        taken = np.round(basis.frequency / half * len(rest)).astype(np.int64)
+        band = np.minimum(np.searchsorted(orders, taken, side="right"), len(orders) - 1) - 1
+        np.subtract.at(count[index], band, 1)
     first = np.concatenate(([0], np.cumsum(sizes)[:-1])).astype(np.int64)
     return Spectrum(
         bases,
@@ -165,10 +174,12 @@ def spectrum(observed: Observed, reference: Array) -> Spectrum:
         np.concatenate([basis.harmonic for basis in bases]),
         first,
         np.concatenate(values),
+        edges,
         energy,
         count,
         remainder,
         spikes,
+        np.add.reduceat(observed.values, observed.bounds[:-1], axis=0) / np.diff(observed.bounds)[:, None],
     )
 
 
@@ -177,10 +188,12 @@ def _roots(observed: Observed) -> Array | None:
     return None if observed.bins is None else np.sqrt(observed.bins.size)
 
 
-def band_edges(n: int) -> NDArray[np.int64]:
-    """Orders at which the bands of n coefficients begin, and n: octaves below half the sampling rate, the lowest holding the rest."""
-    edges = [0, *(round(n / 2**step) for step in range(BANDS - 1, 0, -1)), n]
-    return np.array(edges, dtype=np.int64)
+def band_edges(half: float) -> Array:
+    """Edges (B + 1,), Hz, of the bands up to `half` the sampling rate: octaves, the upper ones divided into four; the lowest holds the
+    rest."""
+    octaves = 2.0 ** -np.arange(OCTAVES, -1, -1)
+    fine = [np.linspace(low, 2 * low, 5)[1:] for low in octaves[-FINE - 1 : -1]]
+    return half * np.concatenate([[0.0], octaves[: OCTAVES - FINE + 1], *fine])
 
 
 def _robust(vectors: Array, samples: Array, smallest: Array) -> tuple[Array, Array, NDArray[np.int64]]:
@@ -203,7 +216,7 @@ def _robust(vectors: Array, samples: Array, smallest: Array) -> tuple[Array, Arr
 def white_level(observed: Observed, spectrum_: Spectrum) -> tuple[Array, Array]:
     """White standard deviation of a sample (K,) and the degrees of freedom (K,) behind it, from the upper bands of segments at rest.
 
-    If no segment is at rest, from all. Uses the upper two bands, which begin at an eighth of the sampling rate, above all slow processes.
+    If no segment is at rest, from all. Uses the bands from an eighth of the sampling rate on, above all slow processes.
     """
     still = np.array([not isinstance(motion, Spin | Rock) for motion in observed.motions])
     chosen = still if still.any() else np.ones(len(observed), dtype=bool)
@@ -211,6 +224,7 @@ def white_level(observed: Observed, spectrum_: Spectrum) -> tuple[Array, Array]:
         total = float(observed.bins.count[chosen].sum())
         whole = observed.bins.energy[chosen].sum(axis=0)
         return np.sqrt(np.diag(whole) / total), np.full(len(observed.channels), total)
-    energy = spectrum_.energy[chosen][:, -2:].sum(axis=(0, 1))
-    count = float(spectrum_.count[chosen][:, -2:].sum())
+    upper = spectrum_.edges[:-1] > UPPER * observed.sample_rate
+    energy = spectrum_.energy[chosen][:, upper].sum(axis=(0, 1))
+    count = float(spectrum_.count[chosen][:, upper].sum())
     return np.sqrt(energy / count), np.full(len(observed.channels), count)

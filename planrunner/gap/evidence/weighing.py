@@ -24,6 +24,7 @@ from planrunner.error_model.effects.interface import Column
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence import slow_noise
 from planrunner.gap.evidence.bayes_factors import RANGE, STRONGEST, WEAKEST
+from planrunner.gap.evidence.noise_within import NoiseWithin
 from planrunner.gap.evidence.spectrum import Spectrum
 
 Array = NDArray[np.float64]
@@ -31,6 +32,10 @@ FLICKER_FACTORS = (1.0, 0.5, 2.0)
 FLICKER_PRIOR = (0.5, 0.25, 0.25)  # log-normal about the declared level, a factor of two either way
 WALKS = np.geomspace(WEAKEST, 10 * STRONGEST, 13)
 """Levels of an undeclared random walk, as their expected energy in the segment means of the triad."""
+
+
+DEPENDENT = 1e-8
+"""Singular value, of columns of unit length and relative to the largest, below which a direction counts as dependent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +98,12 @@ def rounding_variance(count: float, sigma: float) -> float:
     return count**2 / 12 * float(np.exp(-4 * (np.pi * sigma / count) ** 2)) if count > 0 else 0.0
 
 
+def _sharing(readings: Array, count: float) -> Array:
+    """Number of segments (S,) whose mean readings (S,) are rounded alike. Their errors by rounding are equal, so that their mean has the
+    error of one of them."""
+    return np.asarray(np.exp(-0.5 * ((readings[:, None] - readings) / (count / 4)) ** 2).sum(0))
+
+
 def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]) -> tuple[list[ChannelWeights], Array]:
     """Weights and log likelihood (G,) of a channel, also for random walks of a triad with a common scale but separate densities per axis.
 
@@ -122,8 +133,9 @@ class ChannelWeights:
     """One channel under one level of flicker, relative to the declared level, and of a random walk. `whiten` scales coefficients (M, …) to
     unit noise; `project` also projects out the nominal parameters.
 
-    log_likelihood: REML of the data without any effect. basis: (M, q), orthonormal, of the whitened nominal columns. scale: (M,), of the
-    coefficients that are whitened one by one: all of them where there is no slow noise, else those above order 0.
+    relative: (M,), variance of the noise of each coefficient, relative to white². log_likelihood: REML of the data without any effect.
+    basis: (M, q), orthonormal, of the whitened nominal columns. scale: (M,), of the coefficients that are whitened one by one: all of them
+    where there is no slow noise, else those above order 0.
     """
 
     def __init__(
@@ -136,32 +148,38 @@ class ChannelWeights:
         flicker: float,
         walk: float,
         nominal: Array,
+        noise: NoiseWithin,
+        relative: Array,
     ):
         declared = observed.channels[channel]
         counts = observed.counts.astype(float)
-        undithered = rounding_variance(declared.resolution, declared.white * np.sqrt(observed.sample_rate))
-        covariance = np.diag(white**2 / counts + undithered)
+        before = np.sqrt(max(white**2 - declared.resolution**2 / 12, 0.0))
+        undithered = rounding_variance(declared.resolution, before)
+        fast = white**2 * relative
+        covariance = np.diag(fast[spectrum.means] / counts)
+        if undithered > 0:
+            covariance += np.diag(undithered * _sharing(spectrum.readings[:, channel], declared.resolution))
         level = flicker * declared.flicker
         tail = undithered * counts[spectrum.segment] / 4
-        within = spectrum.frequency > 0
         half = observed.sample_rate / 2
-        if level > 0:
-            covariance += level**2 * slow.flicker
-            tail[within] += level**2 * half * slow_noise.flicker_spectrum(spectrum.frequency[within])
-        if walk > 0:
-            covariance += walk**2 * slow.random_walk
-            tail[within] += walk**2 * half * slow_noise.random_walk_spectrum(spectrum.frequency[within])
+        for size, means, density in (
+            (level, slow.flicker, slow_noise.flicker_spectrum),
+            (walk, slow.random_walk, slow_noise.random_walk_spectrum),
+        ):
+            if size > 0:
+                covariance += size**2 * means
+                tail += size**2 * half * _beyond_measured(density, spectrum, noise, channel)
         self.walk = walk
         self._covariance = covariance
         self._segment = spectrum.segment
         self._means = spectrum.means
         self._order_0 = spectrum.frequency == 0
         self._root = np.sqrt(counts)
-        self.scale = 1 / np.sqrt(white**2 + tail)
+        self.scale = 1 / np.sqrt(fast + tail)
         self._inverse: Array | None = None
         if level > 0 or walk > 0:
             factor = np.linalg.cholesky(covariance)
-            self._inverse = np.linalg.inv(factor)
+            self._inverse = np.asarray(np.linalg.inv(factor))
             self.scale[self._means] = 1.0
             log_det = 2 * float(np.log(np.diag(factor)).sum())
         else:
@@ -207,6 +225,21 @@ class ChannelWeights:
             out[self._means] = self._inverse @ (columns[self._means] / self._root[:, None])
         return out
 
+    def unwhiten(self, whitened: Array) -> Array:
+        """The inverse of `whiten`, for (M, n)."""
+        out = whitened / self.scale[:, None]
+        if self._inverse is not None:
+            out[self._means] = np.linalg.solve(self._inverse, whitened[self._means]) * self._root[:, None]
+        return out
+
+    def gap_and_noise(self) -> tuple[float, float]:
+        """Sum of squares of the residual, not whitened, and its expectation for noise alone, SI²·samples."""
+        basis = self.unwhiten(self.basis)
+        every = np.ones(len(self.scale), dtype=bool)
+        whole = float((1 / self.scale**2).sum()) if self._inverse is None else float(np.trace(self.covariance(every)))
+        gap = self.unwhiten(self.residual[:, None])
+        return float((gap**2).sum()), whole - float((basis**2).sum())
+
     def whitened_rows(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
         """For columns (n, P) in some rows (n,) of the coefficients, zero elsewhere: the rows on which they act after whitening, and their
         whitened values there. Means are whitened jointly, so each acts on all that follow."""
@@ -221,6 +254,16 @@ class ChannelWeights:
     def project(self, columns: Array) -> Array:
         whitened = self.whiten(columns)
         return whitened - self.basis @ (self.basis.T @ whitened)
+
+
+def _beyond_measured(density: Callable[[Array], Array], spectrum: Spectrum, noise: NoiseWithin, channel: int) -> Array:
+    """Density of slow noise at the frequency of each coefficient (M,), 0 for means. Where the spectrum of the noise was measured it
+    contains the slow noise; below, only the rise is added."""
+    out = np.zeros(len(spectrum.frequency))
+    within = spectrum.frequency > 0
+    out[within] = density(spectrum.frequency[within])
+    measured = noise.coloured[noise.moving[spectrum.segment], channel]
+    return np.where(measured, np.maximum(out - density(np.array([noise.lowest])), 0.0), out)
 
 
 def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Array]:
@@ -261,10 +304,6 @@ def _table(part: Array) -> tuple[Array, int]:
         if part.strides[0] == whole.strides[0] and 0 <= offset < whole.strides[0]:
             return whole, offset // whole.itemsize
     return part[:, None], 0
-
-
-DEPENDENT = 1e-8
-"""Singular value, of columns of unit length and relative to the largest, below which a direction counts as dependent."""
 
 
 def independent(columns: Array) -> Array:

@@ -39,7 +39,9 @@ class _Windows:
 def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
     """log BF (scopes,) of bursts in the channels of each scope; −∞ if the recording is too short for windows."""
     observed, found = weighing.observed, []
-    remainder = weighing.spectrum.remainder / weighing.white
+    remainder = np.where(weighing.coarse, 0.0, weighing.spectrum.remainder) / (
+        weighing.white * np.sqrt(weighing.noise.level[observed.owner])
+    )
     sums = _summed(remainder), _summed(remainder**2)
     within = {id(basis): _summed(basis.vectors) for basis in weighing.spectrum.bases}
     for length in LENGTHS:
@@ -47,7 +49,7 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
         for begin in (0, size // 2):
             windows = _windows(weighing, within, size, begin) if size >= FEWEST else None
             if windows is not None:
-                found.append(_evidence(sums, windows, size, scopes))
+                found.append(_evidence(sums, windows, size, scopes, weighing.noise.inefficiency))
     return log_mean_exp(np.array(found), 0) if found else np.full(len(scopes), -np.inf)
 
 
@@ -80,8 +82,11 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
     return _Windows(found.starts[many], found.lasting[many], found.kept[many]) if many.any() else None
 
 
-def _evidence(both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]]) -> Array:
-    """log BF (scopes,) for windows of one size. both: sums of the samples, in units of the white noise, and of their squares."""
+def _evidence(
+    both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]], inefficiency: Array
+) -> Array:
+    """log BF (scopes,) for windows of one size. both: sums of the samples, in units of the noise, and of their squares. inefficiency: (K,),
+    of sums of squares."""
     sums, squares = both
     first, last = windows.starts, windows.starts + size
     mean = (sums[last] - sums[first]) ** 2 / size
@@ -92,7 +97,7 @@ def _evidence(both: tuple[Array, Array], windows: _Windows, size: int, scopes: S
         mean[alike] /= np.maximum(np.median(mean[alike], axis=0) / _MEDIAN, 1.0)
         rest[alike] /= np.maximum(np.median(rest[alike], axis=0) / (size - 1), 1.0)
     offset = _larger(mean, 1.0, np.outer(windows.kept, ENERGIES)[:, None, :])
-    noisier = _larger(rest, size - 1.0, ENERGIES / (size - 1))
+    noisier = _larger(rest, size - 1.0, ENERGIES / (size - 1)) / inefficiency[:, None]
     found = np.empty((len(scopes), 3))
     for row, scope in enumerate(scopes):
         forms = (part[:, scope].sum(1) for part in (offset, noisier, offset + noisier))

@@ -15,6 +15,7 @@ from planrunner.error_model.effects.nominal import PARTS
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import best_amplitudes, log_bayes_factors
 from planrunner.gap.evidence.noise_levels import counts
+from planrunner.gap.evidence.noise_within import noise_within
 from planrunner.gap.evidence.slow_noise import SlowMeans
 from planrunner.gap.evidence.spectrum import Spectrum, spectrum, white_level
 from planrunner.gap.evidence.weighing import (
@@ -32,6 +33,7 @@ Array = NDArray[np.float64]
 ABSORBED = 1e-4  # share of a signature's energy that remains through rounding when nominal parameters absorb an effect completely
 FULL = NOMINAL_TERMS
 _FORMS = 5
+DITHERED = 0.5  # noise, in counts, below which rounding makes the noise depend on the reading
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,7 @@ class Candidate:
 class Weighing:
     """The recording with its noise and its nominal model, prepared for the evaluation of effects.
 
+    coarse: (K,), channels whose count the noise does not dither; their samples show rounding, not noise.
     Settings of both triads are combined: index = gyro setting × accelerometer settings + accelerometer setting.
     """
 
@@ -118,7 +121,10 @@ class Weighing:
         self.nominal_columns = nominal_columns(observed, nominal)
         self._reference = simulated(observed, nominal)
         self.spectrum: Spectrum = spectrum(observed, self._reference)
-        self.white, self.white_degrees = white_level(observed, self.spectrum)
+        level, self.white_degrees = white_level(observed, self.spectrum)
+        self.white: Array = np.maximum(level, self.steps / np.sqrt(12))
+        self.coarse: NDArray[np.bool_] = self.white**2 < self.steps**2 * (1 / 12 + DITHERED**2)
+        self.noise = noise_within(observed, self.spectrum, self.white)
         slow = SlowMeans.of(*lasting(observed))
         self.settings: dict[str, tuple[Setting, ...]] = {
             kind: settings_of(observed, slow, self.white, kind) for kind in ("gyro", "accel")
@@ -130,12 +136,23 @@ class Weighing:
         ]
         self.nominal = [independent(columns) for columns in self.whole]
         self.observed = replace(observed, fitted=self.fitted())
+        relative = self.noise.of_coefficients(observed, self.spectrum)
         self.weights: list[list[ChannelWeights]] = []
         self.log_likelihood: list[Array] = []
         for index, channel in enumerate(observed.channels):
             settings, fitted = self.settings[channel.kind], self.nominal[index]
             levels = {
-                level: ChannelWeights(observed, slow, self.spectrum, index, float(self.white[index]), *level, fitted)
+                level: ChannelWeights(
+                    observed,
+                    slow,
+                    self.spectrum,
+                    index,
+                    float(self.white[index]),
+                    *level,
+                    fitted,
+                    self.noise,
+                    relative[:, index],
+                )
                 for level in dict.fromkeys((setting.flicker, setting.walk) for setting in settings)
             }
             each = [levels[setting.flicker, setting.walk] for setting in settings]

@@ -2,7 +2,7 @@
 
 Each is a pattern of the whitened residual: offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ
 at random from segment to segment, or change smoothly with rate, gravity, temperature or time, in one channel or in a triad; one odd
-segment; a periodic bias; more noise in one band; bursts; and a tone that keeps its phase over the whole run. They are evaluated like
+segment; a periodic bias; bursts; and a tone that keeps its phase over the whole run. They are evaluated like
 effects, individually and in combination.
 """
 
@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, averaged, from_eigen, log_mean_exp
-from planrunner.gap.evidence.spectrum import BANDS
 from planrunner.gap.evidence.weighing import ChannelWeights, Eigen, Left, eigen
 from planrunner.gap.hypotheses.bursts import BURSTS, bursts
 from planrunner.gap.hypotheses.candidates import Weighing
@@ -26,27 +25,40 @@ from planrunner.plan.schedule import Rest, Spin
 Array = NDArray[np.float64]
 PLAIN = 8.0  # nats of one sort at and above which the others are evaluated on the remainder
 ODD_SEGMENT = Pattern("one odd segment", Sort.MEANS, Factor.TIME)
-BAND_NOISE = Pattern("noise of one band", Sort.NOISE, Factor.BAND)
 TONE = Pattern("a tone", Sort.TONE, Factor.BAND)
 LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
+BLOCK = 1024  # frequencies over which the local level of a periodogram is taken
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A tone that keeps its phase over the run. frequency: Hz; amplitude: in the unit of the channel. evidence: log Bayes factor."""
+
+    channel: str
+    frequency: float
+    amplitude: float
+    evidence: float
 
 
 @dataclass(frozen=True)
 class Kinds:
     """Competitors. log_bayes: (G,) of each against none over the settings of the noise, −∞ for
     settings with a random walk of the gyros' bias; several: (G,), of several sorts at once. by_channel: (K,), of each in one channel alone,
-    at the first setting."""
+    at the first setting. outside: log BF of the patterns outside the coefficients, on which no effect of the catalogue acts; they are
+    therefore independent of every effect. lines: the strongest tone of each channel that has one."""
 
     log_bayes: dict[Pattern, Array]
     several: Array
     by_channel: dict[Pattern, Array]
+    outside: float
+    lines: tuple[Line, ...]
 
 
 def competitors(weighing: Weighing) -> Kinds:
     """All competitors weighed."""
     settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
     whole = {id(weight): Left.whole(weight) for each in weighing.weights for weight in each}
-    patterns, outside = _Patterns(weighing), _outside(weighing)
+    patterns, (outside, lines) = _Patterns(weighing), _outside(weighing)
     several = np.full(len(weighing.base), -np.inf)
     each = {}
     for g in settings:
@@ -63,7 +75,8 @@ def competitors(weighing: Weighing) -> Kinds:
     for pattern, per_channel in factors(weighing):
         spectra = [eigen(left, design) for left, design in zip(first, per_channel, strict=True)]
         alone[pattern] = np.array(_by_scope(spectra, [[index] for index in range(count)]))
-    return Kinds(found, several, alone)
+    beside = float(log_mean_exp(np.array([log_mean_exp(value, 0) for value in outside.values()]), 0))
+    return Kinds(found, several, alone, beside, lines)
 
 
 def unknown(kinds: Kinds) -> Array:
@@ -158,15 +171,29 @@ def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list
     return [float(value) for value in found]
 
 
-def _outside(weighing: Weighing) -> dict[Pattern, Array]:
-    """log BF by scope of patterns outside the basis."""
-    powers, scopes = [_line(weighing, index) for index in range(len(weighing.observed.channels))], _scopes(weighing)
-    tones = [_tone([powers[index] for index in scope]) for scope in scopes]
-    return {
-        BAND_NOISE: np.array(_bands(weighing)),
-        TONE: np.array(tones),
-        BURSTS: bursts(weighing, scopes),
-    }
+def _outside(weighing: Weighing) -> tuple[dict[Pattern, Array], tuple[Line, ...]]:
+    """log BF by scope of patterns outside the basis, and the lines."""
+    periodograms, scopes = (
+        [_line(weighing, index) for index in range(len(weighing.observed.channels))],
+        _scopes(weighing),
+    )
+    tones = np.array([_tone([periodograms[index].power for index in scope]) for scope in scopes])
+    lines = []
+    for channel, periodogram, evidence in zip(weighing.observed.channels, periodograms, tones, strict=False):
+        if evidence > PLAIN:
+            top = int(np.argmax(periodogram.power))
+            amplitude = periodogram.amplitude[top] / channel.factor
+            lines.append(Line(channel.name, float(periodogram.frequency[top]), float(amplitude), float(evidence)))
+    return {TONE: tones, BURSTS: bursts(weighing, scopes)}, tuple(lines)
+
+
+@dataclass(frozen=True)
+class _Periodogram:
+    """frequency (F,), Hz; power (F,), in units of the noise; amplitude (F,), SI, of a sine with that power."""
+
+    frequency: Array
+    power: Array
+    amplitude: Array
 
 
 def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
@@ -180,57 +207,51 @@ def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
     return float(log_mean_exp(np.concatenate(each), 0))
 
 
-def _bands(weighing: Weighing) -> list[float]:
-    """More noise than white in one band of one channel, in segments at rest and turning; the two highest bands define the white level,
-    unless the samples are in bins."""
-    observed, spectrum = weighing.observed, weighing.spectrum
-    chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
-    found = []
-    for index in range(len(observed.channels)):
-        each = [-np.inf]
-        if observed.channels[index].flicker > 0 or not chosen.any():
-            found.append(-np.inf)
-            continue
-        for band in range(BANDS - 2 if observed.bins is None else BANDS):
-            energy, count = float(spectrum.energy[chosen, band, index].sum()), float(spectrum.count[chosen, band].sum())
-            if count < 8:
-                continue
-            excess = np.log(max(energy, 1e-300) / count / weighing.white[index] ** 2)
-            sigma = np.hypot(np.sqrt(2 / count), 0.01)
-            grid = np.linspace(0.0, np.log(10.0), 400)
-            each.append(float(log_mean_exp(-0.5 * ((excess - grid) / sigma) ** 2, 0) + 0.5 * (excess / sigma) ** 2))
-        found.append(float(log_mean_exp(np.array(each), 0)))
-    return found
-
-
-def _line(weighing: Weighing, index: int) -> Array:
-    """Periodogram, in units of the white noise, of the remainder outside the basis, for segments at rest and turning; empty if the run is
+def _line(weighing: Weighing, index: int) -> _Periodogram:
+    """Periodogram, in units of the noise, of the remainder outside the basis, for segments at rest and turning; empty if the run is
     too long."""
     observed, spectrum = weighing.observed, weighing.spectrum
     chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
     step = (float(observed.bin_size[chosen].max()) if chosen.any() else 1.0) / observed.sample_rate
     slot = np.round((observed.time - observed.time[0]) / step).astype(np.int64)
     chosen = chosen[observed.owner]
-    if slot[-1] >= LONGEST_SCAN or slot[-1] < 16 or not chosen.any():
-        return np.empty(0)
+    if weighing.coarse[index] or slot[-1] >= LONGEST_SCAN or slot[-1] < 16 or not chosen.any():
+        return _Periodogram(np.empty(0), np.empty(0), np.empty(0))
     from scipy.fft import next_fast_len, rfft
 
+    noise = weighing.noise
+    remainder = spectrum.remainder[:, index] / np.sqrt(noise.level[observed.owner, index])
     grid = np.zeros(next_fast_len(int(slot[-1]) + 1, real=True))
     if observed.bins is None:
-        grid[slot[chosen]] = spectrum.remainder[chosen, index]
+        grid[slot[chosen]] = remainder[chosen]
         samples = float(chosen.sum())
     else:
         size = observed.bin_size[observed.owner][chosen]
-        grid += np.bincount(slot[chosen], spectrum.remainder[chosen, index] * np.sqrt(size), len(grid))
+        grid += np.bincount(slot[chosen], remainder[chosen] * np.sqrt(size), len(grid))
         samples = float(size.sum())
-    return np.asarray(np.abs(rfft(grid)[1:-1]) ** 2 / (weighing.white[index] ** 2 * samples))
+    frequency = np.arange(1, len(grid) // 2) / (len(grid) * step)
+    seen = np.abs(rfft(grid)[1 : len(grid) // 2])
+    power = seen**2 / (weighing.white[index] ** 2 * samples)
+    if noise.coloured[:, index].any():
+        power /= _local_level(power)
+    return _Periodogram(frequency, power, 2 * seen / samples * float(np.sqrt(np.mean(noise.level[:, index]))))
+
+
+def _local_level(power: Array) -> Array:
+    """Level (F,) of a periodogram (F,) of coloured noise: medians over blocks, which a line in a block does not raise, and straight lines
+    in logarithms between them."""
+    blocks = np.array_split(power, max(len(power) // BLOCK, 1))
+    middles = np.cumsum([len(block) for block in blocks]) - [len(block) / 2 for block in blocks]
+    levels = [np.log(np.median(block) / np.log(2.0) + 1e-300) for block in blocks]
+    return np.asarray(np.exp(np.interp(np.arange(len(power)), middles, levels)))
 
 
 def _tone(powers: list[Array]) -> float:
     """log BF of a tone of any frequency that keeps its phase, in the same way in several channels, from their periodograms."""
-    power = np.sum(powers, axis=0)
-    if not len(power):
+    powers = [power for power in powers if len(power)]
+    if not powers:
         return -np.inf
+    power = np.sum(powers, axis=0)
     s2 = np.geomspace(WEAKEST, STRONGEST, 12) / len(powers)
     each = [float(log_mean_exp(power * s / (1 + s), 0)) - len(powers) * np.log1p(s) for s in s2]
     return float(log_mean_exp(np.array(each), 0))

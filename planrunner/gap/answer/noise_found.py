@@ -1,0 +1,56 @@
+"""The noise of each channel as the recording shows it, beside its declaration. Noise is reported, and is no rival of an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.open_set import Line
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFound:
+    """Noise of a channel, in its unit. white, declared: standard deviation of a sample, `declared` with the rounding to its count; 0 if
+    none is declared. count, declared_count: 0 if there is none. slow: amplitude density at the lowest measured frequency, relative to
+    the white level, 1 for white noise. quietest, loudest: standard deviation in the segments, relative to the white level. line: the
+    strongest tone, None if there is none."""
+
+    channel: str
+    unit: str
+    white: float
+    declared: float
+    count: float
+    declared_count: float
+    slow: float
+    quietest: float
+    loudest: float
+    line: Line | None
+
+
+def noise_found(weighing: Weighing, lines: Sequence[Line]) -> tuple[NoiseFound, ...]:
+    """The noise of every channel. lines: tones in the recording, at most one a channel."""
+    declared, noise = weighing.declared, weighing.noise
+    by_channel = {line.channel: line for line in lines}
+    found = []
+    for index, channel in enumerate(declared.channels):
+        sample = np.sqrt(channel.white**2 * declared.sample_rate + channel.resolution**2 / 12) if channel.white else 0.0
+        level = np.sqrt(noise.level[:, index])
+        still = noise.spectrum[int(noise.moving.min()), 0, index]
+        found.append(
+            NoiseFound(
+                channel.name,
+                channel.unit,
+                float(weighing.white[index] / channel.factor),
+                float(sample / channel.factor),
+                float(weighing.steps[index] / channel.factor),
+                float(channel.resolution / channel.factor),
+                float(np.sqrt(still)),
+                float(level.min()),
+                float(level.max()),
+                by_channel.get(channel.name),
+            )
+        )
+    return tuple(found)

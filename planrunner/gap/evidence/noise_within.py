@@ -1,0 +1,151 @@
+"""Noise within segments as it is: its spectrum, and its level in every segment.
+
+Both are measured outside the coefficients, where no effect of the catalogue acts, so that noise cannot absorb an effect and an effect
+cannot appear as noise. Rounded, filtered or differenced outputs and lines of interference make the noise coloured; vibration makes it
+differ between segments. The noise counts as white, and alike in all segments, unless Schwarz's criterion (BIC; Annals of Statistics 6,
+1978) prefers the richer description.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence.spectrum import UPPER, Spectrum
+from planrunner.plan.schedule import Rest
+
+Array = NDArray[np.float64]
+CARRIED = 4.0  # coefficients' worth of the next higher band that every band of a common spectrum counts in addition
+OWN = 16.0  # the same for the spectrum of one segment
+_ROUNDS = 2  # alternations of levels and spectra
+_WINDOWS = 16  # of a segment, whose median energy is its level, so that a burst in some of them does not raise it
+_EFFICIENCY = 2 / np.pi  # of a median, relative to a mean
+_SMALLEST = (
+    1e-6  # level relative to the white noise below which noise does not lie, such as that of a count that stands
+)
+
+
+@dataclass(frozen=True)
+class NoiseWithin:
+    """Variance of the noise, relative to the white level, by channel. frequency: (B,), Hz, centres of the bands; weight: (B,), their
+    numbers of coefficients. spectrum: (2, B, K), of segments at rest and in motion. level: (S, K), of each segment; own: (S, B, K), factor
+    by which its bands depart from the product of both. moving: (S,), index of the spectrum of each segment. coloured: (2, K), whether a
+    spectrum departs from white; differing: (K,), whether the segments differ."""
+
+    frequency: Array
+    weight: Array
+    spectrum: Array
+    level: Array
+    own: Array
+    moving: NDArray[np.int64]
+    coloured: NDArray[np.bool_]
+    differing: NDArray[np.bool_]
+
+    @property
+    def lowest(self) -> float:
+        """The lowest frequency at which the spectrum was measured, Hz."""
+        return float(self.frequency[0])
+
+    @property
+    def inefficiency(self) -> Array:
+        """(K,): factor by which a sum of squares of the coloured noise has fewer degrees of freedom than samples."""
+        return np.asarray(
+            (self.weight @ self.spectrum**2 * self.weight.sum() / (self.weight @ self.spectrum) ** 2).max(0)
+        )
+
+    def of_coefficients(self, observed: Observed, spectrum: Spectrum) -> Array:
+        """Variance (M, K) of the coefficients: that at their frequency; for harmonics, which are no cosines of the transform, the mean over
+        all frequencies that they contain."""
+        from scipy.fft import dct
+
+        out = self.level[spectrum.segment]
+        first = 0
+        for index, basis in enumerate(spectrum.bases):
+            rows, kind = slice(first, first := first + len(basis.frequency)), self.moving[index]
+            if not (self.coloured[kind].any() or self.differing.any()):
+                continue
+            factor = self._relative(index, basis.frequency)
+            harmonics = np.flatnonzero(basis.harmonic > 0)
+            if len(harmonics):
+                shares = dct(basis.vectors[:, harmonics], type=2, norm="ortho", axis=0) ** 2
+                half = observed.sample_rate / int(observed.bin_size[index]) / 2
+                factor[harmonics] = shares.T @ self._relative(index, np.arange(len(shares)) / len(shares) * half)
+            out[rows] *= factor
+        return out
+
+    def _relative(self, segment: int, frequency: Array) -> Array:
+        """The spectrum (n, K) of a segment, without its level, at frequencies (n,), Hz; constant beyond the outermost bands."""
+        place = np.log(np.maximum(frequency, self.frequency[0]))
+        spectra = np.log(self.spectrum[self.moving[segment]] * self.own[segment])
+        return np.asarray(np.exp(np.column_stack([np.interp(place, np.log(self.frequency), one) for one in spectra.T])))
+
+
+def noise_within(observed: Observed, spectrum: Spectrum, white: Array) -> NoiseWithin:
+    """The noise of the remainder. white: (K,), SI, standard deviation of a sample of white noise."""
+    count = np.maximum(spectrum.count, 0.0)
+    used = count.sum(0) > 0
+    count = count[:, used]
+    energy = spectrum.energy[:, used] / np.maximum(white, 1e-300) ** 2
+    centre = np.sqrt(np.maximum(spectrum.edges[:-1], spectrum.edges[1:] / 4) * spectrum.edges[1:])[used]
+    moving = np.array([int(not isinstance(motion, Rest)) for motion in observed.motions])
+    shape = (2, len(centre), len(white))
+    spectra, coloured = np.ones(shape), np.zeros((2, len(white)), dtype=bool)
+    level, differing = np.ones((len(observed), len(white))), np.zeros(len(white), dtype=bool)
+    of_segment, typical = np.maximum(count.sum(1), 1e-9), _typical(observed, spectrum) / np.maximum(white, 1e-300) ** 2
+    upper = spectrum.edges[:-1][used] > UPPER * observed.sample_rate
+    for channel, _ in product(range(len(white)), range(_ROUNDS)):
+        for kind in np.unique(moving):
+            here = moving == kind
+            own = count[here].sum(0)
+            seen = (energy[here, :, channel] / level[here, channel][:, None]).sum(0)
+            shape_ = _carried(seen, own, float(seen.sum() / max(own.sum(), 1e-9)), CARRIED)
+            if own[upper].sum() > 0:
+                shape_ /= float((shape_ * own)[upper].sum() / own[upper].sum())
+            coloured[kind, channel] = _better(shape_, own)
+            spectra[kind, :, channel] = shape_ if coloured[kind, channel] else 1.0
+        expected = (count * spectra[moving, :, channel]).sum(1) / of_segment
+        each = np.maximum(typical[:, channel] / np.maximum(expected, _SMALLEST), _SMALLEST)
+        differing[channel] = _better(each, _EFFICIENCY * of_segment)
+        level[:, channel] = each if differing[channel] else 1.0
+    predicted = level[:, None] * spectra[moving]
+    own = np.ones_like(predicted)
+    for channel in np.flatnonzero(differing).tolist():
+        for index, (seen, size) in enumerate(zip(energy[:, :, channel] / predicted[:, :, channel], count, strict=True)):
+            own[index, :, channel] = _carried(seen, size, 1.0, OWN)
+    return NoiseWithin(centre, count.sum(0), spectra, level, own, moving, coloured, differing)
+
+
+def _typical(observed: Observed, spectrum: Spectrum) -> Array:
+    """Variance (S, K) of the remainder of each segment: the median over windows, with the degrees of freedom of the coefficients and the
+    bias of the median of a χ² (Wilson and Hilferty, Proc. Nat. Acad. Sci. 17, 1931) corrected."""
+    found = np.zeros((len(observed), spectrum.remainder.shape[1]))
+    for index, (part, basis) in enumerate(zip(observed.segments(), spectrum.bases, strict=True)):
+        squares = spectrum.remainder[part] ** 2
+        windows = max(min(_WINDOWS, len(squares) // 8), 1)
+        size = len(squares) // windows
+        each = squares[: windows * size].reshape(windows, size, -1).mean(1)
+        bias = (1 - 2 / (9 * size)) ** 3 if windows > 2 else 1.0
+        found[index] = np.median(each, axis=0) / bias * len(squares) / max(len(squares) - len(basis.frequency), 1)
+    return found
+
+
+def _carried(energy: Array, count: Array, above: float, carried: float) -> Array:
+    """Levels (B,) of the bands from the highest down; a band keeps to the next higher one, that of the highest being `above`, as if it
+    contained that many more coefficients of its level."""
+    out = np.ones(len(energy))
+    for band in range(len(energy) - 1, -1, -1):
+        above = max((energy[band] + carried * above) / (count[band] + carried), _SMALLEST)
+        out[band] = above
+    return out
+
+
+def _better(ratio: Array, count: Array) -> bool:
+    """Whether separate levels describe variances (n,), relative to the white noise and with degrees of freedom (n,), better than one."""
+    seen = count > 0
+    ratio, count = np.maximum(ratio[seen], _SMALLEST), count[seen]
+    gain = float((count * (ratio - 1 - np.log(ratio))).sum())
+    return bool(gain > len(ratio) * np.log(max(float(count.sum()), 2.0)))

@@ -1,0 +1,141 @@
+"""Noise that departs from its declaration is measured and reported, and prevents no right name. The noise is drawn here, by formulas of
+its own, and added to noise-free recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.diagnosis import Diagnosis, diagnose
+from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.plan.schedule import Spin
+from tests.gap.turntable import ACCEL_WHITE, DEG, GYRO_WHITE, RATE, Array, Fault, G, record
+
+SAMPLE = np.array([GYRO_WHITE] * 3 + [ACCEL_WHITE] * 3) * np.sqrt(RATE)
+Noise = Callable[[Observed, np.random.Generator], Array]
+
+
+def noisy(noise: Noise, fault: Fault | None = None, seed: int = 1) -> Observed:
+    """A recording with other noise, in units of the declared white noise of a sample; without counts."""
+    whole = record(seed, fault, clean=True)
+    values = whole.values + noise(whole, np.random.default_rng([seed, 7])) * SAMPLE
+    return replace(whole, values=values, channels=tuple(replace(one, resolution=0.0) for one in whole.channels))
+
+
+def g_sensitivity(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+    return force / G @ draw.normal(0, 0.002 * DEG, (3, 3)).T, 0.0
+
+
+def white(factor: float) -> Noise:
+    return lambda observed, draw: factor * draw.standard_normal(observed.values.shape)
+
+
+def differenced(observed: Observed, draw: np.random.Generator) -> Array:
+    """The noise of an angle, read as a rate: anti-correlated from sample to sample."""
+    angle = draw.standard_normal((len(observed.time) + 1, 6))
+    return np.asarray(angle[1:] - 0.9 * angle[:-1])
+
+
+def uneven(observed: Observed, draw: np.random.Generator) -> Array:
+    factor = np.exp(draw.normal(0, 0.2, len(observed)))[observed.owner]
+    return np.asarray(factor[:, None] * draw.standard_normal(observed.values.shape))
+
+
+def vibrating(observed: Observed, draw: np.random.Generator) -> Array:
+    turning = np.array([isinstance(motion, Spin) for motion in observed.motions])[observed.owner]
+    return np.asarray(np.where(turning, 1.7, 1.0)[:, None] * draw.standard_normal(observed.values.shape))
+
+
+def humming(observed: Observed, draw: np.random.Generator) -> Array:
+    line = 0.4 * np.sin(2 * np.pi * 7.3 * observed.time)[:, None]
+    return np.asarray(draw.standard_normal(observed.values.shape) + line)
+
+
+DEPARTURES: dict[str, Noise] = {
+    "0.02 of the declared level": white(0.02),
+    "1.03 times the declared level": white(1.03),
+    "anti-correlated": differenced,
+    "other in every segment": uneven,
+    "larger while turning": vibrating,
+    "with a line": humming,
+}
+
+
+QUICK = ("anti-correlated", "other in every segment")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in DEPARTURES],
+)
+def named(request: pytest.FixtureRequest) -> tuple[str, Diagnosis]:
+    return request.param, diagnose(noisy(DEPARTURES[request.param], g_sensitivity))
+
+
+def test_an_effect_is_named_whatever_the_noise(named: tuple[str, Diagnosis]) -> None:
+    _, found = named
+    assert (found.verdict.kind, found.verdict.effects) == ("effect", ("gyro_g_sensitivity",))
+
+
+def test_amplitudes_agree_within_their_uncertainties(named: tuple[str, Diagnosis]) -> None:
+    """The amplitudes are drawn as `g_sensitivity` draws them; K_x_y is the response of output y to the force along x."""
+    _, found = named
+    true = np.random.default_rng(1).normal(0, 0.002, (3, 3))
+    estimates = {one.name: one for one in found.parameters}
+    for (output, x), (force, y) in product(enumerate("xyz"), repeat=2):
+        one = estimates[f"K_{y}_{x}"]
+        assert abs(one.value - true[output, force]) < 4 * one.standard_uncertainty + 0.005 * abs(true).max()
+
+
+@pytest.mark.slow
+def test_no_effect_is_named_in_noise_alone() -> None:
+    for name, noise in DEPARTURES.items():
+        if name != "with a line":
+            assert diagnose(noisy(noise)).verdict.kind == "none", name
+
+
+def test_the_noise_is_reported() -> None:
+    small, uneven_, line = (diagnose(noisy(noise)).noise for noise in (white(0.02), vibrating, humming))
+    for one, sigma in zip(small, SAMPLE, strict=True):
+        assert one.white / one.declared == pytest.approx(0.02, rel=0.05)
+        assert one.white * (DEG if one.channel.startswith("gyro") else 1.0) == pytest.approx(0.02 * sigma, rel=0.05)
+        assert (one.slow, one.quietest, one.loudest, one.line) == (1.0, 1.0, 1.0, None)
+    for one in uneven_:
+        assert one.loudest == pytest.approx(1.7, rel=0.15)
+        assert one.quietest == pytest.approx(1.0, rel=0.15)
+    for one, sigma in zip(line, SAMPLE, strict=True):
+        assert one.line is not None
+        assert one.line.frequency == pytest.approx(7.3, abs=1e-3)
+        assert one.line.amplitude * (DEG if one.channel.startswith("gyro") else 1.0) == pytest.approx(
+            0.4 * sigma, rel=0.1
+        )
+
+
+def test_anti_correlated_noise_averages_faster_than_white_noise() -> None:
+    """The spectrum of w(t) − 0.9·w(t − 1): its density at low frequencies is (1 − 0.9)² of that of w, at the highest (1 + 0.9)²."""
+    weighing = Weighing(noisy(differenced))
+    within = weighing.noise.spectrum
+    expected: NDArray[np.float64] = 1 + 0.9**2 - 1.8 * np.cos(2 * np.pi * weighing.noise.frequency / RATE)
+    measured = within[0] * weighing.white**2 / SAMPLE**2
+    assert measured[-4:] == pytest.approx(np.repeat(expected[-4:, None], 6, axis=1), rel=0.15)
+    for weights in weighing.weights:
+        # Below the lowest band the density counts as constant, although this one falls further.
+        assert 0.6 < float(np.mean(weights[0].residual ** 2)) < 1.3
+
+
+@pytest.mark.parametrize("counts", [3.0, 8.0])
+def test_coarse_counts_without_a_declaration_name_no_effect(counts: float) -> None:
+    plain = noisy(white(1.0), g_sensitivity if counts == 3.0 else None)
+    step = counts * SAMPLE
+    coarse = replace(plain, values=np.round(plain.values / step) * step)
+    assert Weighing(coarse).steps == pytest.approx(step, rel=1e-3)
+    found = diagnose(coarse)
+    assert found.posterior.probability["unknown"] < 0.1
+    if counts == 3.0:
+        assert found.verdict.effects == ("gyro_g_sensitivity",)
