@@ -67,8 +67,8 @@ def test_a_whole_nominal_model_leaves_no_gap_in_a_sensor_tumbled_by_hand(data_ro
 
 
 def test_bias_and_scale_of_a_gyro_that_only_turned_one_way(data_root: Path) -> None:
-    """At rest it shows (2.2, −5.7, −4.9) °/s; a line through its rates has the slope 0.846 ± 0.005, with equal weights of all rates. One way
-    round, asymmetry is scale factor."""
+    """At rest it shows (2.2, −5.7, −4.9) °/s; a line through its rates has the slope 0.846 ± 0.005, with equal weights of all rates. One
+    way round, asymmetry is scale factor."""
     found = diagnosed("rimu_rate_staircase", data_root / "rimu_jig" / "rate_staircase.parquet")
     assert set(found.verdict.effects) == {"gyro_bias", "gyro_scale_factor"}
     assert found.verdict.kind == "indistinguishable"
