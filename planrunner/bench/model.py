@@ -20,6 +20,7 @@ from planrunner.base.shipped import shipped
 from planrunner.bench.calibration import LINE, Calibration, Laboratory, check_dates
 from planrunner.bench.protection import PROTECTION, Protection, kept_chamber, kept_table
 from planrunner.bench.simulation import SimulationSpec
+from planrunner.bench.specification import Specification
 from planrunner.instruments.interfaces import Counting, Driver, PlaysBack, Resumable, Watched
 from planrunner.instruments.models import ChamberModel, DataOrigin, SensorModel, TableModel
 from planrunner.physics.earth import Site
@@ -220,6 +221,12 @@ class Bench(Record):
         "Limits of the bench. Instruments that support such limits enforce them; plans must not exceed them.",
         {"rate": "320 deg/s", "hottest": "75 degC"},
         default_factory=Protection,
+    )
+    specification: Specification | None = key(
+        RecordOf(Specification),
+        "Limits of the constant errors of the sensor; a diagnosis warns of values outside them.",
+        {"accel_bias": "±50 mg", "gyro_scale_factor": "±1 %"},
+        default=None,
     )
     safe_order: tuple[str, ...] = key(
         ListOf(Text(NAME, "an instrument's name"), minimum=1),

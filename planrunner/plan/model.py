@@ -33,6 +33,7 @@ from planrunner.plan.quantity import SYMMETRIC, Quantity, QuantityError, is_symm
 from planrunner.plan.segments import NAME, STATE_KEYS, Ramp, SegmentKind, SegmentSpec, State
 from planrunner.plan.selection import Detection, SelectionKind
 from planrunner.plan.state import MOVE, POSITION, MotionSpec, RockSpec, Turns
+from planrunner.plan.units import DIMENSIONS, EXAMPLES
 
 NOMINAL_TERMS = (
     "gyro_bias",
@@ -197,7 +198,10 @@ class EstimateSpec(Record):
 
 
 class SymmetricKind:
-    """A symmetric bound, `±0.5 deg/h`, kept as written."""
+    """A symmetric bound, `±0.5 deg/h`, kept as written. dimension: of its unit, if it must be a certain one."""
+
+    def __init__(self, dimension: str | None = None):
+        self.dimension = dimension
 
     _form = Text(SYMMETRIC, "a limit such as ±0.5 deg/h", "write ± and one quantity, or use at_least and at_most")
 
@@ -216,6 +220,10 @@ class SymmetricKind:
                 f"'{text}' permits no value: the bound must be positive",
                 "change the number",
             )
+            return None
+        if bound is not None and self.dimension is not None and bound.unit.dimension != DIMENSIONS[self.dimension]:
+            message = f"'{text}' is not a bound of the dimension '{self.dimension}'"
+            log.error("meaning-dimension", node.mark, message, f"write for example ±{EXAMPLES[self.dimension]}")
             return None
         return text
 

@@ -113,7 +113,37 @@ def _diagnosed(recorded: Recorded, options: DiagnosisOptions | None) -> Diagnose
         found = diagnose(observed, options)
     except ObservationError as error:
         raise _unfit(recorded, error) from None
+    _compare_with_specification(recorded, found, findings)
     return Diagnosed(recorded, found, findings, _following(recorded, found, findings))
+
+
+_CLEARLY = 2.0
+"""Standard uncertainties by which a value must exceed its specification."""
+
+
+def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
+    """Warnings for values of the nominal terms outside the specification in the bench file, whether the simulation fits them or the
+    diagnosis names them."""
+    from planrunner.gap.answer.nominal_values import nominal_values
+    from planrunner.reporting.rounding import rounded
+
+    specification = recorded.sound.bench.specification
+    limits = {} if specification is None else specification.limits()
+    if specification is None or not limits:
+        return
+    for one in (*nominal_values(found.grounds.weighing, found.grounds.nominal), *found.parameters):
+        limit = limits.get(one.effect)
+        if limit is None:
+            continue
+        bound = limit.to(one.unit)
+        if abs(one.value) - _CLEARLY * one.standard_uncertainty > bound:
+            shown = rounded(one.value, one.standard_uncertainty)
+            message = (
+                f"{one.effect} {one.name} is {shown} {one.unit}, {abs(one.value) / bound:.2g} times its specification of "
+                f"±{bound:.4g} {one.unit}"
+            )
+            hint = "check the unit and its configuration, and the sign, unit and axis of the channel in the bench file"
+            log.warning("gap-specification", specification.at(one.effect), message, hint)
 
 
 def diagnosed_again(made: Diagnosed, observed: Observed, options: DiagnosisOptions) -> Diagnosed:

@@ -1,0 +1,45 @@
+"""The specification of a sensor: limits of its constant errors, which a diagnosis compares with what it finds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from planrunner.plan.kinds import Record, key
+from planrunner.plan.model import SymmetricKind
+from planrunner.plan.quantity import Quantity, parse_symmetric
+
+
+class Specification(Record):
+    """Limits of the constant errors of every axis, as the data sheet gives them."""
+
+    gyro_bias: str | None = key(
+        SymmetricKind("angular rate"), "Limits of the bias of a gyro.", "±0.5 deg/s", default=None
+    )
+    gyro_scale_factor: str | None = key(
+        SymmetricKind("ratio"), "Limits of the scale-factor error of a gyro.", "±1 %", default=None
+    )
+    gyro_misalignment: str | None = key(
+        SymmetricKind("angle"), "Limits of the misalignment of a gyro's input axis.", "±0.2 deg", default=None
+    )
+    accel_bias: str | None = key(
+        SymmetricKind("acceleration"), "Limits of the bias of an accelerometer.", "±50 mg", default=None
+    )
+    accel_scale_factor: str | None = key(
+        SymmetricKind("ratio"), "Limits of the scale-factor error of an accelerometer.", "±0.5 %", default=None
+    )
+    accel_misalignment: str | None = key(
+        SymmetricKind("angle"), "Limits of the misalignment of an accelerometer's input axis.", "±0.2 deg", default=None
+    )
+
+    def limits(self) -> Mapping[str, Quantity]:
+        """Term of the nominal model → its upper limit."""
+        stated = {
+            "gyro_bias": self.gyro_bias,
+            "gyro_scale_factor": self.gyro_scale_factor,
+            "gyro_misalignment": self.gyro_misalignment,
+            "accel_bias": self.accel_bias,
+            "accel_scale_factor": self.accel_scale_factor,
+            "accel_misalignment": self.accel_misalignment,
+        }
+        read = {name: parse_symmetric(text) for name, text in stated.items() if text is not None}
+        return {name: limit for name, limit in read.items() if limit is not None}
