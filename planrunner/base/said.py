@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from string import Formatter
 
 from planrunner.base.documents import Json, JsonObject
@@ -107,14 +108,15 @@ def _english(value: Inserted, form: str) -> str:
     return ", ".join(value) if isinstance(value, tuple) else format(value, form)
 
 
-def _pieces(template: str) -> list[tuple[str, str | None, str]]:
+@lru_cache(maxsize=1024)
+def _pieces(template: str) -> tuple[tuple[str, str | None, str], ...]:
     """Text, and the name and the format of the value that follows it; no name after the last text."""
     found: list[tuple[str, str | None, str]] = []
     for text, name, form, conversion in Formatter().parse(template):
         if name is not None and (not name.isidentifier() or conversion or not _FORMAT.fullmatch(form or "")):
             raise ValueError(f"a text of a report cannot contain {{{name}{':' if form else ''}{form or ''}}}")
         found.append((text, name, form or ""))
-    return found
+    return tuple(found)
 
 
 def _value_to(value: Inserted) -> Json:
