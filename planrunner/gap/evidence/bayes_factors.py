@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 WEAKEST, STRONGEST = 4.0, 1e4
 RANGE = float(np.log(STRONGEST / WEAKEST))
 _SWEEPS = 3
+_ROUNDING = 1e-14  # of the trace of a matrix, added to its diagonal
 ENERGIES = np.geomspace(0.5, 1e6, 25)  # grid of s², expressed as the expected energy
 
 
@@ -107,6 +108,8 @@ def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[f
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
     root = np.sqrt(np.where(np.arange(p) < first, one.ravel()[:, None], two.ravel()[:, None]))
     inner = np.eye(p) + root[:, :, None] * gram * root[:, None, :]
+    # Strong effects with nearly equal signatures: keep the matrix positive definite under rounding.
+    inner += np.eye(p) * (_ROUNDING * np.trace(inner, axis1=1, axis2=2))[:, None, None]
     lower = np.linalg.cholesky(inner)
     each = -np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(1)
     covariance = root[:, :, None] * np.linalg.inv(inner) * root[:, None, :]

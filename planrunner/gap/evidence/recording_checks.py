@@ -35,6 +35,13 @@ than this, which no scale factors and misalignments explain."""
 OTHER_NOISE = 5.0
 """Ratio of noise to its declaration, or the inverse, above which the figure is wrong or the channel is defective."""
 
+EXCHANGED = 10.0
+"""Ratio of misfits above which two labels count as exchanged: no effect of the catalogue is undone by an exchange to this degree."""
+RANK = 1e-9
+"""Singular value, relative to the largest, below which a direction of the stimulus counts as constant."""
+SPARE = 3
+"""Segments beyond the number of parameters that are needed to find exchanged labels."""
+
 POSE_PARAMETERS = 9
 """Three biases, scale factors and non-orthogonalities: all that |f| = g can determine."""
 
@@ -65,6 +72,7 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
         _check_poses(observed, mark, log)
         return
     _check_noise(observed, mark, log)
+    _check_labels(observed, mark, log)
     for kind, word in (("gyro", "angular rate"), ("accel", "acceleration")):
         channels = observed.of_kind(kind)
         if not channels:
@@ -105,6 +113,53 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
 _LOOK = (
     "check the labels, orientations and signs of rates in the plan, and the columns, signs and units in the bench file"
 )
+
+
+def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
+    """Whether the nominal model fits far better with the labels of two segments exchanged."""
+    found = exchanged_labels(observed)
+    if found is not None:
+        first, second, times = found
+        labels = f"'{observed.labels[first]}' and '{observed.labels[second]}'"
+        message = (
+            f"the labels {labels} seem to be exchanged: with them exchanged, the misfit is {times:.3g} times smaller"
+        )
+        hint = "check the order in which these segments were recorded, and exchange them in the table of segments or in the plan"
+        log.warning("gap-labels-exchanged", mark, message, hint)
+
+
+def exchanged_labels(observed: Observed) -> tuple[int, int, float] | None:
+    """The two segments whose exchange makes the misfit of the nominal model to the segment means at least `EXCHANGED` times smaller, and
+    that ratio of root mean squares; None if there are no such segments.
+
+    With M the projection on the residuals of the fit and e the difference of the unit vectors of the two segments, an exchange changes the
+    means y by δ·e, δ = eᵀ·(−y), and the sum of squares of the residuals by 2δ·eᵀMy + δ²·eᵀMe.
+    """
+    segments = len(observed)
+    before, after = 0.0, np.zeros((segments, segments))
+    for kind in ("gyro", "accel"):
+        channels = observed.of_kind(kind)
+        if not channels:
+            continue
+        stimulus = _means(observed, observed.omega if kind == "gyro" else observed.force)
+        design = np.column_stack([stimulus, np.ones(segments)])
+        left, size, _ = np.linalg.svd(design / np.maximum(np.abs(design).max(axis=0), 1e-30), full_matrices=False)
+        basis = left[:, size > RANK * size.max()]
+        if segments < basis.shape[1] + SPARE:
+            return None
+        projection = np.eye(segments) - basis @ basis.T
+        diagonal = np.diag(projection)
+        across = diagonal[:, None] + diagonal - 2 * projection
+        for mean in _means(observed, observed.values[:, channels]).T:
+            scale = max(float(mean.var()), 1e-300)
+            residual = projection @ mean
+            step = mean - mean[:, None]
+            before += float(residual @ residual) / scale
+            after += (2 * step * (residual[:, None] - residual) + step**2 * across) / scale
+    row, column = np.unravel_index(int(np.argmin(after)), after.shape)
+    rest = max(before + float(after[row, column]), 1e-12 * before)
+    ratio = float(np.sqrt(before / rest)) if before > 0 else 1.0
+    return (int(min(row, column)), int(max(row, column)), ratio) if ratio >= EXCHANGED else None
 
 
 def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
