@@ -1,4 +1,4 @@
-"""`planrunner new`: listing and copying the shipped plans."""
+"""`planrunner new`: listing and copying the shipped plans, or beginning from a recording."""
 
 from __future__ import annotations
 
@@ -24,11 +24,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "target", nargs="?", metavar="FILE", help="file to write (default: NAME.yaml in the current folder)"
     )
     parser.add_argument(
+        "--from-recording",
+        type=Path,
+        metavar="RECORDING",
+        help="instead of a shipped plan: look at a file of samples, and write a bench, a plan and a picture to begin with",
+    )
+    parser.add_argument(
+        "--sample-rate",
+        metavar="RATE",
+        help="with --from-recording: the sample rate of a file without a time, such as '100 Hz'",
+    )
+    parser.add_argument(
         "--json", action="store_true", help="print the list, or the names of the written files, as JSON"
     )
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.from_recording is not None:
+        from planrunner.cli.new_from_recording import new_from_recording
+
+        if args.target is not None:
+            raise InputError.at(
+                Mark(args.target),
+                "form-unknown-key",
+                "one file too many",
+                "name only the plan to write, after --from-recording RECORDING",
+            )
+        return new_from_recording(args.from_recording, args.plan, args.sample_rate, as_json=args.json)
+    if args.sample_rate is not None:
+        raise InputError.at(
+            Mark("--sample-rate"),
+            "meaning-range",
+            "a sample rate applies to a recording",
+            "add --from-recording RECORDING",
+        )
     plans = {file.stem: file for file in sorted(shipped("plans").glob("*.yaml"))}
     if args.plan is None:
         return _list(plans, as_json=args.json)

@@ -1,0 +1,102 @@
+"""`planrunner new --from-recording`: looks at a file of samples and writes a bench, a plan and a picture to begin with."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from planrunner.base.findings import InputError, Mark
+from planrunner.cli import exit_codes
+from planrunner.cli.printing import print_json
+from planrunner.cli.progress import reading_progress
+from planrunner.plan.quantity import QuantityError, parse_quantity
+
+if TYPE_CHECKING:
+    from planrunner.base.documents import JsonObject
+    from planrunner.tasks.begin_from_recording import Beginning
+
+
+def new_from_recording(recording: Path, target: str | None, rate: str | None, *, as_json: bool) -> int:
+    """Writes PLAN.yaml, PLAN.bench.yaml and PLAN.svg and prints what was found. target: file of the plan, by default named after the
+    recording, in the current folder; rate: sample rate, for a file without a time. Raises `InputError`; then nothing is written."""
+    from planrunner.reporting.recording_picture import recording_picture
+    from planrunner.tasks.begin_from_recording import begin_from
+
+    plan = Path(target or f"{recording.stem}.yaml")
+    plan = plan.with_name(f"{re.sub(r'[^A-Za-z0-9_-]+', '_', plan.stem).strip('_') or 'recording'}.yaml")
+    files = {"plan": plan, "bench": plan.with_suffix(".bench.yaml"), "picture": plan.with_suffix(".svg")}
+    for file in files.values():
+        if file.exists():
+            raise InputError.at(Mark(str(file)), "new-exists", "this file exists already", "choose another name")
+    with reading_progress(as_json) as notice:
+        look = begin_from(recording, plan.stem, None if rate is None else _rate(rate), notice)
+    for file, text in zip(files.values(), (look.plan, look.bench, recording_picture(look)), strict=True):
+        _write(file, text)
+    if as_json:
+        print_json({**_json(look), **{name: str(file) for name, file in files.items()}})
+        return exit_codes.DONE
+    _print(look)
+    folder = recording.parent if str(recording.parent) != "." else Path()
+    print(f"\nWritten: {', '.join(str(file) for file in files.values())}. Correct the guesses, then check them with:")
+    print(f"planrunner check {plan} --data {folder}")
+    return exit_codes.DONE
+
+
+def _rate(text: str) -> float:
+    try:
+        rate = parse_quantity(text, "frequency").value
+    except QuantityError as error:
+        raise InputError.at(Mark("--sample-rate"), "form-quantity", str(error), "write for example '100 Hz'") from None
+    if not rate > 0:
+        raise InputError.at(
+            Mark("--sample-rate"), "meaning-range", "a sample rate is positive", "write for example '100 Hz'"
+        )
+    return rate
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        with path.open("x", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+    except OSError as error:
+        message = f"the file cannot be written: {error.strerror or error}"
+        raise InputError.at(Mark(str(path)), "file-unwritable", message, "choose a file in another folder") from None
+
+
+def _json(look: Beginning) -> JsonObject:
+    return {
+        "file": look.file,
+        "format": None if look.format is None else look.format.type,
+        "time": None if look.time is None else {"column": look.time[0], "unit": look.time[1]},
+        "sample_rate_hz": look.rate,
+        "rows": look.rows,
+        "channels": [
+            {"channel": one.name, "column": one.column, "unit": one.unit, "counts": one.counts, "noise": one.noise}
+            for one in look.channels
+        ],
+        "other_columns": list(look.other),
+        "still_s": [[span.start, span.end] for span in look.still],
+    }
+
+
+def _print(look: Beginning) -> None:
+    from rich.table import Table
+
+    from planrunner.reporting import terminal
+
+    time = "no time: rows are counted" if look.time is None else f"time in '{look.time[0]}' [{look.time[1]}]"
+    seconds = look.rows / look.rate
+    print(f"{look.file}: {look.rows} rows at {look.rate:.6g} Hz, {seconds:.4g} s; {time}")
+    table = Table("channel", "column", "unit", "scatter at rest", "guessed from")
+    for one in look.channels:
+        scale = f"{one.unit}, {one.per_unit:g} counts each" if one.counts else one.unit
+        origin = "name" if one.sure else "size" if not one.counts else "size: raw counts"
+        table.add_row(one.name, one.column, scale, f"{one.noise:.3g}", origin)
+    terminal.console().print(table)
+    if look.other:
+        print(f"other columns of numbers: {', '.join(look.other[:20])}{' …' if len(look.other) > 20 else ''}")
+    count = len(look.still)
+    print(
+        f"still: {100 * look.still_share:.0f} % of the time, in {count} span{'' if count == 1 else 's'} of at least 2 s"
+    )
