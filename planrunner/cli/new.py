@@ -9,7 +9,7 @@ from pathlib import Path
 from planrunner.base.findings import InputError, Mark, closest
 from planrunner.base.shipped import shipped
 from planrunner.cli import exit_codes
-from planrunner.cli.printing import print_json
+from planrunner.cli.printing import print_json, write_new
 from planrunner.plan import source
 
 SCHEMA = "plan.schema.json"
@@ -100,28 +100,11 @@ def _copy(original: Path, target: Path) -> Path:
     schema = target.parent / (place or SCHEMA)
     if header:
         text = text[: header.start(1)] + (place or SCHEMA).encode() + text[header.end(1) :]
-    _write_new(target, text)
+    write_new(target, text)
     if place is None:
         try:
-            _write_new(schema, (shipped("schemas") / SCHEMA).read_bytes())
+            write_new(schema, (shipped("schemas") / SCHEMA).read_bytes())
         except InputError:
             target.unlink(missing_ok=True)
             raise
     return schema
-
-
-def _write_new(path: Path, text: bytes) -> None:
-    try:
-        with path.open("xb") as file:
-            try:
-                file.write(text)
-                file.flush()
-            except OSError:
-                path.unlink(missing_ok=True)
-                raise
-    except FileExistsError:
-        raise InputError.at(Mark(str(path)), "new-exists", "this file exists already", "choose another name") from None
-    except OSError as error:
-        message = f"the file cannot be written: {error.strerror or error}"
-        hint = "make room, or choose a file in another folder"
-        raise InputError.at(Mark(str(path)), "file-unwritable", message, hint) from None

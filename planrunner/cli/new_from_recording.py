@@ -8,20 +8,21 @@ from typing import TYPE_CHECKING
 
 from planrunner.base.findings import InputError, Mark
 from planrunner.cli import exit_codes
-from planrunner.cli.printing import print_json
+from planrunner.cli.printing import print_json, write_new
 from planrunner.cli.progress import reading_progress
 from planrunner.plan.quantity import QuantityError, parse_quantity
 
 if TYPE_CHECKING:
     from planrunner.base.documents import JsonObject
-    from planrunner.tasks.begin_from_recording import Beginning
+    from planrunner.instruments.recording_look import Look
 
 
 def new_from_recording(recording: Path, target: str | None, rate: str | None, *, as_json: bool) -> int:
     """Writes PLAN.yaml, PLAN.bench.yaml and PLAN.svg and prints what was found. target: file of the plan, by default named after the
     recording, in the current folder; rate: sample rate, for a file without a time. Raises `InputError`; then nothing is written."""
+    from planrunner.instruments.recording_look import look_at
     from planrunner.reporting.recording_picture import recording_picture
-    from planrunner.tasks.begin_from_recording import begin_from
+    from planrunner.tasks.begin_from_recording import bench_of, plan_of
 
     plan = Path(target or f"{recording.stem}.yaml")
     plan = plan.with_name(f"{re.sub(r'[^A-Za-z0-9_-]+', '_', plan.stem).strip('_') or 'recording'}.yaml")
@@ -30,9 +31,10 @@ def new_from_recording(recording: Path, target: str | None, rate: str | None, *,
         if file.exists():
             raise InputError.at(Mark(str(file)), "new-exists", "this file exists already", "choose another name")
     with reading_progress(as_json) as notice:
-        look = begin_from(recording, plan.stem, None if rate is None else _rate(rate), notice)
-    for file, text in zip(files.values(), (look.plan, look.bench, recording_picture(look)), strict=True):
-        _write(file, text)
+        look = look_at(recording, None if rate is None else _rate(rate), notice)
+    texts = (plan_of(look, plan.stem), bench_of(look, plan.stem), recording_picture(look))
+    for file, text in zip(files.values(), texts, strict=True):
+        write_new(file, text.encode())
     if as_json:
         print_json({**_json(look), **{name: str(file) for name, file in files.items()}})
         return exit_codes.DONE
@@ -55,16 +57,7 @@ def _rate(text: str) -> float:
     return rate
 
 
-def _write(path: Path, text: str) -> None:
-    try:
-        with path.open("x", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-    except OSError as error:
-        message = f"the file cannot be written: {error.strerror or error}"
-        raise InputError.at(Mark(str(path)), "file-unwritable", message, "choose a file in another folder") from None
-
-
-def _json(look: Beginning) -> JsonObject:
+def _json(look: Look) -> JsonObject:
     return {
         "file": look.file,
         "format": None if look.format is None else look.format.type,
@@ -80,7 +73,7 @@ def _json(look: Beginning) -> JsonObject:
     }
 
 
-def _print(look: Beginning) -> None:
+def _print(look: Look) -> None:
     from rich.table import Table
 
     from planrunner.reporting import terminal

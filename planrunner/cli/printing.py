@@ -161,6 +161,24 @@ def write_file(path: Path, text: str) -> None:
         ) from None
 
 
+def write_new(path: Path, text: bytes) -> None:
+    """Writes a file that does not exist yet, whole or not at all. Raises `InputError`."""
+    try:
+        with path.open("xb") as file:
+            try:
+                file.write(text)
+                file.flush()
+            except OSError:
+                path.unlink(missing_ok=True)
+                raise
+    except FileExistsError:
+        raise InputError.at(Mark(str(path)), "new-exists", "this file exists already", "choose another name") from None
+    except OSError as error:
+        message = f"the file cannot be written: {error.strerror or error}"
+        hint = "make room, or choose a file in another folder"
+        raise InputError.at(Mark(str(path)), "file-unwritable", message, hint) from None
+
+
 def print_json(value: Json) -> None:
     """Print to standard output, with escapes if its encoding is not UTF-8, so that it stays valid JSON."""
     plain = (sys.stdout.encoding or "").lower().replace("-", "") != "utf8"

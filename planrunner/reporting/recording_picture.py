@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 from planrunner.reporting.plots import COLOURS, drawing, thinned
 
 if TYPE_CHECKING:
-    from planrunner.tasks.begin_from_recording import Beginning, Channel
+    from planrunner.instruments.recording_look import LikelyChannel, Look
 
 _SHOWN = 6  # channels of a kind
 
 
-def recording_picture(look: Beginning) -> str:
+def recording_picture(look: Look) -> str:
     """An SVG file with one chart for each kind of channel."""
     kinds = [kind for kind in ("accel", "gyro", "temperature") if any(one.sensed == kind for one in look.channels)]
     with drawing(9.0, 0.6 + 2.2 * max(len(kinds), 1)) as (figure, save):
@@ -33,6 +33,6 @@ def recording_picture(look: Beginning) -> str:
     return svg.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg"', 1) if "xmlns=" not in svg else svg
 
 
-def _title(shown: Sequence[Channel]) -> str:
+def _title(shown: Sequence[LikelyChannel]) -> str:
     units = dict.fromkeys(one.unit for one in shown)
     return f"{shown[0].sensed} [{', '.join(units)}]"

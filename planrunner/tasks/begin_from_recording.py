@@ -1,252 +1,16 @@
-"""A bench, a plan and a picture to begin with, made from a recording that nobody has described yet."""
+"""A bench and a plan to begin with, made from a recording that nobody has described yet."""
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from planrunner.base.dataclass import dataclass
-from planrunner.base.findings import InputError, Mark
-from planrunner.base.progress import Announce, Pace
-from planrunner.instruments.formats.choice import Format
-from planrunner.instruments.formats.guessing import (
-    Guess,
-    columns_of_numbers,
-    guessed_channel,
-    guessed_format,
-    guessed_time,
-    opened,
-    usual_unit,
-)
 from planrunner.instruments.formats.text import TextKeys
-from planrunner.instruments.interfaces import InstrumentError
-from planrunner.plan.span import Span
+from planrunner.instruments.recording_look import AT_LEAST, MOVING, WINDOW, Look, poses
 
-Array = NDArray[np.float64]
-WINDOW = 0.5
-"""Seconds over which scatter is taken to tell rest from motion."""
-MOST_WINDOWS = 100_000
-AT_LEAST = 2.0
-"""Shortest still span, s."""
 POSES = 9
 """Poses that a calibration from |f| = g needs for three biases, three scale factors and three angles."""
-MOST_G = 1200.0
-"""Longest mean vector at rest that can be 1 g, in mg."""
-MOST_DEGREES = 400.0
-"""Highest temperature, degC."""
-_MOVING = 4.0  # times the scatter of the quietest tenth of the windows
-_RANGE = 50.0  # scatter in motion over the largest at rest: noise may grow with the orientation
-_DIRECTIONS = 15.0  # deg between two poses that count as different
-_NAME = re.compile(r"[^A-Za-z0-9_]+")
-
-
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """A column as a channel. unit: guessed; counts: whether its numbers are raw counts, `per_unit` of them a unit; noise: standard
-    deviation of a sample at rest, in the unit; sure: whether the name of the column says the unit."""
-
-    name: str
-    column: str
-    sensed: str
-    unit: str
-    counts: bool
-    per_unit: float
-    noise: float
-    sure: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Windows:
-    """Scatter and level over time. begin: (n,), s; mean, scatter: column → (n,)."""
-
-    begin: Array
-    length: float
-    mean: Mapping[str, Array]
-    scatter: Mapping[str, Array]
-
-
-@dataclass(frozen=True, slots=True)
-class Beginning:
-    """What a recording looks like. time: column and unit, None where rows are counted; rate: Hz; still: spans without motion; bench, plan:
-    files to begin with, as text."""
-
-    file: str
-    format: Format | None
-    time: tuple[str, str] | None
-    rate: float
-    rows: int
-    channels: tuple[Channel, ...]
-    other: tuple[str, ...]
-    windows: Windows
-    still: tuple[Span, ...]
-    bench: str
-    plan: str
-
-    @property
-    def still_share(self) -> float:
-        """Part of the time without motion."""
-        whole = len(self.windows.begin) * self.windows.length
-        return sum(span.seconds for span in self.still) / whole if whole else 0.0
-
-
-def begin_from(path: Path, name: str, rate: float | None = None, notice: Announce | None = None) -> Beginning:
-    """Looks at a recording, in two passes. name: of the plan and the bench; rate: Hz, for a file without a time. Raises `InputError`."""
-    try:
-        given = guessed_format(path, path.name)
-        columns = columns_of_numbers(path, path.name, given)
-        file = opened(path, path.name, columns, given)
-        first = next(values for _, values in file.rows())
-        time = guessed_time(first)
-        if rate is None and time is None:
-            message = "no column of this recording looks like a time that increases"
-            hint = "state the sample rate, such as --sample-rate '100 Hz'"
-            raise InputError.at(Mark(str(path)), "recording-unfit", message, hint)
-        found = rate if rate is not None else 0.0 if time is None else time[2]
-        stamp = None if rate is not None or time is None else (time[0], time[1])
-        guesses = [guessed_channel(column) for column in columns if stamp is None or column != stamp[0]]
-        guesses = _named_or_alike(guesses, first)
-        windows, rows = _windows(file.all_rows(), [one.column for one in guesses], found, file.about, notice)
-    except InstrumentError as error:
-        hint = "docs/recording-formats.md shows how a bench describes a recording"
-        raise InputError.at(Mark(str(path)), "recording-unfit", str(error), hint) from None
-    if not any(one.sensed in ("gyro", "accel") for one in guesses):
-        message = f"no column looks like a gyro or an accelerometer: {', '.join(columns[:12])}"
-        hint = "describe the recording in a bench file, as docs/recording-formats.md shows"
-        raise InputError.at(Mark(str(path)), "recording-unfit", message, hint)
-    still = _still(windows, [one.column for one in guesses if one.sensed in ("gyro", "accel")])
-    channels = _channels([one for one in guesses if one.sensed], windows, still)
-    other = tuple(one.column for one in guesses if not one.sensed)
-    bench = _bench(path, name, given, stamp, found, channels, other)
-    plan = _plan(path, name, channels, windows, still)
-    return Beginning(path.name, given, stamp, found, rows, channels, other, windows, still, bench, plan)
-
-
-def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Guess]:
-    """The guesses; where no name says an accelerometer, three columns in a row whose vector is as long as gravity are one, and three others
-    beside them a gyro."""
-    if any(one.sensed in ("accel", "gyro") for one in guesses):
-        return guesses
-    for begin in range(0, len(guesses) - 2):
-        three = guesses[begin : begin + 3]
-        norm = np.sqrt(sum(first[one.column] ** 2 for one in three))
-        level = float(np.median(norm))
-        if not (abs(math.log(max(level, 1e-9) / 9.80665)) < 0.1 or abs(math.log(max(level, 1e-9))) < 0.1):
-            continue
-        others = guesses[begin + 3 : begin + 6] if len(guesses) >= begin + 6 else guesses[max(begin - 3, 0) : begin]
-        sensed = {one.column: ("accel", "xyz"[k]) for k, one in enumerate(three)}
-        if len(others) == 3:
-            sensed |= {one.column: ("gyro", "xyz"[k]) for k, one in enumerate(others)}
-        return [Guess(one.column, *sensed.get(one.column, ("", "")), one.unit) for one in guesses]
-    return guesses
-
-
-def _windows(
-    rows: Iterator[tuple[int, Array, dict[str, Array]]],
-    columns: Sequence[str],
-    rate: float,
-    about: int,
-    notice: Announce | None,
-) -> tuple[Windows, int]:
-    """Means and scatter of windows, and the number of rows."""
-    size = max(2, round(WINDOW * rate), math.ceil(about / MOST_WINDOWS))
-    pace = Pace("looking at the recording", about, notice)
-    kept: dict[str, list[Array]] = {column: [] for column in columns}
-    means: dict[str, list[Array]] = {column: [] for column in columns}
-    scatters: dict[str, list[Array]] = {column: [] for column in columns}
-    total = left = 0
-    for _, time, values in rows:
-        total += len(time)
-        whole = (left + len(time)) // size * size
-        for column in columns:
-            joined = np.concatenate([*kept[column], values[column]])
-            table = joined[:whole].reshape(-1, size)
-            means[column].append(table.mean(axis=1))
-            scatters[column].append(table.std(axis=1, ddof=1))
-            kept[column] = [joined[whole:]]
-        left = left + len(time) - whole
-        pace.reached(total)
-    mean = {column: np.concatenate(parts) for column, parts in means.items()}
-    scatter = {column: np.concatenate(parts) for column, parts in scatters.items()}
-    count = len(next(iter(mean.values()))) if mean else 0
-    return Windows(np.arange(count) * size / rate, size / rate, mean, scatter), total
-
-
-def _still(windows: Windows, columns: Sequence[str]) -> tuple[Span, ...]:
-    """Spans in which no sensor scatters much more than in its quietest tenth, or little compared with motion."""
-    if not columns or not len(windows.begin):
-        return ()
-    quiet = np.ones(len(windows.begin), bool)
-    for column in columns:
-        scatter = windows.scatter[column]
-        usual, most = np.nanquantile(scatter, (0.1, 0.95)).tolist()
-        quiet &= scatter <= max(_MOVING * usual, most / _RANGE, np.finfo(float).tiny)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.view(np.int8), [0]]))).reshape(-1, 2)
-    spans = (Span(begin * windows.length, end * windows.length) for begin, end in edges.tolist())
-    return tuple(span for span in spans if span.seconds >= AT_LEAST)
-
-
-def _at_rest(windows: Windows, still: Sequence[Span], values: Array) -> Array:
-    """The values of the windows in the still spans, or of all where nothing is still."""
-    chosen = np.zeros(len(windows.begin), bool)
-    for span in still:
-        chosen |= (windows.begin >= span.start - 1e-9) & (windows.begin < span.end - 1e-9)
-    return values[chosen] if chosen.any() else values
-
-
-def _channels(guesses: Sequence[Guess], windows: Windows, still: Sequence[Span]) -> tuple[Channel, ...]:
-    accels = [one.column for one in guesses if one.sensed == "accel"]
-    norm = math.nan
-    if len(accels) >= 3:
-        squares = sum(_at_rest(windows, still, windows.mean[column]) ** 2 for column in accels[:3])
-        norm = float(np.nanmedian(np.sqrt(squares)))
-    accel_unit = next((one.unit for one in guesses if one.sensed == "accel" and one.unit), "") or usual_unit(
-        "accel", norm
-    )
-    simple = [f"{one.sensed}_{one.axis}".rstrip("_") for one in guesses]
-    made = []
-    for one, short in zip(guesses, simple, strict=True):
-        name = short if simple.count(short) == 1 else _NAME.sub("_", one.column).strip("_")[:40]
-        level = float(np.nanmax(np.abs(windows.mean[one.column]), initial=0.0)) if one.sensed == "gyro" else norm
-        unit = one.unit or usual_unit(one.sensed, level, accel_unit)
-        usual = float(np.nanmedian(np.abs(windows.mean[one.column]))) if one.sensed == "temperature" else norm
-        counts = not one.unit and usual > (MOST_DEGREES if one.sensed == "temperature" else MOST_G)
-        per_unit = 1.0
-        counts = counts or not unit
-        if counts:
-            unit = {"gyro": "deg/s", "accel": "g", "temperature": "degC"}[one.sensed]
-            per_unit = float(f"{norm:.4g}") if one.sensed == "accel" and math.isfinite(norm) else 1.0
-        scatter = float(np.nanmedian(_at_rest(windows, still, windows.scatter[one.column]))) / per_unit
-        made.append(
-            Channel(
-                name if name[:1].isalpha() else f"c_{name}"[:40],
-                one.column,
-                one.sensed,
-                unit,
-                counts,
-                per_unit,
-                scatter,
-                bool(one.unit),
-            )
-        )
-    return tuple(made)
-
-
-def _poses(windows: Windows, still: Sequence[Span], triad: Sequence[Channel]) -> int:
-    """Number of still spans in which gravity points in different directions."""
-    found: list[Array] = []
-    for span in still:
-        mean = np.array(
-            [np.nanmean(_at_rest(windows, (span,), windows.mean[one.column]) / one.per_unit) for one in triad]
-        )
-        direction = mean / max(float(np.linalg.norm(mean)), np.finfo(float).tiny)
-        if all(float(direction @ other) < math.cos(math.radians(_DIRECTIONS)) for other in found):
-            found.append(direction)
-    return len(found)
+STILL = 0.9
+"""Share of the time without motion from which a recording counts as one at rest."""
 
 
 def _quoted(text: str) -> str:
@@ -254,29 +18,22 @@ def _quoted(text: str) -> str:
     return text if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./]*", text) else "'" + text.replace("'", "''") + "'"
 
 
-def _bench(
-    path: Path,
-    name: str,
-    given: Format | None,
-    stamp: tuple[str, str] | None,
-    rate: float,
-    channels: Sequence[Channel],
-    other: Sequence[str],
-) -> str:
+def bench_of(look: Look, name: str) -> str:
+    """A bench file that plays the recording back. name: of the bench."""
     lines = [
         "planrunner_bench: 1",
         f"name: {name}",
-        f"description: Plays back {_quoted(path.name)}. Everything here was guessed from names and numbers; check it.",
+        f"description: Plays back {_quoted(look.file)}. Everything here was guessed from names and numbers; check it.",
         "clock: virtual",
         "# The place is not in the file. Put in the latitude and the gravity of the laboratory.",
         "site: {latitude: 45 deg, gravity: 9.80665 m/s^2}",
         "instruments:",
         "  imu:",
         "    driver: recording",
-        f"    file: {_quoted(path.name)}",
+        f"    file: {_quoted(look.file)}",
     ]
-    if given is not None and isinstance(given.parameters, TextKeys):
-        keys = given.parameters
+    if look.format is not None and isinstance(look.format.parameters, TextKeys):
+        keys = look.format.parameters
         said = [f"separator: {keys.separator}"]
         said += [f"decimal: {keys.decimal}"] if keys.decimal != "point" else []
         said += [f"skip: {keys.skip}"] if keys.skip else []
@@ -284,45 +41,44 @@ def _bench(
         said += [f"names: [{', '.join(map(_quoted, keys.names))}]"] if keys.names else []
         lines.append(f"    format: {{type: text, {', '.join(said)}}}")
     lines.append("    kind: imu")
-    if stamp is None:
+    if look.time is None:
         lines.append("    time: sample_count # the file has no time, or the sample rate was given")
     else:
-        lines.append(f"    time: {{column: {_quoted(stamp[0])}, unit: {stamp[1]}}}")
-    lines.append(f"    sample_rate: {rate:.6g} Hz")
+        lines.append(f"    time: {{column: {_quoted(look.time[0])}, unit: {look.time[1]}}}")
+    lines.append(f"    sample_rate: {look.rate:.6g} Hz")
     lines.append("    channels:")
-    for one in channels:
+    for one in look.channels:
         counts = f", per_unit: {one.per_unit:.6g}" if one.counts else ""
         noise = f", noise: {one.noise:.3g} {'K' if one.unit == 'degC' else one.unit}" if one.noise > 0 else ""
         doubt = "" if one.sure else " # raw counts: put in the sensitivity" if one.counts else " # the unit is a guess"
         lines.append(f"      {one.name}: {{column: {_quoted(one.column)}, unit: {one.unit}{counts}{noise}}}{doubt}")
-    if other:
-        lines.append(f"    # Other columns of numbers: {', '.join(other[:40])}")
+    if look.other:
+        lines.append(f"    # Other columns of numbers: {', '.join(look.other[:40])}")
     return "\n".join(lines) + "\n"
 
 
-def _plan(path: Path, name: str, channels: Sequence[Channel], windows: Windows, still: Sequence[Span]) -> str:
-    outputs = [one.name for one in channels if one.sensed in ("gyro", "accel")]
+def plan_of(look: Look, name: str) -> str:
+    """A plan to begin with. name: of its bench."""
+    outputs = [one.name for one in look.channels if one.sensed in ("gyro", "accel")]
     lines = [
         "planrunner: 1",
-        f"title: {_quoted(f'First look at {path.name}')}",
+        f"title: {_quoted(f'First look at {look.file}')}",
         f"bench: ./{name}.bench.yaml",
         f"sensor: {{kind: imu, outputs: [{', '.join(outputs)}]}}",
         "segments:",
         "  - {label: all, orientation: unknown, dwell: recorded}",
     ]
-    triad = [one for one in channels if one.name in ("accel_x", "accel_y", "accel_z")]
-    whole = len(windows.begin) * windows.length
-    rests = sum(span.seconds for span in still)
+    triad = [one for one in look.channels if one.name in ("accel_x", "accel_y", "accel_z")]
     estimates: list[str] = []
-    if len(triad) == 3 and _poses(windows, still, triad) >= POSES:
-        threshold = _MOVING * max(one.noise for one in triad)
+    if len(triad) == 3 and poses(look.windows, look.still, triad) >= POSES:
+        threshold = MOVING * max(one.noise for one in triad)
         estimates = [
             "  accelerometer:",
             "    estimator: accelerometer_multi_position",
             "    reference: gravity_magnitude",
             f"    segments: {{detect: still, window: {WINDOW:g} s, threshold: {threshold:.3g} {triad[0].unit}, at_least: {AT_LEAST:g} s}}",
         ]
-    elif rests > 0.9 * whole:
+    elif look.still_share > STILL:
         estimates = [
             "  noise:",
             "    estimator: allan_deviation",
