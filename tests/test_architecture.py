@@ -262,6 +262,7 @@ OPENERS = {
     "base/exclusive.py": "locks",
     "bench/lock.py": "the folder of locks",
     "cli/__init__.py": "the null device, when standard output went away",
+    "cli/new.py": "shipped plans, copied",
     "cli/printing.py": "files that it makes new",
     "cli/simulate_bench.py": "the file that says where everything listens, made new",
     "archive/formats.py": "shipped schemas",

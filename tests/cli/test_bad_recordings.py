@@ -120,8 +120,8 @@ REFUSED: dict[str, tuple[bytes, str]] = {
     "empty": (b"", "r.csv cannot be read: Empty CSV file"),
     "only a header": (b"t,gx\n", "r.csv holds no samples"),
     "missing column": (text(header="t,gy"), "no column 'gx'; known here: gy, t"),
-    "semicolons": (text().replace(b",", b";"), "separated by semicolons: save the file with commas"),
-    "tabs": (text().replace(b",", b"\t"), "separated by tabs"),
+    "semicolons": (text().replace(b",", b";"), "`format: {type: text, separator: semicolon}`"),
+    "tabs": (text().replace(b",", b"\t"), "`format: {type: text, separator: tab}`"),
     "not UTF-8": (
         text(header="t,gx").replace(b"gx", b"gx\xb0", 1),
         "r.csv cannot be read: its header is not UTF-8",
