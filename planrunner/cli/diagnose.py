@@ -228,7 +228,8 @@ def _show(context: DiagnosisContext) -> None:
         console.print(f"  {one.remedy}")
         console.print(f"  {one.physics}", style="dim")
     console.print(diagnosis_page.verdict(found), style="bold")
-    console.print(diagnosis_page.closure_words(found))
+    for sentence in filter(None, (diagnosis_page.unknown_words(found), diagnosis_page.closure_words(found))):
+        console.print(sentence)
     for table in diagnosis_page.tables(found).values():
         console.print(terminal.data_table(table))
     expected = diagnosis_page.expected_words(found)

@@ -26,6 +26,7 @@ DEPARTURE = 0.05
 """Relative departure of the noise from its declaration that is reported."""
 MOST_PLACES = 12
 MOST_PARAMETERS = 24
+MOST_POINTS = 24
 FOOTER = (
     "Probabilities depend on fixed priors and on the noise that the bench declares. An effect is named only "
     "where “none” is less probable than 5 %; effects that this plan cannot separate are named together."
@@ -60,7 +61,7 @@ def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
         "named": named_effects(found),
         "verdict": verdict(found),
         "stamp": stamped(context.origin),
-        "reach": closure_words(found),
+        "reach": " ".join(filter(None, (unknown_words(found), closure_words(found)))),
         "remarks": list(context.remarks),
         "tables": {name: table_view(table) for name, table in tables(found).items()},
         "pictures": pictures(found),
@@ -187,6 +188,7 @@ def tables(found: Data) -> dict[str, Table]:
     """Tables by name; empty ones are left out."""
     made = {
         "comparison": comparison(found),
+        "unknown_form": _unknown_form(found),
         "gap": _gap(found),
         "noise": _noise(found),
         "where": _where(found),
@@ -195,6 +197,44 @@ def tables(found: Data) -> dict[str, Table]:
         "absorbed": _absorbed(found),
     }
     return {name: table for name, table in made.items() if table.rows}
+
+
+def unknown_words(found: Data) -> str:
+    """What the unknown looks like, in one sentence; empty if its form is not known."""
+    form = found.get("unknown_form")
+    if not form:
+        return ""
+    share = "" if form["share"] is None else f" and makes up {_percent(form['share'])} of the energy of the gap"
+    where = f"in {_listed(form['channels'], 'and')}"
+    return (
+        f"What is not in the catalogue looks like “{form['pattern']}” {where}. It changes with {form['factor']}{share}."
+    )
+
+
+def _unknown_form(found: Data) -> Table:
+    form = found.get("unknown_form") or {"points": [], "channels": [], "units": [], "factor": ""}
+    points = form["points"][:MOST_POINTS]
+    rows = tuple(
+        (
+            one["level"],
+            *(
+                _short(value)
+                for pair in zip(one["values"], one["standard_uncertainties"], strict=True)
+                for value in pair
+            ),
+        )
+        for one in points
+    )
+    left = len(form["points"]) - len(points)
+    names = [f"{name} [{unit}]" for name, unit in zip(form["channels"], form["units"], strict=True)]
+    if left > 0:
+        rows = (*rows, (f"and {left} more, in the diagnosis as JSON", *[""] * (2 * len(names))))
+    columns = [
+        column for name in names for column in (*alike(Role.VALUE, name), *alike(Role.STANDARD_UNCERTAINTY, "u"))
+    ]
+    return Table(
+        "Form of what is not in the catalogue", (*alike(Role.LABEL, form["factor"] or "level"), *columns), rows
+    )
 
 
 def _gap(found: Data) -> Table:

@@ -65,6 +65,10 @@ def _drawn(found: Data) -> Iterator[tuple[str, str, bool, str]]:
             "be distinguished."
         )
         yield "What this plan can confuse", words, False, confusability_svg(alike, "confusability")
+    form: Data = found.get("unknown_form") or {}
+    for place, name in enumerate(form.get("channels", [])[:MOST_CHANNELS] if form.get("points") else []):
+        words = "Offsets that the simulation and its fitted parameters leave, with their standard uncertainties."
+        yield f"Form of the unknown in {name}", words, False, plot_svg(_form(form, place), f"form-{_key(name)}")
     compared: Data = found.get("comparison") or {}
     for name, one in _largest(found, compared.get("channels", {})):
         words = "Offsets of the segments after the fit of the nominal parameters."
@@ -103,6 +107,15 @@ def _means(name: str, segments: Sequence[str], one: Data) -> Plot:
     series = {key: _numbers(one[key]) for key in ("before", "after")}
     bars = {"before": _numbers(one["noise"]), "after": _numbers(one["noise"])} if "noise" in one else {}
     return Plot(f"Segment means of {name}", "segment", f"residual [{one['unit']}]", tuple(segments), series, bars)
+
+
+def _form(form: Data, place: int) -> Plot:
+    points = form["points"]
+    series = {"offset": _numbers([one["values"][place] for one in points])}
+    bars = {"offset": _numbers([one["standard_uncertainties"][place] for one in points])}
+    levels = tuple(one["level"] for one in points)
+    title = f"Form of the unknown in {form['channels'][place]}"
+    return Plot(title, str(form["factor"]), f"offset [{form['units'][place]}]", levels, series, bars)
 
 
 def _compared(name: str, compared: Data, one: Data) -> Plot:

@@ -22,6 +22,7 @@ from planrunner.gap.answer.noise_found import NoiseFound, noise_found
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.answer.pictures import gap_by_channel, pictures
 from planrunner.gap.answer.posterior import PRIORS, Posterior, posterior
+from planrunner.gap.answer.unknown_form import UnknownForm, unknown_form
 from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
 from planrunner.gap.answer.where import MisfitPlace, places
 from planrunner.gap.hypotheses.candidates import ABSORBED, FULL, Candidate, Weighed, Weighing
@@ -59,7 +60,7 @@ class Grounds:
 @dataclass(frozen=True)
 class Diagnosis:
     """gap: by channel, in its unit. noise: of every channel. posterior: of all hypotheses. absorbed: effect → share of its energy that
-    remains after the nominal parameters. pictures: data for plots."""
+    remains after the nominal parameters. unknown: form of what the catalogue does not contain, if the verdict says so. pictures: data for plots."""
 
     gap: Mapping[str, Mapping[str, Json]]
     noise: tuple[NoiseFound, ...]
@@ -70,6 +71,7 @@ class Diagnosis:
     absorbed: Mapping[str, float]
     parameters: tuple[ParameterEstimate, ...]
     closure: Closure
+    unknown: UnknownForm | None
     pictures: Mapping[str, Json] = field(repr=False)
     grounds: Grounds = field(repr=False)
 
@@ -116,6 +118,7 @@ class Diagnosis:
                 "interval_90": list(shut.interval_90) if shut.resolvable else None,
                 "resolvable": shut.resolvable,
             },
+            "unknown_form": None if self.unknown is None else self.unknown.to_json(),
             "next": None,
             "priors": dict(PRIORS),
             "pictures": dict(self.pictures),
@@ -161,6 +164,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         absorbed,
         tuple(_parameters(weighing, said, found, by_id, effects, exact)),
         closure(weighing, choices, max(beyond, 0.0)) if said.kind != "none" else NOT_RESOLVABLE,
+        unknown_form(weighing, found) if "unknown" in (said.kind, said.residue, *said.members) else None,
         pictures(weighing, usable, after),
         Grounds(weighing, tuple(candidates), options.nominal, tuple(choices)),
     )

@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import log_mean_exp
 from planrunner.gap.evidence.noise_levels import excess_by_channel
 from planrunner.gap.hypotheses.candidates import Weighing
@@ -131,10 +132,7 @@ def _masks(weighing: Weighing) -> Iterator[tuple[Factor, str, NDArray[np.bool_]]
     segment = spectrum.segment
     yield Factor.CHANNEL, "all", np.ones(len(segment), dtype=bool)
     middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
-    orientations = [_words(attitude) if observed.along is None else _up(attitude) for attitude in observed.attitude]
-    rates = np.degrees(observed.rate[middles])
-    motion = ["rocking" if m else f"{r:.6g} deg/s" for m, r in zip(observed.unsteady, rates, strict=True)]
-    factors = {Factor.ORIENTATION: orientations, Factor.RATE: motion}
+    factors = state_labels(observed)
     for name, values, unit in (
         (Factor.TEMPERATURE, observed.temperature[middles], "degC"),
         (Factor.TIME, observed.time[middles], "s"),
@@ -148,6 +146,15 @@ def _masks(weighing: Weighing) -> Iterator[tuple[Factor, str, NDArray[np.bool_]]
     yield Factor.BAND, "slow change within segments", (spectrum.frequency > 0) & (spectrum.harmonic == 0)
     for h in sorted(set(spectrum.harmonic[spectrum.harmonic > 0])):
         yield Factor.TABLE_ANGLE, f"{h} per turn or period", spectrum.harmonic == h
+
+
+def state_labels(observed: Observed) -> dict[Factor, list[str]]:
+    """Orientation and rate of each segment in words."""
+    middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
+    orientations = [_words(attitude) if observed.along is None else _up(attitude) for attitude in observed.attitude]
+    rates = np.degrees(observed.rate[middles])
+    motion = ["rocking" if m else f"{r:.6g} deg/s" for m, r in zip(observed.unsteady, rates, strict=True)]
+    return {Factor.ORIENTATION: orientations, Factor.RATE: motion}
 
 
 def _binned(values: Array, unit: str) -> list[str]:
