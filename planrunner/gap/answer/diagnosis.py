@@ -60,7 +60,8 @@ class Grounds:
 @dataclass(frozen=True)
 class Diagnosis:
     """gap: by channel, in its unit. noise: of every channel. posterior: of all hypotheses. absorbed: effect → share of its energy that
-    remains after the nominal parameters. unknown: form of what the catalogue does not contain, if the verdict says so. pictures: data for plots."""
+    remains after the nominal parameters. unknown: form of what the
+    catalogue does not contain, if the verdict says so. pictures: data for plots."""
 
     gap: Mapping[str, Mapping[str, Json]]
     noise: tuple[NoiseFound, ...]

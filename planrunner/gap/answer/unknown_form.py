@@ -69,7 +69,8 @@ def unknown_form(weighing: Weighing, found: Posterior) -> UnknownForm | None:
     if not seen:
         return None
     rows = sorts(weighing).get(best.sort)
-    share, points = None, ()
+    share: float | None = None
+    points: tuple[FormPoint, ...] = ()
     if best.sort is Sort.MEANS:
         labels = _labels(weighing, best.factor)
         share, points = _of_levels(weighing, labels, seen), _points(weighing, labels, seen)
