@@ -152,9 +152,11 @@ class Estimate:
     headline: the names that the terminal shows first. settings: choices made (such as the basis of the uncertainties). extra: plain data
     for estimates that use this one; coefficients that are known at several temperatures, or at the common temperature of all segments, are
     in extra["by_temperature"] as {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}}, with
-    the type A uncertainty, for `temperature_model`. data_covariance: the type A part alone, which the analysis keeps when it adds the
-    influences. An estimate that uses this one starts from it and propagates the influences (`Influence.through`), so that an input that
-    acts on both counts once and with its sign. expected: of a schedule, not of a recording.
+    the type A uncertainty, for `temperature_model`, and optionally the mean times of the data, "time_s": [...].
+
+    data_covariance: the type A part alone, which the analysis keeps when it adds the influences. An estimate that uses this one starts from
+    it and propagates the influences (`Influence.through`), so that an input that acts on both counts once and with its sign. expected: of a
+    schedule, not of a recording.
     """
 
     name: str

@@ -40,7 +40,7 @@ from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.stated_errors import mean_poses
 from planrunner.observation.drift import drift, thermometer
 from planrunner.observation.flicker import drift_span
-from planrunner.observation.observations import Observations, observe
+from planrunner.observation.observations import Observations, observe, recorded_times
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import StimulusError
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
@@ -331,7 +331,8 @@ def _extra(
     }
     kelvin = _held({recorded.segment.temperature for recorded in request.segments})
     if kelvin is not None:
-        extra["by_temperature"] = by_temperature(found, kelvin - ZERO_CELSIUS)
+        start, end = recorded_times(request.segments)
+        extra["by_temperature"] = by_temperature(found, kelvin - ZERO_CELSIUS, float((start + end).mean()) / 2)
     return extra
 
 
@@ -344,11 +345,12 @@ def _inverse(one: Response) -> Array | None:
     return tables.inverse_matrix(one) if len(one.sensed) == 3 else None
 
 
-def by_temperature(found: Sequence[Coefficient], celsius: float) -> Mapping[str, object]:
-    """The coefficients at one temperature, in the form of `extra` that `interface.Estimate` describes."""
+def by_temperature(found: Sequence[Coefficient], celsius: float, time: float) -> Mapping[str, object]:
+    """The coefficients at one temperature, in the form of `extra` that `interface.Estimate` describes. time: of the test, s."""
     return {
         one.name: {
             "temperature_degC": [celsius],
+            "time_s": [time],
             "value": [one.value],
             "standard_uncertainty": [one.standard_uncertainty],
             "unit": one.unit,

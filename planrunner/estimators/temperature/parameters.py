@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from planrunner.estimators.temperature.curve import FORMS, RULES
+from planrunner.observation.drift import NONE, ORDERS
 from planrunner.observation.flicker import drift_span
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
@@ -64,6 +65,13 @@ class TemperatureModelParameters(Record):
         "Along a ramp, samples are averaged in bins of this width; temperatures closer than this are held out together.",
         "2 K",
         default=parse_quantity("1 K"),
+    )
+    drift: str | None = key(
+        Choice((NONE, *ORDERS)),
+        "Drift in time that is fitted together with the curve; each word includes the lower orders. `none` states that there is no drift. "
+        "By default none is fitted, and a warning is given if the order of the temperatures would hide one.",
+        "linear",
+        default=None,
     )
     drift_span: Quantity = drift_span()
     uncertainty: str = key(

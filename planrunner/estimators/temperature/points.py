@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from fnmatch import fnmatchcase
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,8 @@ class Points:
     temperature or at one reached from below, −1 at falling temperature or at one reached from above, 0 if neither is known. ramp: (n,),
     number of the ramp, or of the sweep of held temperatures; −1 without a direction. labels: source of each value. along: whether the
     values follow each other along ramps. expected: whether the values come from a schedule, without scatter. covariance: (n, n), of the
-    values with the flicker that the bench declares; None if it declares none, or the uncertainties are not known."""
+    values with the flicker that the bench declares; None if it declares none, or the uncertainties are not known. time: (n,), s, the mean
+    time of each value; empty if it is not known."""
 
     name: str
     unit: str
@@ -51,6 +53,7 @@ class Points:
     along: bool = False
     expected: bool = False
     covariance: Array | None = None
+    time: Array = field(default_factory=partial(np.zeros, 0))
 
     @property
     def series(self) -> Integers:
@@ -112,7 +115,8 @@ def _joined(name: str, data: Sequence[tuple[str, Mapping[str, object]]]) -> Poin
     if not (np.isfinite(temperature).all() and np.isfinite(value).all()):
         raise EstimationError(f"'{name}' is not a finite number at every temperature")
     none = np.zeros(len(value), dtype=np.int64)
-    return Points(name, units[0], temperature, value, put("standard_uncertainty"), none, none - 1, labels)
+    time = put("time_s") if all("time_s" in one for _, one in data) else np.zeros(0)
+    return Points(name, units[0], temperature, value, put("standard_uncertainty"), none, none - 1, labels, time=time)
 
 
 def from_channels(
@@ -135,6 +139,7 @@ def from_channels(
     found, kernel = [], None
     for channel in channels:
         points, intervals, shares = _channel(segments, channel, thermometer, width)
+        points = replace(points, time=shares @ (intervals[0] + intervals[1]) / 2)
         declared = inputs.of_output(Aspect.BIAS_INSTABILITY, channel)
         if declared is not None and declared.standard_uncertainty and points.known:
             kernel = mean_covariance(*intervals, span) if kernel is None else kernel

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
+from planrunner.estimators import least_squares, rank
 from planrunner.estimators.basis_judgement import no_flicker_declared
 from planrunner.estimators.derived import independent
+from planrunner.estimators.drift_order import COUPLED
 from planrunner.estimators.interface import (
     Coefficient,
     CoefficientRole,
@@ -32,10 +34,11 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Method, Quantities, Words, by_expectation
 from planrunner.estimators.temperature.branches import Difference, difference_of
-from planrunner.estimators.temperature.curve import CurveFit, OverTemperature, fit_curve, groups_of
+from planrunner.estimators.temperature.curve import CurveFit, OverTemperature, curve, fit_curve, groups_of
 from planrunner.estimators.temperature.parameters import TemperatureModelParameters
 from planrunner.estimators.temperature.planning import remarks
 from planrunner.estimators.temperature.points import Points, from_channels, from_estimates, given_by_temperature
+from planrunner.observation.drift import NONE, ORDERS, DriftCourse, in_time
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.uncertainty.conditions import StatedCondition, influences_on
 from planrunner.uncertainty.decision import expanded_uncertainty
@@ -47,6 +50,7 @@ _SHOWN = 9  # temperatures of the table of predictions
 _DRAWN = 61
 _RESIDUALS = 2  # at least, beside the coefficients of a difference between rising and falling temperature
 _SENSES = {1: "rising", -1: "falling", 0: ""}
+_SEPARABLE = 1e-3  # of a drift, the part that the model cannot imitate: less comes from the division of ramps into bins
 _WIDEST = 150.0  # K; a width written in degC comes out larger
 
 
@@ -67,19 +71,37 @@ class Loop:
 
 
 @dataclass(frozen=True, slots=True)
+class HiddenDrift:
+    """A linear drift in time that the order of the temperatures hides. power: of the coefficient that it affects most; growth: of its
+    standard uncertainty if the drift is fitted, infinite if the two cannot be separated."""
+
+    power: int
+    growth: float
+
+
+@dataclass(frozen=True, slots=True)
 class Modelled:
-    """One quantity with its curve, and the loop between the two directions of temperature if both are recorded."""
+    """One quantity with its curve, and the loop between the two directions of temperature if both are recorded. drift: fitted together with
+    them; hidden: a drift that is not."""
 
     points: Points
     fit: CurveFit
     difference: Difference | None
+    drift: tuple[DriftCourse, ...] = ()
+    hidden: HiddenDrift | None = None
 
     def loop(self, celsius: Array) -> Loop | None:
         """The hysteresis at temperatures [degC] (n,)."""
         if self.difference is None or self.fit.beside_spread is None:
             return None
         rows = self.difference.width(celsius)
+        rows = np.pad(rows, ((0, 0), (0, len(self.fit.beside) - rows.shape[1])))
         return Loop(celsius, rows @ self.fit.beside, *self.fit.beside_spread.of(rows))
+
+    @property
+    def beside(self) -> Array:
+        """Columns (n, q) of the points that are fitted with the curve: those of the difference, then those of the drift."""
+        return _beside(self.points, self.difference, self.drift)
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -230,6 +252,8 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
     group = groups_of(points.temperature, parameters.bin.value)
     highest = parameters.highest_order if parameters.order is None else parameters.order
     difference = _difference(points, parameters, min(highest, int(group.max())))
+    drift, reference = _drift(points, parameters.drift), parameters.reference.value - ZERO_CELSIUS
+    beside = _beside(points, difference, drift)
     apart = difference is not None or points.along
     values = OverTemperature(
         points.temperature,
@@ -239,17 +263,24 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
         points.series,
         points.ramp if apart else np.full_like(points.ramp, -1),
         points.direction,
-        np.zeros((len(points.value), 0))
-        if difference is None
-        else difference.columns(points.temperature, points.direction),
+        beside,
         points.covariance,
     )
+    tried = curve(parameters.form, min(highest, int(group.max())), reference, points.temperature)
+    model = np.hstack([tried.columns(points.temperature), beside[:, : beside.shape[1] - len(drift)]])
+    if not _separable(model, drift):
+        raise EstimationError(
+            f"'{points.name}': in this order of the temperatures, a drift ({drift[-1].name}) cannot be separated from the curve "
+            "or from the difference between rising and falling temperature",
+            "record the temperatures also in the opposite order, and a second cycle; without them write `drift: none`",
+            "drift",
+        )
     try:
         fit = fit_curve(
             parameters.form,
             parameters.order,
             parameters.highest_order,
-            parameters.reference.value - ZERO_CELSIUS,
+            reference,
             values,
             parameters.folds,
             parameters.rule,
@@ -257,7 +288,58 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
         )
     except EstimationError as error:
         raise EstimationError(f"'{points.name}': {error}") from None
-    return Modelled(points, fit, difference)
+    hidden = _hidden(points, values, fit) if parameters.drift is None and not points.expected else None
+    return Modelled(points, fit, difference, drift, hidden)
+
+
+def _beside(points: Points, difference: Difference | None, drift: Sequence[DriftCourse]) -> Array:
+    """Columns (n, q)."""
+    parts = [np.zeros((len(points.value), 0)), *(one.columns for one in drift)]
+    if difference is not None:
+        parts.insert(0, difference.columns(points.temperature, points.direction))
+    return np.hstack(parts)
+
+
+def _drift(points: Points, asked: str | None) -> tuple[DriftCourse, ...]:
+    """The courses of the drift that the plan asks for. Raises `EstimationError` for values whose times are not known."""
+    if asked is None or asked == NONE:
+        return ()
+    if not len(points.time):
+        message = (
+            f"'{points.name}': the estimates in `uses` do not give the times of their data, so no drift can be fitted"
+        )
+        raise EstimationError(message, "leave `drift` out", "drift")
+    return in_time(points.time, points.time, 1 / points.sigma**2)[: 1 + ORDERS.index(asked)]
+
+
+def _separable(columns: Array, courses: Sequence[DriftCourse]) -> bool:
+    """Whether columns (n, q) of the curve and of the difference do not imitate the courses, one after the other."""
+    size = np.sqrt(np.mean(columns**2, axis=0))
+    base = columns / np.where(size > 0, size, 1.0)
+    for course in courses:
+        part = np.linalg.svd(base, full_matrices=False)[0][:, : rank.look(base).rank]
+        left = course.columns - part @ (part.T @ course.columns)
+        if np.linalg.norm(left) < _SEPARABLE * np.linalg.norm(course.columns):
+            return False
+        base = np.hstack([base, course.columns / np.sqrt(np.mean(course.columns**2))])
+    return True
+
+
+def _hidden(points: Points, values: OverTemperature, fit: CurveFit) -> HiddenDrift | None:
+    """A linear drift that would make the standard uncertainty of a coefficient of the curve `COUPLED` times as large or larger."""
+    if not len(points.time) or not np.ptp(points.time):
+        return None
+    [course, *_] = in_time(points.time, points.time, 1 / points.sigma**2)
+    columns = np.hstack([fit.curve.columns(points.temperature), values.beside])
+    whole, p = np.hstack([columns, course.columns]), fit.curve.order + 1
+    gained = np.linalg.lstsq(columns, course.columns, rcond=None)[0][:p, 0]
+    before = least_squares.fit(columns, points.value, values.sigma, covariance=values.covariance).cofactor
+    spreads = np.sqrt(np.diag(before)[:p])
+    if len(whole) < whole.shape[1] or not _separable(columns, [course]):
+        return HiddenDrift(int(np.argmax(np.abs(gained) / spreads)), float("inf"))
+    after = least_squares.fit(whole, points.value, values.sigma, covariance=values.covariance).cofactor
+    growth = np.sqrt(np.diag(after)[:p]) / spreads
+    return HiddenDrift(int(growth.argmax()), float(growth.max())) if growth.max() >= COUPLED else None
 
 
 def _difference(points: Points, parameters: TemperatureModelParameters, highest: int) -> Difference | None:
@@ -414,10 +496,8 @@ def _loop_table(one: Modelled) -> list[Table]:
 
 def _fitted(one: Modelled) -> Array:
     """The fitted values (n,) at the points, on their branches."""
-    curve = one.fit.predict(one.points.temperature)[0]
-    if one.difference is None:
-        return curve
-    return np.asarray(curve + one.difference.columns(one.points.temperature, one.points.direction) @ one.fit.beside)
+    own = one.beside
+    return np.asarray(one.fit.predict(one.points.temperature)[0] + own @ one.fit.beside[: own.shape[1]])
 
 
 def _expanded(u: Array, freedom: Array) -> Array:
@@ -525,6 +605,20 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[Said]:
                 freedom=float(fit.uncertainties()[1].min()),
             )
         )
+    q = len(one.drift)
+    if q and fit.beside_spread is not None:
+        amplitude, u = float(fit.beside[-q]), float(np.sqrt(fit.beside_spread.covariance[-q, -q]))
+        found.append(
+            said(
+                "{name}: a drift in time ({drift}) is fitted together with the curve; its linear part is {amplitude:.3g} ± {u:.2g} "
+                "{unit}/h (standard uncertainty).",
+                name=name,
+                drift=one.drift[-1].name,
+                amplitude=amplitude,
+                u=u,
+                unit=one.points.unit,
+            )
+        )
     if one.widest is not None:
         found.append(
             said(
@@ -578,6 +672,26 @@ def _warnings(one: Modelled) -> list[Said]:
                 "{name}: rising and falling temperature were each recorded once, so that it is not known how much the "
                 "hysteresis differs from cycle to cycle; the uncertainties do not include this. Record a second cycle.",
                 name=points.name,
+            )
+        )
+    if one.hidden is not None:
+        label, _ = _label(fit.curve.form, points.name, points.unit, one.hidden.power)
+        size = (
+            said(
+                "fitted together with the curve, it would make the standard uncertainty {growth:.2g} times as large",
+                growth=one.hidden.growth,
+            )
+            if np.isfinite(one.hidden.growth)
+            else said("these temperatures cannot separate the two at all")
+        )
+        found.append(
+            said(
+                "{name}: the temperatures follow each other in such an order that a linear drift in time is hard to distinguish "
+                "from {coefficient}: {size}. No uncertainty includes such a drift. Record the temperatures also in the opposite "
+                "order, or write `drift: none` if the output does not drift.",
+                name=points.name,
+                coefficient=label,
+                size=size,
             )
         )
     return found
