@@ -61,3 +61,22 @@ def test_refused_samples_give_no_estimate_and_the_reason() -> None:
     message = made("flexure_gyro_static", True, "refuse")
     assert isinstance(message, str) and "spike of torquer_x in 'P1'" in message
     assert isinstance(made("flexure_gyro_static", False, "refuse"), Estimate)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "estimator", [ROCKING, "strapdown_navigation at rest", "strapdown_navigation from stop to stop"]
+)
+def test_a_stuck_second_of_all_channels_is_named_and_moves_nothing_or_is_said_to_be_left_in(estimator: str) -> None:
+    """A burst with which a record begins, or that comes while the table turns, may be motion and is left in."""
+    campaign = CAMPAIGNS[estimator]
+    sound = known(campaign, CLEAN)
+    for run in range(4):
+        clean, stuck = (
+            estimated(campaign, sound, recorded(campaign, world, np.random.default_rng([1, run]))[1])
+            for world in (CLEAN, WORLDS["stuck for a second"])
+        )
+        assert isinstance(clean, Estimate) and isinstance(stuck, Estimate)
+        moved = [abs(stuck[one.name].value - one.value) / one.standard_uncertainty for one in clean.coefficients]
+        left_out, left_in = (any(words in text for text in stuck.warnings) for words in ("left out", "left in"))
+        assert left_in or (left_out and max(moved) <= 0.1)

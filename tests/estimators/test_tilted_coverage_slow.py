@@ -14,7 +14,7 @@ from tilted_coverage import (
     scale_factor_coverage,
 )
 
-RUNS = 500
+RUNS = 300
 
 
 def joint_tolerance(intervals: int) -> tuple[int, int]:

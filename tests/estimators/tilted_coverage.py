@@ -2,8 +2,8 @@
 
 `python tests/estimators/tilted_coverage.py [runs [part of a row's name]]` prints the figures of
 docs/scale-factor-in-one-mounting.md. Recordings come from hand formulas (`tilted_recording.py`), noise is drawn here: white noise
-and flicker of each mean, scale factors that change from repeat to repeat, fixture angles off by their stated uncertainty, table rates
-off by theirs, and the fixture skewed at each orientation.
+and flicker of the samples, scale factors that change from repeat to repeat, fixture angles off by their stated uncertainty, table rates
+off by theirs, and the fixture skewed at each orientation. The samples go through the same pass as those of a recording.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +21,14 @@ from planrunner.estimators.interface import Coefficient
 sys.path.insert(0, str(Path(__file__).parent))
 
 from coverage_experiment import BATCHES, flicker_in_segments
+from recorded import from_samples
 from test_fixture_angles import GYROS as FIXED
 from test_fixture_angles import TRUE, X_UP, Y_UP, Z_UP, found, spins
-from tilted_recording import HOUR, THETA, Gyro, estimate, inputs, series
+from tilted_recording import EARTH, HOUR, THETA, Gyro, estimate, inputs, series
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.outputs_fit import BASES
+from planrunner.plan.schedule import Spin
 from planrunner.uncertainty.decision import coverage_factor
 from planrunner.uncertainty.influences import InputQuantity, Inputs
 
@@ -67,20 +68,25 @@ PAUSE = 24.0  # s
 def noisy(
     draw: np.random.Generator, made: Sequence[RecordedSegment], error: float, flicker: float, pause: float = 0.0
 ) -> list[RecordedSegment]:
-    """The recording with noise of batch means, one dwell after the other: white, `error` in each mean, and flicker, deg/h, independent
-    in each channel."""
-    n, channels = len(made), len(made[0].statistics.mean)
-    batches = error * math.sqrt(BATCHES) * draw.standard_normal((channels, n, BATCHES))
+    """The recording as samples, one dwell after the other, with noise and the horizontal Earth rate.
+
+    Every axis that turns feels the Earth rate, and whole turns average it out. Noise: white, `error` in each mean, and flicker, deg/h,
+    independent in each channel and constant over a batch.
+    """
+    n, channels, count = len(made), len(made[0].statistics.mean), round(DWELL / SAMPLE)
+    values = error * math.sqrt(count) * draw.standard_normal((channels, n, count))
     if flicker:
-        batches = batches + flicker_in_segments(draw, (channels,), flicker / 3600, n, DWELL, pause, SPAN)
-    mean, scatter = batches.mean(axis=2), batches.std(axis=2, ddof=1) / math.sqrt(BATCHES)
+        batches = flicker_in_segments(draw, (channels,), flicker / 3600, n, DWELL, pause, SPAN)
+        values += batches[:, :, np.arange(count) * BATCHES // count]
     found = []
     for k, one in enumerate(made):
-        start, known = k * (DWELL + pause), one.statistics
-        statistics = replace(
-            known, mean=known.mean + mean[:, k], standard_error=scatter[:, k], start=start, end=start + DWELL - SAMPLE
-        )
-        found.append(replace(one, statistics=statistics))
+        since, motion = SAMPLE * np.arange(count), one.segment.motion
+        turned = motion.rate * since if isinstance(motion, Spin) else np.zeros(count)
+        phase = draw.uniform(0, 2 * math.pi, (channels, 1))
+        felt = EARTH / 3600 * np.sin(turned + phase) if turned.any() else 0.0
+        samples = one.statistics.mean[:, None] + felt + values[:, k]
+        named = dict(zip(one.statistics.channels, samples, strict=True))
+        found.append(from_samples(one.segment, k * (DWELL + pause) + since, named, one.units))
     return found
 
 
