@@ -118,8 +118,7 @@ def held_out(
 ) -> tuple[HeldOut, ...]:
     """Held-out errors of each order. sigma: (n,), for weights; fold: (n,), the fold with which each value is held out; beside: (n, q),
     columns that are fitted with each curve; whitening: (n, n), of correlated values, by default 1/sigma."""
-    whitener = np.diag(1 / sigma) if whitening is None else whitening
-    whitened = whitener @ value
+    whitened = _white(value, sigma, whitening)
     further = np.zeros((len(value), 0)) if beside is None else beside
     weight = 1 / sigma**2
     found = []
@@ -128,7 +127,7 @@ def held_out(
         for one in np.unique(fold):
             out = fold == one
             made = curve(form, order, reference, temperature[~out])
-            columns = whitener @ np.column_stack([made.columns(temperature), further])
+            columns = _white(np.column_stack([made.columns(temperature), further]), sigma, whitening)
             fit = least_squares.fit(columns[~out], whitened[~out])
             missed = whitened[out] - columns[out] @ fit.coefficients
             errors.append(float(np.sum(missed**2) / np.sum(weight[out])))
@@ -277,9 +276,20 @@ class OverTemperature:
     covariance: Array | None = None
 
     @cached_property
-    def whitening(self) -> Array:
-        """W (n, n), by which the values become uncorrelated with variance one."""
-        return np.diag(1 / self.sigma) if self.covariance is None else least_squares.whitener(self.covariance)
+    def whitening(self) -> Array | None:
+        """W (n, n), by which correlated values become uncorrelated with variance one; None for values that are not correlated."""
+        return None if self.covariance is None else least_squares.whitener(self.covariance)
+
+    def white(self, columns: Array) -> Array:
+        """Columns (n, …) by which the values become uncorrelated with variance one."""
+        return _white(columns, self.sigma, self.whitening)
+
+
+def _white(columns: Array, sigma: Array, whitening: Array | None) -> Array:
+    """Columns (n, …) times the whitening (n, n), or divided by sigma (n,) without one."""
+    if whitening is not None:
+        return np.asarray(whitening @ columns)
+    return np.asarray(columns / (sigma if columns.ndim == 1 else sigma[:, None]))
 
 
 def fit_curve(
@@ -338,7 +348,7 @@ def _fitted(made: Curve, values: OverTemperature, scatter: bool) -> CurveFit:
     ways = _ways(columns, values)
     if ways:
         return _parted(_with_ramps(made, columns, values, ways), p)
-    time = _correlation(values.whitening @ fit.residuals, values.series)
+    time = _correlation(values.white(fit.residuals), values.series)
     freedom = max(1.0, len(values.value) / time - columns.shape[1]) if time > 1 else float(fit.degrees_of_freedom)
     covariance = fit.cofactor * (fit.chi_squared / fit.degrees_of_freedom * time)
     return _parted(CurveFit(made, fit.coefficients, SummedCovariance(((covariance, freedom),)), correlation=time), p)
@@ -378,10 +388,10 @@ def _ways(columns: Array, values: OverTemperature) -> list[_Way]:
     senses = values.direction[values.ramp >= 0][first]
     each = (values.ramp[:, None] == numbers).astype(float)
     away = values.temperature - values.temperature.mean()
-    own = values.whitening @ each
-    slopes = values.whitening @ (each * (away / max(float(np.std(away)), _TINY))[:, None])
+    own = values.white(each)
+    slopes = values.white(each * (away / max(float(np.std(away)), _TINY))[:, None])
     alike = (senses[:, None] == np.unique(senses)).astype(float)  # ramps to directions
-    fitted = values.whitening @ columns
+    fitted = values.white(columns)
     found: list[_Way] = []
     for way in (own, slopes) if (values.series >= 0).any() else (own,):
         together = [fitted, way @ alike, *(one.columns for one in found)]
@@ -417,7 +427,7 @@ def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequ
     """
     from scipy.special import fdtrc
 
-    y, A = values.whitening @ values.value, values.whitening @ columns
+    y, A = values.white(values.value), values.white(columns)
     everything = _space(np.column_stack([A, *(one.columns for one in ways)]))
     rest = y - everything @ (everything.T @ y)
     left = len(y) - everything.shape[1]
