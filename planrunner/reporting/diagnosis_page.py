@@ -22,6 +22,8 @@ SURE = 0.95
 """Probability of pure noise at and above which the page reports no gap."""
 CONSPICUOUS = 0.05
 """Deviations that noise alone causes with more than this probability are not shown."""
+SMALL_REST = 0.05
+"""Share of a gap, as a root mean square, below which an effect explains nearly all of it."""
 DEPARTURE = 0.05
 """Relative departure of the noise from its declaration that is reported."""
 MOST_PLACES = 12
@@ -118,25 +120,43 @@ def verdict(found: Data) -> str:
     )
     together = min(1.0, sum(posterior.get(name, 0.0) for name in {*names, "+".join(sorted(effects)), *beside}))
     nearly = residue is not None and together < 0.5
-    how = "nearly all of the gap" if nearly else f"the gap ({probability(together)})"
+    how = _much(found, nearly) + ("" if nearly else f" ({probability(together)})")
     if kind == "indistinguishable":
         what = f" explains {how}" if nearly else ""
         chance = "" if nearly else f" (together {probability(together)})"
         said_so = f"One of {_listed(names, 'or')}{what}: this plan cannot distinguish them{chance}."
     else:
         said_so = f"{_listed(effects, 'and')} {'together explain' if kind == 'pair' else 'explains'} {how}."
-    return said_so + _remainder(residue, effects)
+    return said_so + _rest(found) + _remainder(residue, effects)
+
+
+def _much(found: Data, nearly: bool) -> str:
+    """How much of the gap the named effects explain: the gap only if the rest is noise."""
+    rest = found.get("rest")
+    if rest is not None and not rest["passes"]:
+        return "nearly all of the gap" if rest["share"] < SMALL_REST else "most of the gap"
+    return "nearly all of the gap" if nearly else "the gap"
+
+
+def _rest(found: Data) -> str:
+    """The size of what remains beside the named effects, if it is not noise."""
+    rest = found.get("rest")
+    if rest is None or rest["passes"]:
+        return ""
+    channel, times = max(rest["times_noise"].items(), key=lambda item: item[1])
+    size = f"{_percent(rest['share'])} of the gap (root mean square), {times:.3g} times the noise in {channel}"
+    return f" The rest is not noise: {size}."
 
 
 def _remainder(residue: str | None, named: list[str]) -> str:
-    """What remains besides a named effect, or how certain the weaker of two effects is."""
+    """What else acts besides a named effect, or how certain the weaker of two effects is."""
     if residue is None:
         return ""
     if residue in named:
         (first,) = (name for name in named if name != residue)
         return f" {residue} explains less than 5 % of it: it is present but weak, or it is a form residue of {first}."
     if residue == "unknown":
-        return " Less than 5 % of it comes from something that the catalogue does not contain."
+        return " The rest comes from something that the catalogue does not contain."
     return f" The contribution of {residue} is below 5 % and is treated as form residue."
 
 

@@ -97,7 +97,7 @@ def test_a_remainder_beside_what_the_nominal_model_lacks_is_said_to_be():
     said = {"kind": "pair", "effects": ["gyro_bias", "gyro_scale_factor"], "class": [], "form_residue": "unknown"}
     found = diagnosis(verdict=said, posterior={"none": 0.0, "unknown": 1.0})
     check(found)
-    rest = " Less than 5 % of it comes from something that the catalogue does not contain."
+    rest = " The rest comes from something that the catalogue does not contain."
     assert verdict(found) == "gyro_bias and gyro_scale_factor together explain nearly all of the gap." + rest
     found["verdict"] = said | {
         "kind": "indistinguishable",

@@ -22,6 +22,7 @@ from planrunner.gap.answer.noise_found import NoiseFound, noise_found
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.answer.pictures import gap_by_channel, pictures
 from planrunner.gap.answer.posterior import PRIORS, Posterior, posterior
+from planrunner.gap.answer.remainder import Remainder, remainder
 from planrunner.gap.answer.unknown_form import UnknownForm, unknown_form
 from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
 from planrunner.gap.answer.where import MisfitPlace, places
@@ -60,8 +61,8 @@ class Grounds:
 @dataclass(frozen=True)
 class Diagnosis:
     """gap: by channel, in its unit. noise: of every channel. posterior: of all hypotheses. absorbed: effect → share of its energy that
-    remains after the nominal parameters. unknown: form of what the
-    catalogue does not contain, if the verdict says so. pictures: data for plots."""
+    remains after the nominal parameters. unknown: form of what the catalogue does not contain, if the verdict says so. rest: what remains
+    beside the named effects; None if none is named, or if a random walk is among them. pictures: data for plots."""
 
     gap: Mapping[str, Mapping[str, Json]]
     noise: tuple[NoiseFound, ...]
@@ -73,6 +74,7 @@ class Diagnosis:
     parameters: tuple[ParameterEstimate, ...]
     closure: Closure
     unknown: UnknownForm | None
+    rest: Remainder | None
     pictures: Mapping[str, Json] = field(repr=False)
     grounds: Grounds = field(repr=False)
 
@@ -120,6 +122,7 @@ class Diagnosis:
                 "resolvable": shut.resolvable,
             },
             "unknown_form": None if self.unknown is None else self.unknown.to_json(),
+            "rest": None if self.rest is None else asdict(self.rest),
             "next": None,
             "priors": dict(PRIORS),
             "pictures": dict(self.pictures),
@@ -166,6 +169,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         tuple(_parameters(weighing, said, found, by_id, effects, exact)),
         closure(weighing, choices, max(beyond, 0.0)) if said.kind != "none" else NOT_RESOLVABLE,
         unknown_form(weighing, found) if "unknown" in (said.kind, said.residue, *said.members) else None,
+        None if after is None or walks & set(said.effects) else remainder(weighing, after),
         pictures(weighing, usable, after),
         Grounds(weighing, tuple(candidates), options.nominal, tuple(choices)),
     )

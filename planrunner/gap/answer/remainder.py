@@ -1,0 +1,50 @@
+"""What remains of a gap beside the named effects: a test of the goodness of fit in every channel, and the size of the rest.
+
+The effects are fitted to all segments. In each channel the sum of squares of the whitened rest is compared with the χ² distribution for
+noise alone, with Bonferroni's correction for the number of channels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from planrunner.gap.hypotheses.candidates import Weighed, Weighing
+
+LEVEL = 0.001  # of the test
+VISIBLE = 1.2  # times the noise: smaller rests are within the uncertainty of the noise model
+
+
+@dataclass(frozen=True, slots=True)
+class Remainder:
+    """share: of the gap, ratio of root mean squares without noise, 0 if noise alone explains the rest. times_noise: by channel, root mean
+    square of the coefficients of the rest in standard deviations of the noise, 1 for noise alone. p: of the test. passes: whether noise
+    alone explains the rest."""
+
+    share: float
+    times_noise: Mapping[str, float]
+    p: float
+    passes: bool
+
+
+def remainder(weighing: Weighing, named: Weighed) -> Remainder:
+    """The rest beside effects that are fitted together."""
+    from scipy.special import chdtrc
+
+    amplitudes = named.amplitudes[0]
+    before = after = 0.0
+    times: dict[str, float] = {}
+    smallest = 1.0
+    for index, channel in enumerate(weighing.observed.channels):
+        weight = weighing.weights[index][0]
+        degrees = max(len(weight.residual) - weight.basis.shape[1], 1)
+        rest = weight.residual - named.by_channel[index] @ amplitudes
+        squares = float(rest @ rest)
+        before += float(weight.residual @ weight.residual) - degrees
+        after += squares - degrees
+        times[channel.name] = (squares / degrees) ** 0.5
+        smallest = min(smallest, float(chdtrc(degrees, squares)))
+    p = min(1.0, smallest * len(times))
+    passes = p >= LEVEL or max(times.values()) < VISIBLE
+    share = 0.0 if passes or before <= 0 else min((max(after, 0.0) / before) ** 0.5, 1.0)
+    return Remainder(share, times, p, passes)
