@@ -173,8 +173,8 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
             warnings.append(_exceeding(found, basis))
             continue
         by_chance = said(
-            "{output}: residual variance is {ratio:.3g} times that expected from the noise within the segments and the "
-            "declared inputs, which may be due to chance (probability {chance:.2g}).",
+            "{output}: the residual variance is {ratio:.3g} times the variance expected from the noise within the segments and "
+            "the declared inputs. The probability that a ratio at least this large occurs by chance is {chance:.2g}.",
             output=found.output,
             ratio=found.ratio,
             chance=found.probability,
@@ -363,7 +363,12 @@ def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[Said]:
     notes = []
     if fit.effects:
         names = dict.fromkeys(effect.quantity.name for effect in fit.effects)
-        notes.append(said("Weighted in addition to the noise: {inputs}.", inputs=tuple(names)))
+        notes.append(
+            said(
+                "In addition to the noise, these inputs are included in the weights of the fit: {inputs}.",
+                inputs=tuple(names),
+            )
+        )
     flickering = {effect.quantity.name for effect in (*fit.effects, *fit.unweighted)}
     silent = [name for name in channels if Aspect.BIAS_INSTABILITY.of(name) not in flickering]
     if silent:

@@ -18,7 +18,7 @@ def residual_table(title: str, observed: str, observations: Observations, fit: O
     columns = [TableColumn(observed)]
     for name, unit in zip(observations.channels, observations.units, strict=True):
         columns += [TableColumn(f"{name} {what}", Role.VALUE, unit) for what in ("mean", "residual")]
-        columns.append(TableColumn(f"{name} u within", Role.STANDARD_UNCERTAINTY, unit))
+        columns.append(TableColumn(f"{name} u within segment", Role.STANDARD_UNCERTAINTY, unit))
     rows = []
     for n, label in enumerate(observations.labels):
         row: list[Cell] = [label]
@@ -93,4 +93,4 @@ def bases_table(found: Derived, chosen: str, count: int | None = None) -> Table:
             u, dof = float(spread[q]), float(freedom[q])
             row += [u, dof, expanded_uncertainty(u, dof)]
         rows.append(tuple(row))
-    return Table("Uncertainties of the data, on either basis", tuple(columns), tuple(rows))
+    return Table("Uncertainties from the data, on each basis", tuple(columns), tuple(rows))

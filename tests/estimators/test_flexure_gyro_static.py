@@ -96,7 +96,7 @@ def test_recovered_without_noise() -> None:
     e, x = math.radians(47 / 60), math.radians(-31 / 60)
     assert found["U1"].value == pytest.approx(math.cos(e + x) / (0.029 * math.cos(x)), rel=1e-9)
     assert found["V1"].value == pytest.approx(-math.sin(e) / (0.031 * math.cos(x)), rel=1e-9)
-    assert any("determinant 706.081" in note and "condition of the design 2.61" in note for note in found.notes)
+    assert any("determinant 706.081" in note and "condition number of the design matrix 2.61" in note for note in found.notes)
 
 
 def test_product_terms_with_up_along_the_corners_of_a_cube() -> None:
@@ -183,7 +183,7 @@ def test_welch_satterthwaite_by_hand() -> None:
 def test_both_bases_are_reported_and_excess_scatter_is_warned_of() -> None:
     quiet = estimate(np.random.default_rng(3).normal(0, 0.01, (8, 2)), error=0.01)
     assert not quiet.warnings
-    table = next(table for table in quiet.tables if table.title == "Uncertainties of the data, on either basis")
+    table = next(table for table in quiet.tables if table.title == "Uncertainties from the data, on each basis")
     assert [column for column in table.headings if column.startswith("u (")] == ["u (residual)", "u (within segment)"]
     loud = estimate(np.random.default_rng(3).normal(0, 0.5, (8, 2)), error=0.01, uncertainty="within_segment")
     assert any("within-segment uncertainties are too small" in warning for warning in loud.warnings)

@@ -151,7 +151,7 @@ def test_nothing_changes_where_nothing_is_declared() -> None:
     assert any("No bias instability is declared for torquer_x, torquer_y" in note for note in found.notes)
     said = fitted(recorded(NOISE), declared(0.3)).notes
     assert not any("No bias instability" in note for note in said)
-    assert any("Weighted in addition to the noise: bias instability torquer_x" in note for note in said)
+    assert any("included in the weights of the fit: bias instability torquer_x" in note for note in said)
 
 
 def test_flicker_larger_than_all_that_is_seen_within_still_gives_a_fit() -> None:

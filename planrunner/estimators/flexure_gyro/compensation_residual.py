@@ -60,9 +60,9 @@ _DEG_H = unit("deg/h").factor
 _NO_SET = "'{}' is not a set of the twelve static coefficients: `uses` names flexure_gyro_static estimates without product terms"
 _SUMS = "Ratios of the residual sums of squares, measured and expected"
 _CLAIM = said(
-    "The source of this method claims a ratio of 4 to 8 between the traditional and the optimal positions. "
-    "The ratios given here are predicted from equal noise in all positions; single experiments with few verification positions scatter "
-    "widely about them."
+    "The publication that describes this method claims that the residual sum of squares with the traditional positions is 4 to 8 times "
+    "that with the optimal positions. The expected ratios given here assume equal noise in all positions; the ratios of single "
+    "experiments with few verification positions scatter widely about them."
 )
 
 
@@ -223,8 +223,14 @@ def _assemble(
         coefficients.append(Coefficient(label, measured, text, spread, description=words))
         covariance.append(spread**2)
         expected = prediction.expected[name] / prediction.expected[first]
-        rows.append((said("{first} over {second}", first=name, second=first), measured, expected, middle, low, high))
-    titles = ("measured", "ratio of expected sums", "median expected", "5 % expected", "95 % expected")
+        rows.append((said("{first} / {second}", first=name, second=first), measured, expected, middle, low, high))
+    titles = (
+        "measured",
+        "ratio of expected sums",
+        "expected median",
+        "expected 5 % quantile",
+        "expected 95 % quantile",
+    )
     ratio_columns = (TableColumn("sets"), *(TableColumn(title, Role.VALUE) for title in titles))
     outside = [row[0] for row in rows if not row[4] <= row[1] <= row[5]]
     notes = [
@@ -253,9 +259,9 @@ def _assemble(
         (_residual_plot(labels, residuals),),
         (
             said(
-                "The part of the uncertainties that comes from the data is half of the central 68 % interval of simulated "
-                "experiments with noise and declared bias instability; the contributions of the inputs declared in the "
-                "bench file are added to first order. The expected range of a ratio includes both."
+                "The part of the uncertainties that comes from the data is half the width of the central 68 % interval "
+                "of experiments simulated with noise and the declared bias instability. The contributions of the other inputs "
+                "declared in the bench file are added to first order. The expected range of a ratio includes both parts."
             ),
             _CLAIM,
             *notes,
@@ -267,12 +273,16 @@ def _assemble(
 
 def _sum(name: str) -> tuple[str, str, Said]:
     """Name, unit and description of the residual sum of squares of a set."""
-    return f"RSS_{name}", "(deg/h)^2", said("Residual sum of squares of {name}", name=name)
+    return f"RSS_{name}", "(deg/h)^2", said("Residual sum of squares with the coefficients of '{name}'", name=name)
 
 
 def _ratio(name: str, first: str) -> tuple[str, str, Said]:
     """Name, unit and description of the ratio of two residual sums of squares."""
-    words = said("Residual sum of squares of {first} over that of {second}", first=name, second=first)
+    words = said(
+        "Residual sum of squares with the coefficients of '{first}', divided by that with the coefficients of '{second}'",
+        first=name,
+        second=first,
+    )
     return f"ratio_{name}_to_{first}", "1", words
 
 

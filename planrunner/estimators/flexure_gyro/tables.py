@@ -19,7 +19,7 @@ def descriptions(products: tuple[str, ...] = ()) -> tuple[Said, ...]:
     """Descriptions, in the order of `flexure_gyro.physical_names` and then of `flexure_gyro.output_names`."""
     of_drifts = (_drift(axis, rate, kind) for axis, rate in (("X", "Y"), ("Y", "X")) for kind in drifts(products))
     of_outputs = (
-        said("Coefficient {term} of output i_{axis}", term=number, axis=axis)
+        said("Coefficient {term} in the model of the torquer current i_{axis}", term=number, axis=axis)
         for axis, names in zip("xy", output_names(products), strict=True)
         for number in range(len(names))
     )
@@ -29,17 +29,27 @@ def descriptions(products: tuple[str, ...] = ()) -> tuple[Said, ...]:
 def _drift(axis: str, rate: str, kind: str) -> Said:
     """kind: `F`, or the axes of the accelerations."""
     if kind == "F":
-        return said("Drift D({drift}), independent of acceleration; adds to ω_{rate}", drift=axis, rate=rate)
+        return said(
+            "Part of the drift D({drift}) that is independent of acceleration; D({drift}) adds to the rate ω_{rate}",
+            drift=axis,
+            rate=rate,
+        )
     first, *second = tuple(kind.lower())
     if second:
         return said(
-            "Drift D({drift}), per product of accelerations along {first} and {second}; adds to ω_{rate}",
+            "Part of the drift D({drift}) that is proportional to the product of the accelerations along {first} and {second}; "
+            "D({drift}) adds to the rate ω_{rate}",
             drift=axis,
             first=first,
             second=second[0],
             rate=rate,
         )
-    return said("Drift D({drift}), per acceleration along {axis}; adds to ω_{rate}", drift=axis, axis=first, rate=rate)
+    return said(
+        "Part of the drift D({drift}) that is proportional to the acceleration along {axis}; D({drift}) adds to the rate ω_{rate}",
+        drift=axis,
+        axis=first,
+        rate=rate,
+    )
 
 
 def information(design: PositionsDesign) -> tuple[dict[str, object], Said]:
@@ -48,8 +58,8 @@ def information(design: PositionsDesign) -> tuple[dict[str, object], Said]:
     sight = rank.look(design.matrix / design.magnitudes)
     determinant, condition = sight.determinant, sight.condition
     note = said(
-        "Information matrix of the {positions} positions (rates in Earth-rate units, accelerations in g): determinant "
-        "{determinant:.6g}, condition of the design {condition:.3g}.",
+        "Information matrix of the {positions} positions (rates in units of the Earth rate, accelerations in g): "
+        "determinant {determinant:.6g}; condition number of the design matrix {condition:.3g}.",
         positions=len(design.matrix),
         determinant=determinant,
         condition=condition,
