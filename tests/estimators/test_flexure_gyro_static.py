@@ -96,7 +96,9 @@ def test_recovered_without_noise() -> None:
     e, x = math.radians(47 / 60), math.radians(-31 / 60)
     assert found["U1"].value == pytest.approx(math.cos(e + x) / (0.029 * math.cos(x)), rel=1e-9)
     assert found["V1"].value == pytest.approx(-math.sin(e) / (0.031 * math.cos(x)), rel=1e-9)
-    assert any("determinant 706.081" in note and "condition number of the design matrix 2.61" in note for note in found.notes)
+    assert any(
+        "determinant 706.081" in note and "condition number of the design matrix 2.61" in note for note in found.notes
+    )
 
 
 def test_product_terms_with_up_along_the_corners_of_a_cube() -> None:
