@@ -311,7 +311,7 @@ def _metrics(
     found = []
     if full_scale != 0 and fit.freedom:
         value = abs(float(one.residuals[worst])) / full_scale * 1e6
-        words = said("{output}: largest residual over the largest output", output=name)
+        words = said("{output}: largest residual, divided by the largest output", output=name)
         residual = (np.arange(len(rates)) == worst) - fit.columns[worst] @ fit.all_gains[k]
         noise = fit.spreads[k] ** 2 if basis == "residual" else fit.noises[k].sigma ** 2
         beside = residual @ (observed - np.diag(noise)) @ residual  # of the effects what is not taken up by the line
@@ -335,7 +335,10 @@ def _metrics(
         answers = gradient @ (half.cofactor @ np.linalg.solve(mixed, halves).T)[1:3]
         u = math.sqrt(max(0.0, float(answers @ observed @ answers) * left))
         value = 1e6 * float(asymmetry(*slopes))
-        words = said("{output}: difference of forward and backward scale factors", output=name)
+        words = said(
+            "{output}: difference between the scale factors at positive and negative rates, divided by their mean",
+            output=name,
+        )
         found.append((Coefficient(f"asymmetry_{name}", value, "ppm", u, own, words), answers))
     return found
 

@@ -47,7 +47,7 @@ def test_the_report_opens_with_the_comparison_of_both_methods(analysis):
     for item in pairings.values():
         assert 0 < item["standard_deviation"] < item["gimbal_standard_deviation"]
         assert item["smaller"] > 0.5
-    assert estimate["tables"][0]["title"].startswith("Two methods over random pairings")
+    assert estimate["tables"][0]["title"].startswith("Comparison of the two methods")
     page = (analysis / "report.html").read_text(encoding="utf-8")
     assert "smaller standard deviation on every axis" in page
     assert page.count("Rocking drift about") >= 3

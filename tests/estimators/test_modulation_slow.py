@@ -52,4 +52,4 @@ def test_modulation_on_the_virtual_bench_is_what_theory_predicts(tmp_path: Path)
         assert abs(row["position"] - row["predicted position"]) < allowed
         assert row["velocity"] == pytest.approx(row["predicted velocity"], rel=0.1)
     for row in tables["Position errors predicted from the declared constant errors"]:
-        assert row["rms radial"] == pytest.approx(row["predicted"], rel=0.1)
+        assert row["rms radial error"] == pytest.approx(row["predicted"], rel=0.1)

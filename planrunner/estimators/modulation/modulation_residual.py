@@ -163,17 +163,21 @@ def _lacks(request: DesignRequest[ModulationResidualParameters]) -> Remark | Non
 
 
 def _amplitude(name: str) -> Said:
-    return said("Amplitude of {name}'s position error that repeats with its cycle", name=name)
+    return said("Amplitude of the part of the position error of '{name}' that repeats with its cycle", name=name)
 
 
 def _compared(name: str, still: str) -> tuple[tuple[str, str, Said], tuple[str, str, Said]]:
     """Name, unit and description of the two ratios of a navigation with rotation."""
     return (
-        (f"cep_rate_ratio_{name}", "1", said("CEP rate of {first} over that of {second}", first=name, second=still)),
+        (
+            f"cep_rate_ratio_{name}",
+            "1",
+            said("CEP rate of '{first}' divided by that of '{second}'", first=name, second=still),
+        ),
         (
             f"suppression_{name}",
             "1",
-            said("Rms radial error of {first} over that of {second}", first=still, second=name),
+            said("RMS radial error of '{first}' divided by that of '{second}'", first=still, second=name),
         ),
     )
 
@@ -230,9 +234,9 @@ def _periodic(
             )
     notes.append(
         said(
-            "Ratios compare navigations of one sensor over the same time. Their uncertainties come from the white noise and the "
-            "declared bias instability of the navigations, for which each navigation gives an upper bound. Errors that rotation "
-            "does not modulate (azimuth gyro, alignment) remain in all of them. Scale factor errors and misalignments act during "
+            "The ratios compare navigation runs of one sensor over the same time. Their uncertainties come from the white noise and "
+            "the declared bias instability of the navigation runs; each run contributes an upper bound. Errors that rotation "
+            "does not modulate (azimuth gyro, alignment) remain in all navigation runs. Scale factor errors and misalignments act during "
             "the turns and repeat with the cycle too; the prediction from constant errors does not include them."
         )
     )
@@ -250,9 +254,9 @@ def _figures(navigations: Sequence[Navigation]) -> Table:
     columns = (
         TableColumn("Navigation"),
         TableColumn("Cycle"),
-        TableColumn("radial at the end", Role.VALUE, "m"),
-        TableColumn("largest radial", Role.VALUE, "m"),
-        TableColumn("rms radial", Role.VALUE, "m"),
+        TableColumn("radial error at the end", Role.VALUE, "m"),
+        TableColumn("largest radial error", Role.VALUE, "m"),
+        TableColumn("rms radial error", Role.VALUE, "m"),
         TableColumn("rms velocity", Role.VALUE, "m/s"),
         TableColumn("CEP rate", Role.VALUE, "nmi/h"),
     )
@@ -268,8 +272,8 @@ def _cycles(
     declared = request.parameters.declared
     columns = (
         TableColumn("Navigation"),
-        TableColumn("stops leave", Role.VALUE, "s"),
-        TableColumn("turns leave", Role.VALUE, "s"),
+        TableColumn("residual of the stops", Role.VALUE, "s"),
+        TableColumn("residual of the turns", Role.VALUE, "s"),
         TableColumn("not modulated", Role.SHARE),
         TableColumn("velocity", Role.VALUE, "m/s"),
         TableColumn("predicted velocity", Role.VALUE, "m/s"),
@@ -315,7 +319,7 @@ def _predicted(
         ]
         rms = [float(np.sqrt(np.mean(one**2))) for one in radial]
         rows.append((item.name, item.rms, *rms))
-    titles = ("rms radial", "predicted", "predicted from horizontal errors alone")
+    titles = ("rms radial error", "predicted", "predicted from horizontal errors alone")
     columns = (TableColumn("Navigation"), *(TableColumn(title, Role.VALUE, "m") for title in titles))
     return [Table("Position errors predicted from the declared constant errors", columns, tuple(rows))]
 

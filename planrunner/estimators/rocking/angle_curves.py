@@ -95,7 +95,7 @@ def curve_plots(curves: Sequence[StateCurves]) -> list[Plot]:
     """One for each state and level axis."""
     return [
         Plot(
-            f"Drift angle about {AXES[axis]}, {state.name}"
+            f"Drift angle about {AXES[axis]} (state: {state.name})"
             + (f", mean of {state.quadruples} quadruples" if state.quadruples > 1 else ""),
             "time since the record began, s",
             "angle against inertial space, arcsec",

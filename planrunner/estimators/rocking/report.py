@@ -21,8 +21,8 @@ COMMON_TIMES = (540.0, 900.0)  # s
 
 
 _BY_METHOD = (
-    TableColumn("by accelerometers", Role.VALUE, "deg/h"),
-    TableColumn("by gimbal angles", Role.VALUE, "deg/h"),
+    TableColumn("drift from accelerometers", Role.VALUE, "deg/h"),
+    TableColumn("drift from gimbal angles", Role.VALUE, "deg/h"),
 )
 
 
@@ -43,12 +43,14 @@ def comparison(pairings: Sequence[Pairings]) -> Table:
     columns = (
         TableColumn("axis"),
         TableColumn("pairs", Role.COUNT),
-        TableColumn("standard deviation by accelerometers", Role.VALUE, "deg/h"),
-        TableColumn("by gimbal angles", Role.VALUE, "deg/h"),
+        TableColumn("standard deviation, accelerometers", Role.VALUE, "deg/h"),
+        TableColumn("standard deviation, gimbal angles", Role.VALUE, "deg/h"),
         TableColumn("ratio", Role.VALUE),
-        TableColumn("share of drifts that are smaller by accelerometers", Role.SHARE),
+        TableColumn("share of pairings with the smaller drift from accelerometers", Role.SHARE),
     )
-    return Table("Two methods over random pairings of a static and a dynamic run", columns, tuple(rows))
+    return Table(
+        "Comparison of the two methods over random pairings of a static and a dynamic run", columns, tuple(rows)
+    )
 
 
 def sentence(pairings: Sequence[Pairings]) -> Said:
@@ -66,8 +68,8 @@ def sentence(pairings: Sequence[Pairings]) -> Said:
         where = said("on no axis, not on {others}", others=tuple(worse))
     claim = said("not more than 70 % on {axes}", axes=tuple(few)) if few else said("more than 70 % on every axis")
     return said(
-        "Over {pairs} random pairings the accelerometer method has the smaller standard deviation {where}; {share:.0f} % of "
-        "its drifts are smaller than those by gimbal angles, {claim}.",
+        "Over {pairs} random pairings, the accelerometer method has the smaller standard deviation {where}. In {share:.0f} % of "
+        "the pairings ({claim}), its drift is smaller in magnitude than the drift from the gimbal angles.",
         pairs=all_pairs,
         where=where,
         share=100 * smaller,
@@ -85,7 +87,7 @@ def quadruple_table(states: Sequence[StateDrifts]) -> Table:
                 row = [quadruple.name, AXES[axis], _figure(values[place])]
                 rows.append((*row, _figure(values[place + 2])) if encoders else tuple(row))
     columns = (TableColumn("quadruple"), TableColumn("axis"), *_BY_METHOD[: 2 if encoders else 1])
-    return Table("Rocking drift of each quadruple", columns, tuple(rows))
+    return Table("Rocking drift of each quadruple of runs (static, dynamic, dynamic, static)", columns, tuple(rows))
 
 
 def run_table(states: Sequence[StateDrifts]) -> Table:
@@ -129,12 +131,12 @@ def method_error(request: EstimateRequest[RockingDriftParameters], seconds: floa
     parameters = request.parameters
     gravity = request.site.gravity
     rows = [
-        (f"accelerometer stability 10 µg over {time:g} s", _figure(STATED_STABILITY / gravity / time * DEG_PER_HOUR))
+        (f"accelerometer stability of 10 µg over {time:g} s", _figure(STATED_STABILITY / gravity / time * DEG_PER_HOUR))
         for time in COMMON_TIMES
     ]
     stability = parameters.accelerometer_stability
     if stability is not None:
-        shown = f"accelerometer stability {stability} (plan) over {seconds:g} s"
+        shown = f"accelerometer stability of {stability} (plan) over {seconds:g} s"
         rows.append((shown, _figure(stability.value / gravity / seconds * DEG_PER_HOUR)))
     count = resolution(request, parameters)
     if count:
@@ -142,14 +144,21 @@ def method_error(request: EstimateRequest[RockingDriftParameters], seconds: floa
         rows.append((shown, _figure(count / gravity / seconds * DEG_PER_HOUR)))
     level = math.cos(request.site.latitude) * request.site.earth_rate * DEG_PER_HOUR
     whole = request.site.earth_rate * DEG_PER_HOUR
-    rows.append(("Earth rate through an unmodelled azimuth of 0.1 deg", _figure(level * math.radians(0.1))))
+    rows.append(
+        ("Effect of the Earth rate with an unmodelled azimuth error of 0.1 deg", _figure(level * math.radians(0.1)))
+    )
     azimuth = azimuth_uncertainty(request)
     if azimuth is not None:
         size = azimuth.standard_uncertainty
-        rows.append((f"Earth rate through the stated {size / ARCSEC:.3g} arcsec of azimuth", _figure(level * size)))
-    rows.append(("Earth rate through 6.9 arcsec of attitude", _figure(whole * 6.9 * ARCSEC)))
+        rows.append(
+            (
+                f"Effect of the Earth rate with the stated azimuth uncertainty of {size / ARCSEC:.3g} arcsec",
+                _figure(level * size),
+            )
+        )
+    rows.append(("Effect of the Earth rate with an attitude error of 6.9 arcsec", _figure(whole * 6.9 * ARCSEC)))
     return Table(
-        "Method error of one run", (TableColumn("from"), TableColumn("size", Role.VALUE, "deg/h")), tuple(rows)
+        "Method error of one run", (TableColumn("source"), TableColumn("size", Role.VALUE, "deg/h")), tuple(rows)
     )
 
 

@@ -238,7 +238,7 @@ def _notes(
         rocked = min(ends, first + seconds) - max(begins, first)
         notes.append(
             said(
-                "Rocking drift is the mean from t0 to t1, {seconds:g} s, during which the base rocked for {rocked:g} s of them.",
+                "The rocking drift is the mean over the {seconds:g} s from t0 to t1; the base rocked for {rocked:g} s of this time.",
                 seconds=seconds,
                 rocked=rocked,
             )

@@ -125,8 +125,8 @@ def _table(points: Array, uncertainty: Array) -> Table:
         TableColumn("time", Role.NUMBER, "h"),
         TableColumn("east", Role.VALUE, "m"),
         TableColumn("north", Role.VALUE, "m"),
-        TableColumn("radial", Role.VALUE, "m"),
-        TableColumn("uncertainty of radial", Role.STANDARD_UNCERTAINTY, "m"),
+        TableColumn("radial error", Role.VALUE, "m"),
+        TableColumn("uncertainty of the radial error", Role.STANDARD_UNCERTAINTY, "m"),
         TableColumn("east velocity", Role.VALUE, "m/s"),
         TableColumn("north velocity", Role.VALUE, "m/s"),
     )
@@ -174,12 +174,12 @@ def _source(request: EstimateRequest[StrapdownNavigationParameters], found: Navi
     """What the uncertainties of the errors come from."""
     if found.wandering is None:
         return said(
-            "The uncertainties of the errors come from the white noise seen during alignment, propagated through the linear "
+            "The uncertainties of the errors come from the white noise observed during alignment, propagated through the linear "
             "error equations; constant sensor errors are part of the measured errors. For the largest error, the root mean "
             "square and the rate, the uncertainties are upper bounds."
         )
     return said(
-        "The uncertainties of the errors come from the white noise seen during alignment and from the declared bias "
+        "The uncertainties of the errors come from the white noise observed during alignment and from the declared bias "
         "instability, for constants that are averages over {span}, propagated through the linear error equations; constant "
         "sensor errors are part of the measured errors. For the largest error, the root mean square and the rate, the "
         "uncertainties are upper bounds.",
@@ -194,8 +194,8 @@ def _notes(
     notes = [
         said(
             "One run determines a CEP poorly: if errors are normal with equal variances and zero mean, the CEP rate is "
-            "between {low:.3g} and {high:.3g} nmi/h (95 %). Take the root mean square of radial_error_rate over several "
-            "runs, times 0.8326.",
+            "between {low:.3g} and {high:.3g} nmi/h (95 %). For a better value, multiply the root mean square of "
+            "radial_error_rate over several runs by 0.8326.",
             low=low,
             high=high,
         ),

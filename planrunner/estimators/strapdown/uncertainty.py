@@ -50,7 +50,7 @@ NAMES = {
         "nmi/h",
         said("Slope of the straight line through the origin fitted to radial error over time"),
     ),
-    "cep_rate": ("nmi/h", said("CEP rate of this run: √(ln 2) of the radial error rate")),
+    "cep_rate": ("nmi/h", said("CEP rate of this run: √(ln 2) times the radial error rate")),
 }
 _DIRECT = 7  # the first so many follow the state linearly
 DEGREE = math.degrees(1.0)

@@ -56,9 +56,9 @@ def comparison_table(axes: MountedAxes, noise: Array, angle: Array) -> Table:
         TableColumn("tilted: noise", Role.VALUE, "ppm"),
         TableColumn("tilted: angle", Role.VALUE, "ppm"),
         TableColumn("tilted: both", Role.VALUE, "ppm"),
-        TableColumn("alone: noise", Role.VALUE, "ppm"),
-        TableColumn("alone: lean", Role.VALUE, "ppm"),
-        TableColumn("alone: both", Role.VALUE, "ppm"),
+        TableColumn("one per axis: noise", Role.VALUE, "ppm"),
+        TableColumn("one per axis: tilt", Role.VALUE, "ppm"),
+        TableColumn("one per axis: both", Role.VALUE, "ppm"),
     )
     return Table("Standard uncertainty of K in one tilted mounting, and in one mounting per axis", columns, tuple(rows))
 

@@ -153,9 +153,9 @@ def _lowest_rate(situation: Situation, units: Units, noise: NoiseOfMeans) -> Tab
     columns = (
         TableColumn("axis"),
         TableColumn("lowest rate along the axis", Role.VALUE, text),
-        TableColumn("change of output over the expected change", Role.VALUE),
-        TableColumn("at least half (IEEE Std 528)"),
-        TableColumn("smallest change distinguished from noise", Role.VALUE, "deg/h"),
+        TableColumn("change of output, divided by the expected change", Role.VALUE),
+        TableColumn("at least half of the expected change (IEEE Std 528)"),
+        TableColumn("smallest change that can be distinguished from noise", Role.VALUE, "deg/h"),
     )
     return Table("Threshold and resolution at the lowest rate", columns, tuple(rows))
 
@@ -212,7 +212,7 @@ def _notes(
         time_note(seconds, len(axes.names), parameters.remounting.value),
         said(
             "Nonlinearity, response and offset are computed from the means over the repeats; asymmetry is "
-            "2·(K₊ − K₋)/(K₊ + K₋) of two half-lines that meet at zero rate."
+            "2·(K₊ − K₋)/(K₊ + K₋), where K₊ and K₋ are the slopes of two half-lines that meet at zero rate."
         ),
     ]
     angles = _angles(situation, acting)
@@ -267,8 +267,9 @@ def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Seq
             repeats=repeats,
         )
     return said(
-        "Uncertainties are based on the scatter of {repeats} repeats at each temperature, pooled over the temperatures except "
-        "where it differs between them (Bartlett's test at 1 %): in {apart} of {quantities} quantities.",
+        "Uncertainties are based on the scatter of {repeats} repeats at each temperature. The scatter is pooled over the "
+        "temperatures, except in {apart} of {quantities} quantities, where it differs between temperatures (Bartlett's test at a "
+        "significance level of 1 %).",
         repeats=repeats,
         apart=apart,
         quantities=len(scatter.pooled),
@@ -288,20 +289,21 @@ def _earth_words(situation: Situation, how: str) -> Said:
         parts = part_turns(situation.segments, situation.seconds, [0.0] * len(situation.segments))
         if parts:
             return said(
-                "The Earth's rotation is corrected for; its component across the rotation axis is up to {most:.3g} deg/h on "
-                "an axis. If a recording covers an incomplete turn, its starting angle is computed from the planned spin-up "
+                "The Earth rate is corrected for; its component perpendicular to the table's rotation axis contributes up to "
+                "{most:.3g} deg/h to the input of a sensor axis. If a recording covers an incomplete turn, its "
+                "starting angle is computed from the planned spin-up "
                 "and settling.",
                 most=most,
             )
         return said(
-            "The Earth's rotation is corrected for; its component across the rotation axis is up to {most:.3g} deg/h on an "
-            "axis.",
+            "The Earth rate is corrected for; its component perpendicular to the table's rotation axis contributes up to "
+            "{most:.3g} deg/h to the input of a sensor axis.",
             most=most,
         )
     ways = {"averaged": said("averaged"), "ignored": said("ignored")}
     return said(
-        "The Earth's rotation across the rotation axis is {how}: F0 contains the part that the zeros measured at the home "
-        "position, which is up to {most:.3g} deg/h on an axis.",
+        "The component of the Earth rate perpendicular to the table's rotation axis is {how}: F0 contains the part of it that "
+        "the zeros measured at the home position, which is up to {most:.3g} deg/h on a sensor axis.",
         how=ways.get(how, how),
         most=most,
     )

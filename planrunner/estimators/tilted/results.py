@@ -25,13 +25,13 @@ Array = NDArray[np.float64]
 WORDS = {
     "K": said("scale factor along the axis"),
     "F0": said("offset of the line at zero rate"),
-    "nonlinearity": said("largest residual over the largest output"),
-    "asymmetry": said("difference of forward and backward scale factors over their mean"),
-    "response": said("change of output between the lowest rates over the expected change"),
+    "nonlinearity": said("largest residual, divided by the largest output"),
+    "asymmetry": said("difference between the scale factors at positive and negative rates, divided by their mean"),
+    "response": said("change of output between the lowest rates, divided by the expected change"),
     "repeatability": said("relative standard deviation of K between repeats"),
     "temperature_coefficient": said("slope of K over temperature, divided by K at the reference temperature"),
     "temperature_sensitivity": said(
-        "largest change of K from the reference temperature, divided by K and by the temperature difference"
+        "largest change of K from its value at the reference temperature, divided by K and by the temperature difference"
     ),
 }
 ROLES = {
