@@ -95,9 +95,9 @@ def test_the_headline_by_hand():
     assert better.deviations[0] == pytest.approx(np.sqrt(0.1 / 3))
     text = sentence([better, worse])
     assert "smaller standard deviation on x, not on z" in text
-    assert "50 % of its drifts" in text
+    assert "In 50 % of the pairings" in text
     assert "not more than 70 % on z" in text
-    assert "on every axis (x); 75 %" in sentence([better])
+    assert "on every axis (x). In 75 %" in sentence([better])
     row = comparison([better]).rows[0]
     assert row[:2] == ("x", 4) and row[-1] == 0.75
 
