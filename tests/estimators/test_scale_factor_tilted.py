@@ -268,7 +268,7 @@ def test_comparison_with_one_mounting_an_axis() -> None:
     u = 20 / 3600 * DEG
     assert row["tilted: angle [ppm]"] == pytest.approx(math.tan(THETA * DEG) * u * 1e6, rel=1e-4)
     assert row["one per axis: tilt [ppm]"] == pytest.approx(math.sqrt(2) * u**2 * 1e6, rel=1e-9)
-    assert row["alone: noise [ppm]"] == pytest.approx(row["tilted: noise [ppm]"] / math.sqrt(3), rel=1e-9)
+    assert row["one per axis: noise [ppm]"] == pytest.approx(row["tilted: noise [ppm]"] / math.sqrt(3), rel=1e-9)
     note = next(text for text in found.notes if text.startswith("Test time"))
     seconds = sum(whole_turns(rate) for rate in (300, 150, 60, 20, 10, 1)) * 2 + 120
     assert (
