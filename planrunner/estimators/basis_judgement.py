@@ -253,7 +253,8 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
     )
     seen = said(
         "The outputs seem to drift during the test: a drift ({drifts}) explains {shares} of the scatter about the model. A term "
-        "that is missing in the model and follows the order of the segments would look the same. The drift is fitted together "
+        "that is missing from the model would look the same if its effect increases or decreases in the order of the "
+        "segments. The drift is fitted together "
         "with the coefficients; without it a coefficient would change by {moved:.2g} standard uncertainties. The coefficients "
         "are averages over the recorded time of the test. Write `drift: {written}` to confirm the drift, or `drift: none` to "
         "leave it out.",

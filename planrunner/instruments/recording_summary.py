@@ -195,7 +195,9 @@ def _row_of(
         assert column is not None
         scatter = _number(cells, column, where)
         if scatter < 0:
-            raise InstrumentError(f"{where}: {scatter:g} in column '{column}' is negative, which no scatter is")
+            raise InstrumentError(
+                f"{where}: {scatter:g} in column '{column}' is negative, but a standard deviation cannot be negative"
+            )
         independent = 1.0 if channel.standard_deviation else math.sqrt(count)
         deviations[name] = scatter / abs(channel.per_unit) * independent
     return SummaryRow(line, start, int(count), means, deviations)

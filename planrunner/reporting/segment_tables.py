@@ -15,7 +15,7 @@ from planrunner.reporting.rounding import in_parentheses
 
 ABREAST = 6
 """Maximum number of channels side by side; an inertial measurement unit has six."""
-_MEANS = "mean, with its standard uncertainty u in the last digits: 1.234(12) for u = 0.012"
+_MEANS = "means; the digits in parentheses are the standard uncertainty u in units of the last digits, for example 1.234(12) for u = 0.012"
 
 
 def segment_table(segments: Sequence[SegmentSummary]) -> Table:

@@ -114,7 +114,7 @@ def estimate_view(estimate: Estimate, index: int, probability: float) -> JsonObj
             for number, plot in enumerate(estimate.plots)
         ],
         "correlation": {
-            "title": "Correlations, in hundredths",
+            "title": "Correlation coefficients × 100",
             "svg": Picture(partial(correlation_svg, names, covariance, f"{key}-c")) if pairs else None,
         },
         "budgets": budget_views(estimate),

@@ -92,7 +92,7 @@ def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str
     if lasted is not None:
         yield "duration of the measurements", words.duration(lasted)
     if analysis:
-        yield "analysis", f"{analysis} (of {max(int(analysis), len(reader.analyses))} at that time)"
+        yield "analysis", f"{analysis} (of {max(int(analysis), len(reader.analyses))} when this report was written)"
 
 
 def _minute(moment: str, before: str = "") -> str:
@@ -107,7 +107,7 @@ def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool 
     from planrunner.archive.provenance import versions
 
     facts = {"analysis": analysis} if analysis else {}
-    facts |= {"recorded from (UTC)": str(reader.run["created"]), "analysed (UTC)": analysed}
+    facts |= {"recording started (UTC)": str(reader.run["created"]), "analysed (UTC)": analysed}
     if reader.seal is not None:
         facts["sealed (UTC)"] = str(reader.seal["sealed"])
         facts["journal head (SHA-256)"] = str(reader.seal["journal"]["head"])

@@ -65,9 +65,8 @@ def check_vertical(bench: Bench, models: BenchModels, log: Findings) -> None:
         return
     if 0 < u < TYPICAL_DEVIATION:
         message = (
-            f"latitude is stated to ± {u / ARCSEC:.3g} arcsec, but not whether it is astronomic or geodetic: they "
-            "differ by the "
-            f"deviation of the vertical, some {TYPICAL_DEVIATION / ARCSEC:.0f} arcsec, in mountains up to 60"
+            f"latitude has an uncertainty of {u / ARCSEC:.3g} arcsec, but its kind (astronomic or geodetic) is not given; the two "
+            f"differ by the deviation of the vertical, typically {TYPICAL_DEVIATION / ARCSEC:.0f} arcsec, in mountains up to 60 arcsec"
         )
         hint = "write `latitude_kind: astronomic`, or `latitude_kind: geodetic` and `deviation_of_vertical: {north: …}`, or widen the ±"
         log.warning("bench-vertical", site.at("latitude"), message, hint)

@@ -88,7 +88,7 @@ def test_it_shows_what_was_run_and_what_came_out(page: str) -> None:
         "0.000013",
         "within ±5 deg/h",
         "Residuals per position",
-        "Correlations, in hundredths",
+        "Correlation coefficients × 100",
         "Standard uncertainties by either basis",
         "The chamber reached 25.6 degC in P7",
         "5be840" * 10,

@@ -34,7 +34,7 @@ class MagneticSensitivity:
         "Shield the sensor magnetically, or compensate with a magnetometer: {found}.",
     )
     shown_by = (
-        "orientations that turn the sensor in the field, which the bench declares as `magnetic_field` of its site"
+        "orientations between which the sensor is turned in the magnetic field (`magnetic_field` of the bench's site)"
     )
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -78,7 +78,7 @@ class SiteLatitude:
         Actor.SITE,
         "Add the error to the latitude of the site in the bench file: {found}.",
     )
-    shown_by = "orientations that turn the axis in the meridian"
+    shown_by = "orientations between which the axis is turned in the plane of the meridian"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return self.around(observed, np.zeros(1))
@@ -101,7 +101,7 @@ class LeverArm:
         Actor.BENCH,
         "Mount the accelerometers on the axis of rotation, or correct for the lever arm: {found}.",
     )
-    shown_by, explains_turning = "rates that turn the accelerometers", True
+    shown_by, explains_turning = "rates, so that the accelerometers turn with the table", True
 
     def variants(self, observed: Observed) -> list[Variant]:
         if not observed.rate.any() or not observed.of_kind("accel"):

@@ -39,12 +39,12 @@ class TableTilt:
     id, stage = "table_tilt", "stimulus"
     about = About(
         "table is not level",
-        "The base of the table is tilted, so the sensor sees gravity and the rotation of the Earth from "
+        "The base of the table is tilted, so gravity and the rotation of the Earth act on the sensor from "
         "other directions than planned.",
         Actor.BENCH,
         "Level the table: {found}.",
     )
-    shown_by = "orientations that turn the sensor about the vertical"
+    shown_by = "orientations between which the sensor is turned about the vertical"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return self.around(observed, np.zeros(2))
@@ -60,12 +60,12 @@ class TableAzimuth:
     id, stage = "table_azimuth", "stimulus"
     about = About(
         "north of the table is not true north",
-        "The table is turned about the vertical, so the sensor sees the rotation of the Earth from other "
+        "The table is turned about the vertical, so the rotation of the Earth acts on the sensor from other "
         "directions than planned.",
         Actor.BENCH,
         "Align the table with north, or correct the azimuth of the site in the bench file: {found}.",
     )
-    shown_by = "orientations that turn the axis about the vertical"
+    shown_by = "orientations between which the axis is turned about the vertical"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return self.around(observed, np.zeros(1))
