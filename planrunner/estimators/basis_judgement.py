@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.archive.recording import BATCHES
 from planrunner.base.dataclass import dataclass
@@ -229,6 +230,8 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
     drift = fit.drift
     if not drift.courses:
         doubted = tuple(_suspected(fit, one, basis) for one in drift.suspected)
+        if drift.rivals and drift.nonlinear is not None:
+            return DriftWords(warnings=(_rivalled(fit, drift.rivals, drift.nonlinear),))
         if drift.judged:
             return DriftWords(warnings=doubted)
         hidden = said(
@@ -237,7 +240,7 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
             outputs=fit.outputs,
         )
         return DriftWords((hidden,), doubted)
-    names = tuple(dict.fromkeys(course.name for course in drift.courses))
+    names = _named(drift.courses)
     if drift.without is None or drift.explained is None:
         planned = said(
             "{outputs}: a drift ({drifts}) is fitted together with the coefficients. The coefficients are averages over the "
@@ -247,10 +250,7 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
         )
         return DriftWords(notes=(planned,))
     spreads = np.sqrt(np.diag(fit.covariance(basis))).reshape(fit.coefficients.shape)
-    shares = tuple(
-        said("{share:.3g} % ({output})", share=100 * float(share), output=output)
-        for output, share in zip(fit.outputs, drift.explained, strict=True)
-    )
+    shares = _shares(fit, drift.explained)
     seen = said(
         "The outputs seem to drift during the test: a drift ({drifts}) explains {shares} of the scatter about the model. A term "
         "that is missing from the model would look the same if its effect increases or decreases in the order of the "
@@ -274,6 +274,32 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
         warning=seen,
     )
     return DriftWords(warnings=(doubtful,))
+
+
+def _named(courses: Sequence[DriftCourse]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(course.name for course in courses))
+
+
+def _shares(fit: OutputsFit, shares: NDArray[np.float64]) -> tuple[Said, ...]:
+    """Shares of the scatter by output."""
+    return tuple(
+        said("{share:.3g} % ({output})", share=100 * float(share), output=output)
+        for output, share in zip(fit.outputs, shares, strict=True)
+    )
+
+
+def _rivalled(fit: OutputsFit, courses: Sequence[DriftCourse], nonlinear: NDArray[np.float64]) -> Said:
+    """A warning about residuals that may be a drift or a nonlinearity."""
+    return said(
+        "The residuals look like a drift during the test ({drifts}), but a nonlinearity of the outputs explains them as well: the square "
+        "of the output takes away {shares} of the scatter about the model. Neither is fitted, so the coefficients may contain a part of "
+        "it. Write `drift: {written}` to fit the drift, `drift: none` to exclude it, or estimate the nonlinearity with {estimator}; "
+        "the first segment repeated at the end would show which is true.",
+        drifts=_named(courses),
+        shares=_shares(fit, nonlinear),
+        written=_written(courses),
+        estimator="error_model",
+    )
 
 
 def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:

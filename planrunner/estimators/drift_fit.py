@@ -7,6 +7,9 @@ drift does not explain are those of an incomplete model, and a part of their pat
 degrees of freedom must remain over all outputs, or any scatter would look like a drift. A drift is rarely as even as it looks: once a
 course in time is adopted, the next order is fitted too where the segments allow it.
 
+Nor is a drift adopted if a nonlinearity of the outputs is the better explanation: the square of their fitted values leaves no more than
+noise, and its information criterion (BIC) is lower (regression specification error test: J. B. Ramsey, J. R. Stat. Soc. B 31, 1969).
+
 A course that is not adopted is suspected in two cases, which the report names. Its evidence is a little weaker, and it would move a
 coefficient by more than its standard uncertainty. Or it follows a recorded temperature that changed, and the segments couple it to a
 coefficient: an amplitude that the data cannot exclude would then move the coefficient by several standard uncertainties, whatever the data
@@ -59,7 +62,8 @@ class SuspectedDrift:
 class FittedDrift:
     """The courses in a fit. judged: whether a drift could have been found in the data at all. without: (m, p), the coefficients of a fit
     without drift; explained: (m,), share of the sum of squared residuals that the drift takes away. Both only if courses were adopted.
-    suspected: only if none was adopted."""
+    suspected: only if none was adopted. rivals, nonlinear: the courses that the data show, but that are not adopted because a nonlinearity
+    explains the residuals as well, and the share (m,) that it takes away."""
 
     courses: tuple[DriftCourse, ...] = ()
     by_evidence: bool = False
@@ -67,6 +71,8 @@ class FittedDrift:
     without: Array | None = None
     explained: Array | None = None
     suspected: tuple[SuspectedDrift, ...] = ()
+    rivals: tuple[DriftCourse, ...] = ()
+    nonlinear: Array | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -139,9 +145,36 @@ def fitted_drift(
     if not drift.shown and not _explained(whole, noises):
         suspected = _suspected(matrix, magnitudes, names, drift, None, fits)
         return FittedDrift(by_evidence=True, judged=True, suspected=suspected)
-    left, all_ = (np.array([one.chi_squared for one in each]) for each in (whole, plain))
-    share = 1 - left / np.where(all_ > 0, all_, 1.0)
-    return FittedDrift(chosen, True, True, np.array([one.coefficients for one in plain]), share)
+    bent = () if drift.shown else _nonlinear(matrix, plain, fits)
+    if bent and _explained(bent, noises) and _criterion(bent, len(matrix)) < _criterion(whole, len(matrix)):
+        return FittedDrift(by_evidence=True, judged=True, rivals=chosen, nonlinear=_taken(plain, bent))
+    return FittedDrift(chosen, True, True, np.array([one.coefficients for one in plain]), _taken(plain, whole))
+
+
+def _taken(before: Sequence[LinearFit], after: Sequence[LinearFit]) -> Array:
+    """Share (m,) of the sum of squared residuals that further columns take away."""
+    left, all_ = (np.array([one.chi_squared for one in each]) for each in (after, before))
+    return 1 - left / np.where(all_ > 0, all_, 1.0)
+
+
+def _criterion(found: Sequence[LinearFit], n: int) -> float:
+    """The Bayesian information criterion of fits to n observations each: χ² and ln N for each coefficient of all outputs."""
+    terms = sum(n - one.degrees_of_freedom for one in found)
+    return sum(one.chi_squared for one in found) + terms * float(np.log(n * len(found)))
+
+
+def _nonlinear(matrix: Array, plain: Sequence[LinearFit], fits: Fits) -> tuple[LinearFit, ...]:
+    """The fits (m,) with the square of each output's fitted values as a further column; none if the terms imitate the square of one."""
+    found = []
+    for k, one in enumerate(plain):
+        fitted = matrix @ one.coefficients
+        square = (fitted / np.max(np.abs(fitted), initial=np.finfo(float).tiny)) ** 2
+        basis = np.linalg.qr(matrix / np.max(np.abs(matrix), axis=0, initial=np.finfo(float).tiny))[0]
+        own = square - basis @ (basis.T @ square)
+        if np.linalg.norm(own) <= _SEPARABLE * np.linalg.norm(square):
+            return ()
+        found.append(fits(np.column_stack([matrix, own]))[k])
+    return tuple(found)
 
 
 def _next(

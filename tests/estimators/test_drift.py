@@ -10,6 +10,7 @@ import pytest
 from accelerometer_coverage import CHANNELS, SITE, spread_attitudes
 from recorded import figure, from_means, segment, sensor
 
+from planrunner.estimators import drift_fit
 from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
 from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest
@@ -190,6 +191,22 @@ def test_a_drift_whose_evidence_is_weak_is_warned_of_and_not_fitted() -> None:
         "weak",
         "fitted",
     ]
+
+
+def test_a_nonlinearity_is_not_taken_for_a_drift(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thirty times the noise of a mean: a square of the output, and a drift of the same size."""
+    campaign, world = CAMPAIGNS["scale_factor"], STEADY
+    _, made = recorded(campaign, world, np.random.default_rng(6))
+    shape = (made.values / np.max(np.abs(made.values), axis=0)) ** 2
+    bent = replace(made, values=made.values + 30 * made.mean * shape)
+    course = (made.time - made.time.mean()) / np.ptp(made.time)
+    drifting = replace(made, values=made.values + 30 * made.mean * course[:, None])
+    texts = found(campaign, world, bent).warnings
+    assert [text for text in texts if "square of the output" in text]
+    assert not [text for text in texts if "seem to drift" in text]
+    assert [text for text in found(campaign, world, drifting).warnings if "seem to drift" in text]
+    monkeypatch.setattr(drift_fit, "_nonlinear", lambda *_: ())
+    assert [text for text in found(campaign, world, bent).warnings if "seem to drift" in text]
 
 
 def test_a_temperature_that_does_not_change_adds_nothing() -> None:
