@@ -169,7 +169,7 @@ def test_it_is_issued_in_both_languages_as_a_new_analysis(run: Path) -> None:
         assert 'class="lacking"' in page, "the condition of the item was not stated"
     assert "Simulated: not a calibration" in english
     assert "仿真结果：不构成校准" in chinese
-    assert "漂移 D(X)，与加速度无关项" in chinese
+    assert "漂移 D(X) 中与加速度无关的部分" in chinese
     reader = RunReader.open(run)
     assert reader.state.created["files"]["plan.yaml"] in english
     reader.check_digests()
