@@ -8,11 +8,12 @@ DATA ?= ../shared/data
 CASES ?= 3000
 SEED ?= 41
 JOBS ?= 2
+WORKERS ?= 3
 BUILD ?= build
 DIST ?= dist
 CAMPAIGN ?= build/blind-$(SEED)-$(CASES)
 
-.PHONY: all demo test test-slow lint schemas catalogues wheel lock sbom benchmark campaign worlds faults fuzz clean
+.PHONY: all demo test test-slow lint schemas catalogues wheel lock sbom benchmark campaign campaign-real worlds faults fuzz clean
 
 all: $(READY)
 
@@ -27,12 +28,14 @@ demo: $(READY)
 	$(BIN)/planrunner check plans/flexure_gyro_eight_position.yaml
 	$(BIN)/planrunner run plans/flexure_gyro_eight_position.yaml --set device_serial=DEMO-1 --set operator=demo --runs runs
 
-# Three workers for two cores: some tests wait for a process that they started.
+# Three workers for two cores: some tests wait for a process that they started. Each worker computes in one thread.
+test test-slow fuzz: export OMP_NUM_THREADS := 1
+test test-slow fuzz: export OPENBLAS_NUM_THREADS := 1
 test: $(READY)
-	$(BIN)/pytest -n 3 -m 'not slow'
+	$(BIN)/pytest -n $(WORKERS) -m 'not slow'
 
 test-slow: $(READY)
-	$(BIN)/pytest -n 2 -m slow
+	$(BIN)/pytest -n $(WORKERS) -m slow --durations=60
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -68,13 +71,24 @@ campaign: $(READY)
 	  --by stepwise-bic --by whitened-bic --by lasso --by stlsq
 	$(BIN)/python -m tests.blind score $(CAMPAIGN) --json $(CAMPAIGN)/score.json
 
+# The same with the noise of real recordings at rest, answered by the diagnosis alone.
+campaign-real: export OMP_NUM_THREADS := 1
+campaign-real: REAL ?= build/real-$(SEED)-$(CASES)
+campaign-real: $(READY)
+	mkdir -p build
+	$(BIN)/python -m tests.blind make $(CASES) --seed $(SEED) --jobs $(JOBS) --real-noise $(REAL)
+	$(BIN)/python -m tests.blind answer $(REAL) --jobs $(JOBS)
+	$(BIN)/python -m tests.blind score $(REAL) --json $(REAL)/score.json
+
 # Every fault of the table and 200 random ones on a simulated bench, in processes (an hour or so). See docs/fault-campaign.md.
 faults: $(READY)
 	PLANRUNNER_FAULTS=all $(BIN)/pytest -n $(JOBS) -m 'slow or not slow' tests/faults
 
-# Mutated plans: 30 000 checked, 60 000 held against the schema (half an hour or so).
+# Mutated plans: 30 000 checked, 60 000 held against the schema, 30 000 compared with their originals (an hour or so). Then 20 000 plans,
+# checked and run (an hour or two).
 fuzz: $(READY)
-	PLANRUNNER_FUZZ=30000 $(BIN)/pytest -n $(JOBS) -m slow tests/plan
+	PLANRUNNER_FUZZ=30000 $(BIN)/pytest -n $(JOBS) -m slow tests/plan tests/review/test_mutants.py
+	PLANRUNNER_AGREEMENT=20000 $(BIN)/pytest -n $(JOBS) --dist load -m slow tests/agreement/test_check_agrees_with_run.py
 
 wheel: $(READY)
 	$(BIN)/pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .

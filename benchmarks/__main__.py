@@ -25,6 +25,7 @@ from benchmarks.measuring import ROOT, ProcessFailedError, figures_of, measured
 
 NAMES = (
     "check_speed",
+    "plan_difference",
     "executor_steps",
     "virtual_run",
     "least_squares_fit",

@@ -269,6 +269,7 @@ OPENERS = {
     "reporting/language.py": "shipped catalogues",
     "tasks/diagnose.py": "shipped benches",
     "tasks/self_test.py": "its own reference data",
+    "signing/keys.py": "private keys that it makes new, readable by their owner only",
 }
 """Modules that open files by the means of Python, and what they open."""
 

@@ -84,22 +84,33 @@ class StoredAnalysis:
         for name in sorted(standing | set(listed)):
             if name not in standing:
                 yield IntegrityError(
-                    f"{self.path / name}: missing from the analysis; take the run folder from a backup, or estimate again"
+                    f"{self.path / name}: missing from the analysis; take the run folder from a backup, or estimate again",
+                    "run-file-missing",
                 )
             elif name not in listed:
-                yield IntegrityError(f"{self.path / name}: added after the analysis was made; remove it")
+                yield IntegrityError(
+                    f"{self.path / name}: added after the analysis was made; remove it", "run-unknown-file"
+                )
             else:
                 try:
                     with folder.open_file(name, MOST_BYTES) as file:
-                        same = digest_of(file) == listed[name]
+                        found = digest_of(file)
                 except OSError as error:
                     yield _unreadable(self.path / name, error)
                     continue
-                if not same:
-                    yield _changed(self.path / name)
+                if found != listed[name]:
+                    other = next((other for other, value in listed.items() if value == found), None)
+                    yield _changed(self.path / name) if other is None else exchanged(self.path / name, other)
 
     def _folder(self) -> GuardedFolder:
         return self.run.folder(FOLDER).folder(str(self.number))
+
+
+def exchanged(path: Path, other: str) -> IntegrityError:
+    """The error for a file that has the content of another one."""
+    return IntegrityError(
+        f"{path}: it has the content of {other}: files were exchanged; {formats.FROM_BACKUP}", "run-reordered"
+    )
 
 
 def _changed(path: Path) -> IntegrityError:
@@ -110,7 +121,8 @@ def _changed(path: Path) -> IntegrityError:
 
 def _unreadable(path: Path, error: OSError) -> IntegrityError:
     how = "" if isinstance(error, NotOrdinaryError) else "cannot be read: "
-    return IntegrityError(f"{path}: {how}{error.strerror}; take the run folder from a backup")
+    code = "run-file-missing" if isinstance(error, FileNotFoundError) else "run-changed"
+    return IntegrityError(f"{path}: {how}{error.strerror}; take the run folder from a backup", code)
 
 
 def numbers(run: GuardedFolder) -> tuple[int, ...]:
@@ -128,13 +140,15 @@ def _is_number(name: str) -> bool:
 
 
 def stored_analysis(run: GuardedFolder, number: int) -> StoredAnalysis:
-    """An analysis with its list of digests. The list is checked against its schema; the files are not checked. Raises `IntegrityError`."""
+    """An analysis with its list of digests. The list is checked against its schema and its own digest; the files are not checked. Raises
+    `IntegrityError`."""
     path = run.path / FOLDER / str(number) / DIGESTS
     try:
         data = run.folder(FOLDER).folder(str(number)).read(DIGESTS, MOST_DIGESTS)
     except OSError as error:
         raise _unreadable(path, error) from None
     digests = formats.parse_json(data, path, "digests", "planrunner_digests", formats.DIGESTS_FORMAT)
+    formats.require_own_digest(data, digests, path)
     return StoredAnalysis(run, number, digests, digest(data))
 
 
@@ -197,7 +211,7 @@ def _take_number(
             "seal": basis.seal,
             "files": {name: digest(data) for name, data in sorted(files.items())},
         }
-        storage.write_whole(folder.folder(aside), DIGESTS, formats.to_bytes(digests))
+        storage.write_whole(folder.folder(aside), DIGESTS, formats.digested(digests))
         try:
             storage.rename(folder, aside, str(number))  # refused when another process took the number
         except OSError:

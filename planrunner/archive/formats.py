@@ -3,6 +3,7 @@ what was written (exit code 4)."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from functools import lru_cache
@@ -14,13 +15,20 @@ from planrunner.base.documents import Json, JsonObject
 
 
 class IntegrityError(Exception):
-    """A file of a run folder is missing, changed or does not match its schema. The message names the file and the remedy."""
+    """A file of a run folder is missing, changed or does not match its schema. The message names the file and the remedy; code: of the
+    finding that reports it."""
+
+    def __init__(self, message: str, code: str = "run-changed"):
+        super().__init__(message)
+        self.code = code
 
 
 RUN_FORMAT = 1
-SEAL_FORMAT = 1
-DIGESTS_FORMAT = 2
-"""Format 2 contains the previous analysis, the seal and the head of the journal. Format 1 did not; it can still be read."""
+SEAL_FORMAT = 2
+"""Format 2 contains its own digest. Format 1 did not; it can still be read."""
+DIGESTS_FORMAT = 3
+"""Format 2 contains the previous analysis, the seal and the head of the journal; format 3 also its own digest. Earlier formats can still
+be read."""
 MOST_LEVELS = 64
 """Maximum nesting depth of a JSON file or line."""
 FROM_BACKUP = "take the run folder from a backup"
@@ -29,6 +37,17 @@ FROM_BACKUP = "take the run folder from a backup"
 def to_bytes(value: Json) -> bytes:
     """JSON text of a file: full precision, no NaN, the same bytes for the same data. A lone surrogate becomes its escape."""
     return (json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode("utf-8", "backslashreplace")
+
+
+def digested(value: JsonObject) -> bytes:
+    """JSON text of a file whose last key, `digest`, is the SHA-256 of the same file without this key."""
+    return to_bytes({**value, "digest": hashlib.sha256(to_bytes(value)).hexdigest()})
+
+
+def require_own_digest(data: bytes, value: JsonObject, path: Path) -> None:
+    """Checks a file from `digested`, byte by byte. A file of an earlier format, without `digest`, passes. Raises `IntegrityError`."""
+    if "digest" in value and digested({key: item for key, item in value.items() if key != "digest"}) != data:
+        raise IntegrityError(f"{path}: changed after it was written: it does not match its own digest; {FROM_BACKUP}")
 
 
 def from_bytes(data: bytes) -> Json:

@@ -14,7 +14,7 @@ import time
 from collections.abc import Collection, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import lru_cache
-from io import FileIO
+from io import BufferedReader, FileIO
 
 from planrunner.archive.formats import IntegrityError, from_bytes
 from planrunner.archive.storage import Storage
@@ -117,10 +117,10 @@ class Journal:
 
 
 class JournalScan:
-    """Reader of a journal. Iterate once over the events; afterwards `head`, `count`, `size`, `torn` and `heads` are known.
+    """Reader of a journal. Iterate once over the events; afterwards `head`, `count`, `size`, `torn`, `heads` and `digests` are known.
 
     size: bytes of complete lines. torn: bytes of an incomplete last line. marks: event counts at which the head of the chain is stored in
-    `heads`. Raises `IntegrityError` if the chain is broken, and `OSError`.
+    `heads`, and the SHA-256 of the file up to this event in `digests`. Raises `IntegrityError` if the chain is broken, and `OSError`.
     """
 
     def __init__(self, folder: GuardedFolder, marks: Collection[int] = ()):
@@ -131,6 +131,8 @@ class JournalScan:
         self.size = 0
         self.torn = 0
         self.heads: dict[int, str] = {0: FIRST}
+        self.digests: dict[int, str] = {}
+        self._whole = hashlib.sha256()
         self._marks = frozenset(marks)
 
     def __iter__(self) -> Iterator[JsonObject]:
@@ -146,15 +148,17 @@ class JournalScan:
                 if self.count >= MOST_EVENTS:
                     raise self._error(f"is beyond the {MOST_EVENTS} events that a journal can have")
                 event = self._event(line)
+                if event.get("seq") != self.count + 1:
+                    raise self._misplaced(event.get("seq"), file)
                 if event.get("previous") != self.head:
                     raise self._error("does not contain the digest of the preceding line")
-                if event.get("seq") != self.count + 1:
-                    raise self._error("has a number that does not match its position")
                 self.head = hashlib.sha256(line[:-1]).hexdigest()
                 self.count += 1
                 self.size += len(line)
+                self._whole.update(line)
                 if self.count in self._marks:
                     self.heads[self.count] = self.head
+                    self.digests[self.count] = self._whole.hexdigest()
                 yield event
 
     def _event(self, line: bytes) -> JsonObject:
@@ -166,10 +170,25 @@ class JournalScan:
             raise self._error("is not a JSON object")
         return event
 
-    def _error(self, what: str) -> IntegrityError:
+    def _misplaced(self, number: Json, rest: BufferedReader) -> IntegrityError:
+        """The error for a line whose number does not match its position: lines were removed, inserted or exchanged."""
+        expected = self.count + 1
+        what = f"has the number {str(number)[:20]}, but {expected} is expected here"
+        if type(number) is not int:
+            return self._error(what)
+        if number <= self.count:
+            return self._error(f"{what}: a line was inserted or moved", "run-reordered")
+        wanted = b'"seq":%d,' % expected  # as a journal is written
+        later = any(wanted in line[:40] for line in iter(lambda: rest.readline(MOST_LINE + 1), b""))
+        if later:
+            return self._error(f"{what}, which is further down: lines were exchanged", "run-reordered")
+        return self._error(f"{what}: lines are missing", "run-cut-short")
+
+    def _error(self, what: str, code: str = "run-changed") -> IntegrityError:
         return IntegrityError(
             f"{self.path}:{self.count + 1}: this line {what}: the journal was changed after it was written; "
-            "take the run folder from a backup"
+            "take the run folder from a backup",
+            code,
         )
 
 

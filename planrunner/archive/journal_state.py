@@ -13,6 +13,9 @@ from planrunner.archive.segment_file import Part
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 
+MOST_TURNS = 1000
+"""Number of places where the time goes back that are kept."""
+
 
 @dataclass(frozen=True, slots=True)
 class Acknowledged:
@@ -53,7 +56,8 @@ class Rejected:
 @dataclass(slots=True)
 class JournalState:
     """clock, states: values at the last acknowledged segment, to resume from. open: the segment in which the process ended.
-    sealed_before: whether the run had a seal when it was reopened, according to the journal."""
+    sealed_before: whether the run had a seal when it was reopened, according to the journal. turning_times: number and time of the first
+    and the last event, and of the two events at each place where the time goes back."""
 
     created: JsonObject = field(default_factory=dict)
     acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
@@ -66,6 +70,7 @@ class JournalState:
     finished: bool = False
     sealed_before: bool = False
     failures: list[str] = field(default_factory=list)
+    turning_times: list[tuple[int, str]] = field(default_factory=list)
 
     def files(self) -> Iterator[Part]:
         """Every file of samples listed in the journal, whether it counts or not."""
@@ -82,6 +87,15 @@ class JournalState:
         handler = getattr(self, f"_{kind}", None)
         if handler is not None:
             handler(event)
+
+    def take_time(self, number: int, at: str) -> None:
+        """Events are written with times of one form, so that their texts are in the order of the times."""
+        kept = self.turning_times
+        rising = len(kept) > 1 and kept[-2][1] <= kept[-1][1] <= at
+        if rising or len(kept) > MOST_TURNS:
+            kept[-1] = (number, at)
+        else:
+            kept.append((number, at))
 
     def _created(self, event: Mapping[str, Json]) -> None:
         self.created = dict(event)
@@ -150,11 +164,13 @@ def read_state(folder: GuardedFolder, marks: Collection[int] = ()) -> tuple[Jour
                 raise IntegrityError(
                     f"{path}:{scan.count}: this event {fault}; was it written by a newer version of planrunner?"
                 )
+            state.take_time(event["seq"], event["at"])
             state.take(event)
     except NotOrdinaryError as error:
         raise IntegrityError(f"{path}: {error.strerror}; {formats.FROM_BACKUP}") from None
     except OSError as error:
-        raise IntegrityError(f"{path}: cannot be read: {error.strerror}; is this a run folder?") from None
+        code = "run-file-missing" if isinstance(error, FileNotFoundError) else "run-changed"
+        raise IntegrityError(f"{path}: cannot be read: {error.strerror}; is this a run folder?", code) from None
     if not state.created:
         raise IntegrityError(f"{path}: the journal is empty: the run never began; start it again")
     return state, scan

@@ -8,6 +8,8 @@ from importlib import metadata
 
 from planrunner import __version__
 
+NUMERICAL = ("numpy", "scipy", "numba")
+"""Libraries on which the digits of results depend."""
 LIBRARIES = ("numpy", "scipy", "pyarrow", "pint", "pyyaml", "jsonschema", "jinja2")
 
 
@@ -19,6 +21,25 @@ def versions() -> dict[str, str]:
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
     }
     return found | _libraries()
+
+
+@functools.cache
+def computed_with() -> dict[str, str]:
+    """Everything on which the last digits of a result may depend: planrunner, Python, the processor, the libraries and the BLAS."""
+    from threadpoolctl import threadpool_info
+
+    blas = [item for item in threadpool_info() if item.get("user_api") == "blas"]
+    named = sorted({" ".join(str(item.get(key)) for key in _BLAS if item.get(key)) for item in blas})
+    found = {"planrunner": __version__, "python": platform.python_version(), "machine": platform.machine()}
+    for name in NUMERICAL:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found | {"blas": ", ".join(named)}
+
+
+_BLAS = ("internal_api", "version", "architecture")
 
 
 @functools.cache

@@ -167,7 +167,7 @@ class RunWriter:
         file: FileIO | None = None
         try:
             lock = lock or FolderLock(folder)
-            examined = run if isinstance(run, Examined) else examine(folder, samples=True)
+            examined = run if isinstance(run, Examined) else examine(folder, samples="contents")
             examined.require_whole(*MENDED)
             state, scan = examined.state, examined.scan
             assert state is not None and scan is not None

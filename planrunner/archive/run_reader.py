@@ -164,7 +164,7 @@ class RunReader:
     def check_digests(self) -> int:
         """Check everything in the folder as it is now, samples included, against its digests; returns the number of recorded files.
         Raises `IntegrityError`."""
-        found = examine(self.folder, samples=True)
+        found = examine(self.folder, samples="contents")
         found.require_whole()
         assert found.state is not None
         return len({part.file for part in found.state.files()}) + len(found.given)

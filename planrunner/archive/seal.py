@@ -35,30 +35,42 @@ def write_seal(
         "journal": {"events": events, "head": head},
         "files": dict(sorted(digests.items())),
     }
-    storage.write_whole(folder, NAME, formats.to_bytes(seal))
+    storage.write_whole(folder, NAME, formats.digested(seal))
 
 
 def parse_seal(data: bytes, path: Path) -> JsonObject:
-    """The content of a seal. Raises `IntegrityError` if it does not match its schema."""
-    return formats.parse_json(data, path, "seal", "planrunner_seal", formats.SEAL_FORMAT)
+    """The content of a seal. Raises `IntegrityError` if it does not match its schema or its own digest."""
+    seal = formats.parse_json(data, path, "seal", "planrunner_seal", formats.SEAL_FORMAT)
+    formats.require_own_digest(data, seal, path)
+    return seal
 
 
-def seal_faults(path: Path, seal: Mapping[str, Json], scan: JournalScan, state: JournalState) -> Iterator[str]:
-    """Differences between a seal and the journal. scan: has the head after the number of events in the seal.
+def seal_faults(
+    path: Path, seal: Mapping[str, Json], scan: JournalScan, state: JournalState
+) -> Iterator[tuple[str, str]]:
+    """Differences between a seal and the journal, each as code and message. scan: has the head and the digest of the journal after the
+    number of events in the seal.
 
     If a finished run was reopened to repeat a segment, its journal continues after the seal; then only the sealed beginning is checked.
     """
     sealed = seal["journal"]
     if sealed["events"] > scan.count:
-        yield (f"{path}: the seal counts {sealed['events']} events, but the journal has {scan.count} complete events")
+        yield (
+            "run-cut-short",
+            f"{path}: the seal counts {sealed['events']} events, but the journal has {scan.count} complete events",
+        )
         return
     if scan.heads.get(sealed["events"]) != sealed["head"]:
-        yield f"{path}: this is not the journal that was sealed"
+        yield "run-changed", f"{path}: this is not the journal that was sealed"
         return
+    if scan.digests.get(sealed["events"]) != seal["files"][JOURNAL]:
+        yield "run-changed", f"{path}: the digest of {JOURNAL} is not that of the journal"
+    if seal["run"] != state.created["run"]:
+        yield "run-changed", f"{path}: it gives another name of the run than the journal"
     known = {part.file: part.sha256 for part in state.files()} | state.created["files"]
     for name, value in seal["files"].items():
         if name != JOURNAL and known.get(name) != value:
-            yield f"{path}: the digest of {name} is not the one in the journal"
+            yield "run-changed", f"{path}: the digest of {name} is not the one in the journal"
     if sealed["events"] == scan.count:
         for name in sorted(set(known) - set(seal["files"])):
-            yield f"{path}: it does not list {name}, which is in the journal"
+            yield "run-changed", f"{path}: it does not list {name}, which is in the journal"

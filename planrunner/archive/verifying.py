@@ -6,15 +6,18 @@ was written. A warning means that it is not sealed, so that less can be verified
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import MappingProxyType
+from typing import Literal
 
 from planrunner.archive import analyses as stored
 from planrunner.archive import formats, pausing
 from planrunner.archive import seal as seals
-from planrunner.archive.analyses import Basis, StoredAnalysis, stored_analysis
+from planrunner.archive.analyses import Basis, StoredAnalysis, exchanged, stored_analysis
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal import FIRST, JournalScan
 from planrunner.archive.journal import NAME as JOURNAL
@@ -22,8 +25,8 @@ from planrunner.archive.journal_state import JournalState, name_parts, read_stat
 from planrunner.archive.lock import NAME as LOCK
 from planrunner.archive.origin import NAME as ORIGIN
 from planrunner.archive.segment_file import FOLDER as SEGMENTS
-from planrunner.archive.segment_file import Part, check_part
-from planrunner.archive.storage import ASIDE, digest
+from planrunner.archive.segment_file import MOST_BYTES, Part, check_part
+from planrunner.archive.storage import ASIDE, digest, digest_of
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark
 from planrunner.base.guarded_folder import Entry, GuardedFolder, NotOrdinaryError
@@ -33,7 +36,11 @@ RUN, PLAN, BENCH = "run.json", "plan.yaml", "bench.yaml"
 MOST_GIVEN = 2**20
 """Maximum size in bytes of run.json, the plan and the bench."""
 FILES = {RUN, PLAN, BENCH, JOURNAL, seals.NAME, LOCK, pausing.NAME, ORIGIN, WATCHDOG}
+SIGNATURES = "signatures"
+"""Folder of the electronic signatures; `planrunner.signing.run_signatures` verifies its contents."""
 FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # files that they create in every folder that is opened
+SIGNS = (JOURNAL, RUN, seals.NAME)
+"""A folder that contains one of these files is a run folder."""
 MENDED = ("run-seal-missing", "run-journal-torn")
 """Codes of errors that reopening a run repairs: planrunner ended before the seal was written, or during the first event after it."""
 
@@ -41,6 +48,35 @@ MOST_SHOWN = 20
 """Maximum number of errors in one message."""
 
 RecordedEntries = dict[str, Entry]
+
+SampleCheck = Literal["sizes", "digests", "contents"]
+"""How files of samples are checked: that they exist with the right size; also their digests; also their rows and columns."""
+
+CLOCKS_DIFFER = timedelta(hours=1)
+"""Largest expected difference between the clock of the computer that reads a run and of the one that wrote it."""
+
+Change = Literal["altered", "removed", "added", "reordered", "re-sealed", "cut", "back-dated"]
+"""What was done to a run folder after it was written."""
+CHANGES: Mapping[str, Change] = MappingProxyType(
+    {
+        "run-changed": "altered",
+        "run-analysis-chain": "altered",
+        "run-file-missing": "removed",
+        "run-seal-missing": "removed",
+        "run-seal-removed": "removed",
+        "run-unknown-file": "added",
+        "run-journal-torn": "added",
+        "run-reordered": "reordered",
+        "run-resealed": "re-sealed",
+        "run-cut-short": "cut",
+        "run-back-dated": "back-dated",
+        "run-signature": "altered",
+    }
+)
+"""Code of a finding → the change that it reports."""
+
+CLOCK_STEP = timedelta(seconds=1)
+"""Largest step backwards that a clock may make when it is synchronised. Times that go back further count as back-dated."""
 
 
 @dataclass
@@ -69,6 +105,11 @@ class Examined:
         assert self.scan is not None
         return Basis(self.scan.count, self.scan.head, self.seal_digest)
 
+    @property
+    def files(self) -> dict[str, Part]:
+        """Every file of samples listed in the journal, by its name in the run folder."""
+        return {} if self.state is None else {part.file: part for part in self.state.files()}
+
     def error(self, code: str, message: str, hint: str = formats.FROM_BACKUP) -> None:
         self.findings.error(code, Mark(str(self.folder.path)), message, hint)
 
@@ -84,11 +125,10 @@ class Examined:
             raise IntegrityError("\n".join([*found[:MOST_SHOWN], *more]))
 
 
-def verify(run: Path, *, samples: bool = True) -> list[Finding]:
+def verify(run: Path, *, samples: SampleCheck = "contents") -> list[Finding]:
     """All errors, warnings and notes about a run folder; empty for a sealed folder without changes.
 
-    samples: also check the samples of every segment against their digests, which takes the time to read them. Raises `InputError` if there
-    is no run folder.
+    samples: how the files of samples are checked. Raises `InputError` if there is no run folder.
     """
     return list(examine(open_run(run), samples=samples).findings)
 
@@ -97,7 +137,7 @@ def open_run(path: Path) -> GuardedFolder:
     """The folder of a run, as named by the user. Raises `InputError` if it is not a run folder."""
     try:
         folder = GuardedFolder.open(path)
-        known = folder.entry(JOURNAL) is not None or folder.entry(RUN) is not None
+        known = any(folder.entry(name) is not None for name in SIGNS)
     except (OSError, ValueError):
         known = False
     if not known:
@@ -107,9 +147,8 @@ def open_run(path: Path) -> GuardedFolder:
     return folder
 
 
-def examine(folder: GuardedFolder, *, samples: bool = False) -> Examined:
-    """Examine a run folder. samples: also verify the samples of every segment; otherwise check only that their files exist and have the
-    right size.
+def examine(folder: GuardedFolder, *, samples: SampleCheck = "sizes") -> Examined:
+    """Examine a run folder. samples: how the files of samples are checked.
 
     A run that is being written can be examined too: files are listed before the journal is read, so the journal can only know more.
     """
@@ -125,6 +164,7 @@ def examine(folder: GuardedFolder, *, samples: bool = False) -> Examined:
     _check_given(found)
     _check_seal(found, standing)
     _check_chain(found)
+    _check_times(found)
     _check_samples(found, recorded, samples)
     _check_names(found, standing)
     for path, entry in found.unknown:
@@ -144,7 +184,7 @@ def _recorded(found: Examined, standing: RecordedEntries) -> RecordedEntries:
     """Entries in the folder of samples, listed before the journal is read. The journal then contains the event of every listed file that
     has one."""
     if SEGMENTS not in standing:
-        found.error("run-changed", f"{found.folder.path / SEGMENTS}: the folder of the samples is missing")
+        found.error("run-file-missing", f"{found.folder.path / SEGMENTS}: the folder of the samples is missing")
         return {}
     try:
         return found.folder.folder(SEGMENTS).entries()
@@ -181,11 +221,11 @@ def _read_analyses(found: Examined, standing: RecordedEntries) -> None:
             analysis = stored_analysis(found.folder, number)
             read.append(analysis)
             for fault in analysis.check():
-                found.error("run-changed", str(fault), hint="")
+                found.error(fault.code, str(fault), hint="")
     found.analyses = tuple(read)
     known = set(map(str, numbers))
     for number in (number for number in range(1, len(numbers) + 1) if str(number) not in known):
-        found.error("run-analysis-chain", f"{path / str(number)}: this analysis is missing, but later ones exist")
+        found.error("run-file-missing", f"{path / str(number)}: this analysis is missing, but later ones exist")
     for name, entry in entries.items():
         if name.isdecimal() and entry.kind != "folder":
             found.error("run-changed", f"{path / name}: it is {entry.what}, but a folder is expected here")
@@ -218,8 +258,15 @@ def _check_given(found: Examined) -> None:
         data = _read(found, name, MOST_GIVEN)
         if data is None:
             continue
-        if digest(data) != expected:
-            found.error("run-changed", f"{found.folder.path / name}: differs from what was recorded (SHA-256)")
+        own = digest(data)
+        if own != expected:
+            path = found.folder.path / name
+            other = next((other for other, value in found.state.created["files"].items() if value == own), None)
+            if other is None:
+                found.error("run-changed", f"{path}: differs from what was recorded (SHA-256)")
+            else:
+                fault = exchanged(path, other)
+                found.error(fault.code, str(fault), hint="")
             continue
         found.given[name] = data
     if RUN in found.given:
@@ -234,8 +281,8 @@ def _check_seal(found: Examined, standing: RecordedEntries) -> None:
     assert found.state is not None and found.scan is not None
     path = found.folder.path
     if found.seal is not None:
-        for fault in seals.seal_faults(path / seals.NAME, found.seal, found.scan, found.state):
-            found.error("run-changed", fault)
+        for code, fault in seals.seal_faults(path / seals.NAME, found.seal, found.scan, found.state):
+            found.error(code, fault)
     found.sealed_before = found.sealed_before or any(
         analysis.basis is not None and analysis.basis.seal is not None for analysis in found.analyses
     )
@@ -297,9 +344,9 @@ def _check_chain(found: Examined) -> None:
                     f"{path}: the analysis was made from another journal, or the journal was shortened: the analysis counted "
                     f"{basis.events} events, the journal has {found.scan.count}"
                 )
-                found.error("run-analysis-chain", message)
+                found.error("run-cut-short" if basis.events > found.scan.count else "run-analysis-chain", message)
             elif _follows_seal(found, basis) and basis.seal != found.seal_digest:
-                found.error("run-analysis-chain", f"{path}: the analysis was made under another seal than {seals.NAME}")
+                found.error("run-resealed", f"{path}: the analysis was made under another seal than {seals.NAME}")
         before = analysis
 
 
@@ -308,8 +355,48 @@ def _follows_seal(found: Examined, basis: Basis) -> bool:
     return found.seal is not None and basis.events >= int(found.seal["journal"]["events"])
 
 
-def _check_samples(found: Examined, recorded: RecordedEntries, samples: bool) -> None:
-    """Checks every file of samples in the journal: that it exists, has the recorded size and, on request, the recorded digest."""
+def _check_times(found: Examined) -> None:
+    """Checks that no time is before the time of what it follows, and none is in the future.
+
+    A clock that was set back looks the same. Therefore other commands only warn; the data themselves are as they were recorded.
+    """
+    assert found.state is not None and found.scan is not None
+    path = found.folder.path
+    dated = [(str(found.run["created"]), path / RUN)] if found.run else []
+    dated += [(at, path / f"{JOURNAL}:{number}") for number, at in found.state.turning_times]
+    if found.seal is not None and found.seal["journal"]["events"] == found.scan.count:
+        dated.append((str(found.seal["sealed"]), path / seals.NAME))
+    dated += [(str(one.digests["made"]), one.path / stored.DIGESTS) for one in _of_the_whole(found)]
+    now = datetime.now(UTC)
+    latest: tuple[datetime, Path] | None = None
+    for text, place in dated:
+        try:
+            moment = datetime.fromisoformat(text).astimezone(UTC)
+        except ValueError:
+            found.error("run-changed", f"{place}: '{text[:40]}' is not a time")
+            continue
+        if latest is not None and moment < latest[0] - CLOCK_STEP:
+            _tell_clock(found, f"{place}: dated {text}, before {latest[1]} ({latest[0].isoformat()}), which it follows")
+        if moment > now + CLOCKS_DIFFER:
+            _tell_clock(found, f"{place}: dated {text}, which is in the future")
+        if latest is None or moment > latest[0]:
+            latest = moment, place
+
+
+def _of_the_whole(found: Examined) -> list[StoredAnalysis]:
+    """The analyses made from the whole journal; earlier ones were made before its last events."""
+    assert found.scan is not None
+    return [one for one in found.analyses if one.basis is not None and one.basis.events == found.scan.count]
+
+
+def _tell_clock(found: Examined, message: str) -> None:
+    hint = "a time was altered, or the clock of the computer was wrong: compare with the records of the laboratory"
+    found.findings.warning("run-back-dated", Mark(str(found.folder.path)), message, hint)
+
+
+def _check_samples(found: Examined, recorded: RecordedEntries, samples: SampleCheck) -> None:
+    """Checks every file of samples in the journal: that it exists, has the recorded size and, on request, the recorded digest and
+    contents."""
     assert found.state is not None
     known: dict[str, Part] = {}
     for part in found.state.files():
@@ -328,17 +415,14 @@ def _check_samples(found: Examined, recorded: RecordedEntries, samples: bool) ->
         with _collecting(found):
             entry = entry or folder.entry(own)
         if entry is None:
-            found.error("run-changed", f"{path}: the samples cannot be read: No such file or directory")
+            found.error("run-file-missing", f"{path}: the samples cannot be read: No such file or directory")
         elif entry.kind != "file":
             found.error("run-changed", f"{path}: it is {entry.what}, but a file with a single name is expected here")
-        elif entry.size != part.bytes:
-            found.error(
-                "run-changed",
-                f"{path}: the samples differ from what was recorded: {entry.size} bytes, not {part.bytes}",
-            )
-        elif samples:
+        elif samples == "contents" and entry.size == part.bytes:
             with _collecting(found):
                 check_part(found.folder, part)
+        elif entry.size != part.bytes or samples == "digests":
+            _check_digest(found, folder, own, part, entry.size, read=samples == "digests")
     for name, entry in recorded.items():
         path = folder.path / name
         if f"{SEGMENTS}/{name}" in known or _aside(name, entry, "file"):
@@ -352,6 +436,28 @@ def _check_samples(found: Examined, recorded: RecordedEntries, samples: bool) ->
             found.unknown.append((path, entry))
 
 
+def _check_digest(found: Examined, folder: GuardedFolder, own: str, part: Part, size: int, *, read: bool) -> None:
+    """Checks the digest of a file of samples, or reports its wrong size. read: whether the file may be read."""
+    path = folder.path / own
+    value = ""
+    if read:
+        try:
+            with folder.open_file(own, MOST_BYTES) as file:
+                value = digest_of(file)
+        except OSError as error:
+            found.error("run-changed", f"{path}: the samples: {error.strerror}")
+            return
+        if value == part.sha256 and size == part.bytes:
+            return
+        other = next((name for name, one in found.files.items() if one.sha256 == value), None)
+        if other is not None and other != part.file:
+            fault = exchanged(path, other)
+            found.error(fault.code, str(fault), hint="")
+            return
+    sizes = f": {size} bytes, not {part.bytes}" if size != part.bytes else " (SHA-256)"
+    found.error("run-changed", f"{path}: the samples differ from what was recorded{sizes}")
+
+
 def _check_names(found: Examined, standing: RecordedEntries) -> None:
     """Reports entries that do not belong in a run folder, and entries of the wrong kind."""
     for name, entry in standing.items():
@@ -361,6 +467,8 @@ def _check_names(found: Examined, standing: RecordedEntries) -> None:
                 found.error(
                     "run-changed", f"{path}: it is {entry.what}, but a file with a single name is expected here"
                 )
+        elif name == SIGNATURES and entry.kind == "folder":
+            continue
         elif name not in (SEGMENTS, stored.FOLDER) and not _aside(name, entry, "file"):
             found.unknown.append((path, entry))
 
@@ -388,7 +496,8 @@ def _read(found: Examined, name: str, limit: int) -> bytes | None:
     except NotOrdinaryError as error:
         found.error("run-changed", f"{path}: {error.strerror}")
     except OSError as error:
-        found.error("run-changed", f"{path}: cannot be read: {error.strerror}; is this a run folder?")
+        code = "run-file-missing" if isinstance(error, FileNotFoundError) else "run-changed"
+        found.error(code, f"{path}: cannot be read: {error.strerror}; is this a run folder?")
     return None
 
 
@@ -398,6 +507,6 @@ def _collecting(found: Examined) -> Iterator[None]:
     try:
         yield
     except IntegrityError as error:  # its message says what to do
-        found.error("run-changed", str(error), hint="")
+        found.error(error.code, str(error), hint="")
     except OSError as error:
         found.error("run-changed", f"{error.filename or found.folder.path}: {error.strerror or error}")

@@ -41,23 +41,31 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
-def shared_out(work: Callable[[T], R], items: Sequence[T], jobs: int | None = None) -> list[R]:
+def shared_out(
+    work: Callable[[T], R], items: Sequence[T], jobs: int | None = None, tell: Callable[[float], None] | None = None
+) -> list[R]:
     """The results of `work` for all items, in their order.
 
     work: a function of a module, or a `partial` of one, whose argument and result can be pickled. jobs: number of processes, this one
-    included; None: as many as the processors allow and the number of items is worth. Exceptions of `work` are raised here, that of the
-    first such item. Raises `ProcessEndedError`.
+    included; None: as many as the processors allow and the number of items is worth. tell: called in this process after each item of its
+    share, with the part of the share that is done, 0 to 1. Exceptions of `work` are raised here, that of the first such item. Raises
+    `ProcessEndedError`.
     """
+    tell = tell or _untold
     method = "fork" if _may_fork() else "spawn"
     most = min(processors(), len(items) // _PAYS[method]) if jobs is None else min(jobs, len(items))
     if most < 2:
-        return [work(item) for item in items]
+        alone = []
+        for number, item in enumerate(items, start=1):
+            alone.append(work(item))
+            tell(number / len(items))
+        return alone
     done = [work(items[0])]  # what is computed for the first item is there for all forks
     left = items[1:]
     shares = [left[first::most] for first in range(most)]
     with contextlib.ExitStack() as open_:
         others = [open_.enter_context(_Started(method, work, share)) for share in shares[1:] if share]
-        results = [_up_to_a_failure(work, shares[0]), *(other.results() for other in others)]
+        results = [_up_to_a_failure(work, shares[0], tell), *(other.results() for other in others)]
     for number in range(len(left)):
         share, place = results[number % most], number // most
         # One is missing if the work failed on it or before it: it fails here again, as without other processes.
@@ -65,12 +73,17 @@ def shared_out(work: Callable[[T], R], items: Sequence[T], jobs: int | None = No
     return done
 
 
-def _up_to_a_failure(work: Callable[[T], R], share: Sequence[T]) -> list[R]:
+def _untold(_: float) -> None:
+    """For work whose progress nobody follows."""
+
+
+def _up_to_a_failure(work: Callable[[T], R], share: Sequence[T], tell: Callable[[float], None] = _untold) -> list[R]:
     """The results for the items before the first one that fails."""
     results: list[R] = []
     with contextlib.suppress(Exception):
         for item in share:
             results.append(work(item))
+            tell(len(results) / len(share))
     return results
 
 

@@ -7,7 +7,7 @@ come from `planrunner.physics.rotation_cycle`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -27,11 +27,12 @@ _DESIGN = "`planrunner design` finds cycles without a residual"
 
 
 def check_cycle(
-    axis: TableAxis, start: float, motion: Cycle, dwell: float | None, site: Site, at: MarkOf, log: Findings
+    axis: TableAxis, starts: Sequence[float], motion: Cycle, dwell: float | None, site: Site, at: MarkOf, log: Findings
 ) -> tuple[float, float]:
-    """Adds findings about a cycle that begins with the joint at `start` [rad]. Returns the angle [rad] of the joint at rest after the
-    dwell, and the time [s] to come to rest."""
-    excess = cycle_excess(axis, start, motion)
+    """Adds findings about a cycle that begins with the joint at the first of `starts` [rad], or perhaps at another of them. Returns the
+    angle [rad] of the joint at rest after the dwell if it begins at the first, and the time [s] to come to rest."""
+    start = starts[0]
+    excess = next(filter(None, (cycle_excess(axis, begin, motion) for begin in starts)), [])
     for one in excess:
         if one.kind == "rate":
             log.error("physics-rate", at("turn_rate"), one.message, "lower turn_rate")

@@ -16,6 +16,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark
 from planrunner.bench.cycle_checks import MarkOf, check_cycle
 from planrunner.bench.model import BenchModels
+from planrunner.bench.table_states import STOPS_LATE, TableState, spin_misses
 from planrunner.instruments.models import TableModel
 from planrunner.physics.kinematics import Array, Unreachable
 from planrunner.physics.table_motion import Excess, SpinCourse, about_one_axis, rock_excess, spin_excess
@@ -28,24 +29,12 @@ WHOLE_TURN_TOLERANCE = 100e-6
 @dataclass(frozen=True, slots=True)
 class Hold:
     """How long a motion is held. settle, dwell: s; dwell is None for the length of a recording. sampled: sample rate, Hz; None if the
-    sensor is not known."""
+    sensor is not known. sooner: s by which settling may end earlier, if it depends on measurements."""
 
     settle: float
     dwell: float | None
     sampled: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class TableState:
-    """State of the table: joint angles [rad], outermost first, and the time [s] to come to rest.
-
-    roughly: index of a joint that stopped after a motion and is only approximately at its angle, until the next orientation; None if every
-    joint is at its commanded angle.
-    """
-
-    joints: Array
-    stopping: float = 0.0
-    roughly: int | None = None
+    sooner: float = 0.0
 
 
 def start_motion(
@@ -82,9 +71,10 @@ def start_motion(
         return _spin(table, motion, hold, input_axes, state, models, mark, log)
     if isinstance(motion, Rock):
         return _rock(table, motion, hold.dwell, state, mark, log)
-    joints = state.joints.copy()
-    joints[0], stopping = check_cycle(table.axes[0], float(joints[0]), motion, hold.dwell, models.site, at, log)
-    return 0.0, TableState(joints, stopping, roughly=0)
+    starts = [float(start[0]) for start in state.starts()]
+    end, stopping = check_cycle(table.axes[0], starts, motion, hold.dwell, models.site, at, log)
+    missed = motion.rate * STOPS_LATE
+    return 0.0, state.ended(table.axes, 0, end - starts[0], (-missed, missed), stopping)
 
 
 def no_table(what: str, mark: Mark, log: Findings) -> None:
@@ -98,6 +88,8 @@ def _complain(excess: Sequence[Excess], mark: Mark, log: Findings) -> None:
             log.error("physics-axes", mark, one.message, "give at most one phase for each ring")
         elif one.kind == "rate":
             log.error("physics-rate", mark, one.message, "lower the rate, amplitude or frequency")
+        elif one.kind == "axis":
+            log.error("physics-rate-axis", mark, one.message, "give the segment an orientation, or spin about up")
         elif one.kind == "acceleration":
             log.error("physics-acceleration", mark, one.message, "lower amplitude or frequency")
         else:
@@ -143,23 +135,36 @@ def _spin(
         )
         return 0.0, state
     seconds = None if hold.dwell is None else hold.settle + hold.dwell
-    excess = spin_excess(table.axes, state.joints, course, seconds)
+    excess = spin_excess(table.axes, state.joints, course, seconds) or _elsewhere(table, motion, seconds, state, models)
     if excess:
         _complain(excess, mark, log)
         return 0.0, state
-    if hold.dwell is not None:
-        _whole_turns(motion, hold.dwell, input_axes, models, mark, log)
-        state = _turned(table, course, course.travel(hold.settle + hold.dwell), state)
-    roughly = course.joint if state.roughly is None else min(course.joint, state.roughly)
-    return course.ramp, replace(state, stopping=course.ramp, roughly=roughly)
+    if seconds is None or hold.dwell is None:
+        return course.ramp, state.ended(table.axes, course.joint, 0.0, (0.0, 0.0), course.ramp)
+    _whole_turns(motion, hold.dwell, input_axes, models, mark, log)
+    angle = course.travel(seconds)
+    misses = spin_misses(course.rate, angle, hold.sooner)
+    return course.ramp, state.ended(table.axes, course.joint, angle, misses, course.ramp)
 
 
-def _turned(table: TableModel, course: SpinCourse, angle: float, state: TableState) -> TableState:
-    """The joints after a spin through `angle` [rad]."""
-    joints = state.joints.copy()
-    end = float(joints[course.joint]) + angle
-    joints[course.joint] = math.remainder(end, 2 * math.pi) if table.axes[course.joint].continuous else end
-    return replace(state, joints=joints)
+def _elsewhere(
+    table: TableModel, motion: Spin, seconds: float | None, state: TableState, models: BenchModels
+) -> list[Excess]:
+    """Requirements beyond the limits if the spin begins at another angle at which the table may be."""
+    for start in state.starts()[1:]:
+        try:
+            course = SpinCourse.of(motion, table.axes, start, models.site.azimuth)
+        except Unreachable as error:
+            return _perhaps([Excess("axis", f"the table cannot turn about that direction: {error}")])
+        excess = spin_excess(table.axes, start, course, seconds)
+        if excess:
+            return _perhaps(excess)
+    return []
+
+
+def _perhaps(excess: Sequence[Excess]) -> list[Excess]:
+    because = "the angle at which an earlier motion stops is known only approximately, and with it the way that the table takes: perhaps"
+    return [replace(one, message=f"{because} {one.message}") for one in excess]
 
 
 def _whole_turns(
@@ -198,7 +203,9 @@ def _rock(
     if not table.rocks:
         hint = "give its driver a command for rocking in the bench file, or use another table"
         log.error("physics-motion", mark, "the table of this bench has no rocking motion", hint)
-    _complain(rock_excess(table.axes, state.joints, motion), mark, log)
+    found = (rock_excess(table.axes, start, motion) for start in state.starts())
+    planned = next(found)
+    _complain(planned or _perhaps(next(filter(None, found), [])), mark, log)
     # Rocking fades out over one period at the end of its time or of the dwell.
     left = motion.period if dwell is None else min(motion.period, max(0.0, motion.over - dwell))
     return motion.lead_in, replace(state, stopping=left)

@@ -16,9 +16,10 @@ import numpy as np
 
 from planrunner.base.findings import Findings, Mark, closest, elsewhere
 from planrunner.bench.model import BenchModels
-from planrunner.bench.motion_checks import Hold, TableState, no_table, start_motion
+from planrunner.bench.motion_checks import Hold, no_table, start_motion
+from planrunner.bench.table_states import TableState
 from planrunner.bench.temperature_checks import Temperatures
-from planrunner.physics.kinematics import Array, Unreachable, joint_angles, quickest_move
+from planrunner.physics.kinematics import Array, Unreachable
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan import model
 from planrunner.plan import state as holding_spec
@@ -137,9 +138,6 @@ def _lacking(segments: Mapping[Mark, str], key: str) -> tuple[Mark, str]:
     return first, f"the segment '{label}' has no {key}{elsewhere(list(segments), first)}"
 
 
-_ELSEWHERE = 1e-3  # rad from the expected angle of a joint, to test whether an orientation depends on it
-
-
 class _Planner:
     """Follows the bench from state to state."""
 
@@ -175,7 +173,8 @@ class _Planner:
         self._soaked = kelvin if kelvin is not None else self._soaked
         attitude = orientation.attitude
         transition += self._move(orientation, attitude, mark_of("orientation") or item.mark)
-        hold = Hold(settle if stable is None else stable.patience, dwell, self._sampled(item))
+        longest = settle if stable is None else stable.patience
+        hold = Hold(longest, dwell, self._sampled(item), longest - settle)
         transition += self._start(motion, hold, attitude, item)
         self._check_mode(item)
         self._check_samples(item, dwell)
@@ -317,7 +316,7 @@ class _Planner:
         if table is None or attitude is None:
             return 0.0
         try:
-            target, seconds = quickest_move(table.axes, attitude, self.state.joints, self.models.site.azimuth)
+            moved, seconds = self.state.oriented(table.axes, attitude, self.models.site.azimuth)
         except Unreachable as error:
             self.log.error(
                 "physics-orientation",
@@ -327,25 +326,11 @@ class _Planner:
             )
             return 0.0
         seconds += self.state.stopping
-        self.state = TableState(target, roughly=self._still_roughly(attitude, target))
+        self.state = moved
         return seconds
 
-    def _still_roughly(self, attitude: Array, target: Array) -> int | None:
-        """The joint that stays where a motion stopped it. This can happen if its axis is parallel to another."""
-        table, joint = self.models.table, self.state.roughly
-        if table is None or joint is None:
-            return None
-        near = self.state.joints.copy()
-        near[joint] += _ELSEWHERE
-        try:
-            moved = joint_angles(table.axes, attitude, near=near, azimuth=self.models.site.azimuth)
-        except Unreachable:
-            return joint
-        followed = abs(math.remainder(float(moved[joint] - target[joint]), 2 * math.pi)) > _ELSEWHERE / 2
-        return joint if followed else None
-
     def _start(self, motion: Motion, hold: Hold, attitude: Array | None, item: StatedSegment) -> float:
-        stopping, before = self.state.stopping, TableState(self.state.joints, roughly=self.state.roughly)
+        stopping, before = self.state.stopping, self.state.still()
         if isinstance(motion, Rest):
             self.state = before
             return stopping

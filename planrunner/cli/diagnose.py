@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner.base.documents import JsonObject
-from planrunner.base.findings import InputError, Mark, closest
+from planrunner.base.findings import COMMAND_LINE, InputError, Mark, closest
 from planrunner.cli import exit_codes
 from planrunner.cli.jobs import number_of_jobs
 from planrunner.cli.printing import print_findings, print_json, write_file
@@ -48,6 +48,21 @@ def add_nominal(parser: argparse.ArgumentParser) -> None:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_recording(parser)
     parser.add_argument(
+        "others",
+        metavar="RUN",
+        type=Path,
+        nargs="*",
+        help="further run folders, of other devices, benches or occasions: effects are attributed to device, bench or "
+        "occasion",
+    )
+    parser.add_argument(
+        "--origins",
+        metavar="CSV",
+        type=Path,
+        help="with several runs: table with the columns run, device, bench, occasion, where these differ from the run "
+        "folders",
+    )
+    parser.add_argument(
         "--also",
         metavar="RUN",
         action="append",
@@ -55,6 +70,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="a later run of the same sensor, such as a run of a proposed plan, to be analysed together with the "
         "first; may be repeated",
+    )
+    parser.add_argument(
+        "--given",
+        metavar="EFFECT[=VALUE]",
+        action="append",
+        default=[],
+        help="an effect that is known to act: fitted, or subtracted if values are stated as EFFECT=VALUE or "
+        "EFFECT=NAME:VALUE,…; the rest is diagnosed beside it; may be repeated",
     )
     parser.add_argument("--json", action="store_true", help="print the diagnosis as JSON")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures")
@@ -85,18 +108,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--jobs",
         metavar="N",
         type=number_of_jobs,
-        default=1,
-        help="threads of the linear algebra (default: 1, usually the fastest)",
+        help="threads of the linear algebra (default: 1, usually the fastest); with several runs: processes (default: "
+        "one per processor)",
     )
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.others:
+        from planrunner.cli.diagnose_fleet import run_fleet
+
+        options = options_of(args.nominal)
+        return run_fleet(args, [args.subject, *args.others], None if options is None else options.nominal)
+    if args.origins is not None:
+        raise InputError.at(
+            COMMAND_LINE, "gap-arguments", "--origins is for several runs", "give two or more run folders"
+        )
     from planrunner.tasks.diagnose import diagnose_recorded, joined
 
     with reading_progress() as notice:
         recorded = joined(recorded_of(args, notice), args.also, notice)
         print_findings(recorded.remarks)
-        made = diagnose_recorded(recorded, options_of(args.nominal), args.jobs, notice)
+        made = diagnose_recorded(recorded, options_of(args.nominal), args.jobs or 1, notice, args.given)
     print_findings(made.findings)
     found = made.to_json()
     if args.compare:
@@ -207,10 +239,22 @@ def context_of(made: Diagnosed, found: JsonObject, next_plan: str) -> DiagnosisC
         "Bench": sound.bench.name,
         "Segments": str(len(found["pictures"]["heat"]["segments"])),
         "Fitted by the simulation": ", ".join(made.diagnosis.grounds.nominal) or "nothing",
+        **_given(found),
         **site_facts(sound.models.site),
     }
     remarks = tuple(f"{finding.message}: {finding.hint}" for finding in made.findings)
     return DiagnosisContext(sound.plan.title, found, facts, remarks, next_plan, sound.models.origin)
+
+
+def _given(found: JsonObject) -> dict[str, str]:
+    """The effects that were known to act, as a fact of the page; none without them."""
+    fitted = dict.fromkeys(f"{one['effect']} (fitted)" for one in found["given"]["fitted"])
+    stated = [
+        f"{name} = {', '.join(filter(None, (f'{key} {text}'.strip() for key, text in values.items())))}"
+        for name, values in found["given"]["stated"].items()
+    ]
+    known = [*fitted, *stated]
+    return {"Known to act": ", ".join(known)} if known else {}
 
 
 def _show(context: DiagnosisContext) -> None:
@@ -227,6 +271,9 @@ def _show(context: DiagnosisContext) -> None:
         console.print(one.heading, style="bold")
         console.print(f"  {one.remedy}")
         console.print(f"  {one.physics}", style="dim")
+    known = context.facts.get("Known to act")
+    if known:
+        console.print(f"Known to act: {known}. The rest is diagnosed beside.")
     console.print(diagnosis_page.verdict(found), style="bold")
     for sentence in filter(None, (diagnosis_page.unknown_words(found), diagnosis_page.closure_words(found))):
         console.print(sentence)

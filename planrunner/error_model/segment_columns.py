@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.effects.interface import (
     ActsOnNoise,
+    ChangesWithinSegments,
     Column,
     Effect,
     HasShape,
     PerOrientation,
     ShapedOverSegments,
+    WrongDeclarationOf,
 )
 from planrunner.error_model.observed import REFERENCE_TEMPERATURE, Channel, Observed, ObservedSegment, joined
 from planrunner.physics.earth import Site
@@ -33,9 +35,10 @@ from planrunner.plan.units import ZERO_CELSIUS
 Array = NDArray[np.float64]
 
 KINDS = {"gyro": "rad/s", "accel": "m/s^2"}
-_TRIADS = tuple(
+TRIADS = tuple(
     Channel(f"{kind}_{'xyz'[axis]}", kind, axis, text, 1.0, 0.0) for kind, text in KINDS.items() for axis in range(3)
 )
+"""Two ideal triads, on which effects give the columns of an estimate."""
 _DIRECTIONS = 8  # of a turn
 _ALONG = 3  # nodes of a ramp
 _ALONG_SHAPED = 12  # nodes along a segment during which something decays
@@ -117,7 +120,7 @@ class Amplitude:
     """One coefficient of an output. name: of the column without the output's axis; several: whether the effect has others for this output;
     alone: whether the column acts on this output only. unit, factor: for display, and its SI value. along: as in
     `Column`, the axis whose input it is. size: the largest value of such columns of the effect at any moment, for any axis; 0 where nothing
-    excites it. origin: value, in `unit`, from which a fitted amplitude counts, of a shape."""
+    excites it. origin: value, in `unit`, from which a fitted amplitude counts, of a shape. shape: whether it is one."""
 
     effect: Effect
     name: str
@@ -128,6 +131,7 @@ class Amplitude:
     along: int | None
     size: float
     origin: float = 0.0
+    shape: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,20 +201,9 @@ class ErrorsAtSegments:
         felt = observed.omega if output.kind == "gyro" else observed.force
         amplitudes, columns, available = [], [], {}
         for one in output.chosen:
-            all_ = made[id(one.effect), one.shape]
-            here = [column for column in all_ if output.channel in column.parts]
-            several = len(here) > 1 or isinstance(one.effect, ShapedOverSegments)
-            available[one.effect.id] = tuple(_without_axis(column)[0] for column in here)
-            for column in here:
-                name, alone = _without_axis(column)
-                if one.only and name not in one.only:
-                    continue
-                alike = [part for other in all_ if other.unit == column.unit for part in other.parts.values()]
-                size = max(float(np.abs(part).max()) for part in alike)
-                text = column.plain or column.unit
-                amplitudes.append(Amplitude(one.effect, name, several, alone, text, column.factor, column.along, size))
-                part = column.parts[output.channel]
-                columns.append(part if column.segments is None else part * column.segments[observed.owner])
+            own, rows, available[one.effect.id] = amplitudes_of(one, output, observed, made[id(one.effect), one.shape])
+            amplitudes += own
+            columns += rows
             if one.sizes:
                 ways = [made[id(one.effect), shape] for shape in _beside(one)]
                 columns.append(_derivative(one, output, *ways))
@@ -218,7 +211,16 @@ class ErrorsAtSegments:
                 assert isinstance(effect, ShapedOverSegments)
                 amplitudes.append(
                     Amplitude(
-                        effect, effect.shape_name, True, True, effect.shape_unit, 1.0, None, size, one.shape or 0.0
+                        effect,
+                        effect.shape_name,
+                        True,
+                        True,
+                        effect.shape_unit,
+                        1.0,
+                        None,
+                        size,
+                        one.shape or 0.0,
+                        True,
                     )
                 )
         matrix = self._means(np.array(columns)).T if columns else np.zeros((len(self.segments), 0))
@@ -261,21 +263,45 @@ class ErrorsAtSegments:
                     zero,
                     states.celsius[row] + along * ramp,
                     zero + (ramp / seconds if ramp else 0.0),
-                    np.zeros((len(angle), len(_TRIADS))),
+                    np.zeros((len(angle), len(TRIADS))),
                     float(states.last_change[row]),
                 )
             )
-        return joined(self.site, _TRIADS, made, magnetic=self.site.magnetic_field)
+        return joined(self.site, TRIADS, made, magnetic=self.site.magnetic_field)
+
+
+def amplitudes_of(
+    part: EffectPart, output: OutputErrors, observed: Observed, columns: Sequence[Column]
+) -> tuple[list[Amplitude], list[Array], tuple[str, ...]]:
+    """The amplitudes of an effect in an output, their columns (N,), and the names of all that it has there. columns: of the effect."""
+    here = [column for column in columns if output.channel in column.parts]
+    several = len(here) > 1 or isinstance(part.effect, ShapedOverSegments | ChangesWithinSegments)
+    amplitudes, rows = [], []
+    for column in here:
+        name, alone = _without_axis(column)
+        if part.only and name not in part.only:
+            continue
+        alike = [values for other in columns if other.unit == column.unit for values in other.parts.values()]
+        size = max(float(np.abs(values).max()) for values in alike)
+        text = column.plain or column.unit
+        amplitudes.append(Amplitude(part.effect, name, several, alone, text, column.factor, column.along, size))
+        values = column.parts[output.channel]
+        rows.append(values if column.segments is None else values * column.segments[observed.owner])
+    return amplitudes, rows, tuple(_without_axis(column)[0] for column in here)
 
 
 def estimable(effect: Effect) -> str:
-    """Why an effect has no amplitudes that are linear in the means of segments; empty where it has."""
+    """Why an estimate cannot fit an effect; empty where it can."""
     if isinstance(effect, ActsOnNoise):
         return "it acts on the noise, not on means: use allan_deviation"
-    if isinstance(effect, HasShape) and not isinstance(effect, ShapedOverSegments):
-        return f"it has a shape ({effect.shape_name}) that means of segments do not determine linearly: use `planrunner diagnose`"
+    if isinstance(effect, HasShape) and not isinstance(effect, ShapedOverSegments | ChangesWithinSegments):
+        return (
+            f"its class does not say how its shape ({effect.shape_name}) changes the output: use `planrunner diagnose`"
+        )
     if isinstance(effect, PerOrientation):
         return "it differs between orientations: state it in the bench file as `position_uncertainty` of the table"
+    if isinstance(effect, WrongDeclarationOf):
+        return "it is a wrong declaration: correct it in the plan, in the bench file or on the bench"
     return ""
 
 

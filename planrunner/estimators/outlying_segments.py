@@ -55,7 +55,8 @@ def unchecked(fit: OutputsFit, basis: str) -> tuple[str, ...]:
     if not fit.freedom:
         return ()
     redundancy = np.min([_Shifts.of(fit, k, basis, ()).redundancy for k in range(len(fit.outputs))], axis=0)
-    return tuple(label for label, share in zip(fit.labels, redundancy, strict=True) if share < LEAST_REDUNDANCY)
+    means = fit.labels[: len(fit.labels) - fit.within]
+    return tuple(label for label, share in zip(means, redundancy, strict=False) if share < LEAST_REDUNDANCY)
 
 
 def _of_output(fit: OutputsFit, k: int, basis: str) -> list[Outlier]:
@@ -68,7 +69,7 @@ def _of_output(fit: OutputsFit, k: int, basis: str) -> list[Outlier]:
     while len(taken) < _MOST and fit.freedom - len(taken) > 1:
         shifts = _Shifts.of(fit, k, basis, taken)
         freedom = fit.freedom - len(taken) - 1
-        worst = int(np.argmax(shifts.drops))
+        worst = int(np.argmax(shifts.drops[: len(fit.labels) - fit.within]))
         left = (shifts.chi_squared - shifts.drops[worst]) / freedom
         error = float(shifts.errors[worst])
         if abs(error) <= least:

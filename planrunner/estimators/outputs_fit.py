@@ -31,6 +31,7 @@ from planrunner.uncertainty.influences import Influence
 Array = NDArray[np.float64]
 
 BASES = ("residual", "within_segment")
+_WIDEST = 1e9  # of the largest spread: what exceeds the noise then is not the means' scatter
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,8 @@ class OutputsFit:
     known) are in `unweighted`. pooled: whether one variance factor applies to all outputs, which is true if the proportions of their noise
     are known beforehand; pooled_freedom: its degrees of freedom. drift: the courses that are fitted together with the terms, q columns;
     `fits` and the degrees of freedom are those of all P = p + q columns. all_gains: (m, P, n), their coefficients from observations.
-    all_cofactors: by basis, (m, P, m, P), covariance of their coefficients before the variance factors.
+    all_cofactors: by basis, (m, P, m, P), covariance of their coefficients before the variance factors. within: number of observations at
+    the end that are no means of segments (`Observations`).
     """
 
     outputs: tuple[str, ...]
@@ -62,6 +64,7 @@ class OutputsFit:
     pooled: bool = False
     pooled_freedom: float = 0.0
     drift: FittedDrift = NOTHING_FITTED
+    within: int = 0
 
     @property
     def columns(self) -> Array:
@@ -187,7 +190,13 @@ def fit_outputs(
 
     def weighting_of(columns: Array, further: Sequence[str] = ()) -> _Weighting:
         return _Weighting(
-            columns, observations.mean.T, sizes(magnitudes, columns), (*names, *further), roots, observations.expected
+            columns,
+            observations.mean.T,
+            sizes(magnitudes, columns),
+            (*names, *further),
+            roots,
+            observations.expected,
+            observations.within,
         )
 
     def fits(columns: Array) -> Sequence[LinearFit]:
@@ -215,6 +224,7 @@ def fit_outputs(
         pooled,
         weighting.pooled_freedom(found, observations.correlation) if pooled else 0.0,
         drifting,
+        observations.within,
     )
 
 
@@ -233,7 +243,8 @@ class _Fitted:
 @dataclass(frozen=True, slots=True)
 class _Weighting:
     """Observations (m, n) of the outputs and the effects on them in addition to noise. roots: (m, n, r), of the effects
-    (`stacked_roots`). expected: the means have no noise, so chi² is replaced by its expectation."""
+    (`stacked_roots`). expected: the means have no noise, so chi² is replaced by its expectation. within: number of observations at the end
+    that are no means of segments, and in which nothing varies between segments."""
 
     matrix: Array
     observed: Array
@@ -241,6 +252,7 @@ class _Weighting:
     names: Sequence[str]
     roots: Array
     expected: bool = False
+    within: int = 0
 
     def plain(self, noises: Sequence[WithinSegmentNoise]) -> list[LinearFit]:
         """Fits weighted by noise and effects."""
@@ -253,9 +265,11 @@ class _Weighting:
         found = self._fits(spreads, whitening)
         ratios = _factors(found)
         for k, noise in enumerate(noises):
-            if residual and exceeds_noise(found[k], noise) and (noise.unequal or self.roots[k].any()):
-                between[k] = between_segments(partial(self._fit_of, k), spreads[k])
-                spreads[k] = np.hypot(spreads[k], between[k])
+            varied = noise.unequal or self.roots[k].any() or self.within
+            if residual and exceeds_noise(found[k], noise) and varied:
+                means = np.arange(len(self.matrix)) < len(self.matrix) - self.within
+                between[k] = between_segments(partial(self._fit_of, k), spreads[k], means)
+                spreads[k] = np.hypot(spreads[k], between[k] * means)
                 found[k] = self._fit_of(k, spreads[k])
         if between.any():
             whitening = self._whitening(spreads)
@@ -344,21 +358,25 @@ def exceeds_noise(found: LinearFit, noise: WithinSegmentNoise) -> bool:
     return bool(fdtrc(found.degrees_of_freedom, noise.degrees_of_freedom, found.variance_factor) < SIGNIFICANCE)
 
 
-def between_segments(fitted: Callable[[Array], LinearFit], spread: Array) -> float:
+def between_segments(
+    fitted: Callable[[Array], LinearFit], spread: Array, means: NDArray[np.bool_] | bool = True
+) -> float:
     """The standard deviation between segments that, together with `spread` (n,), makes chi²/dof equal to one (Mandel and Paule, Anal. Chem.
     54, 1982).
 
-    fitted: the fit for a given spread. chi² decreases monotonically with it; found by bisection. Zero if chi²/dof does not exceed one
-    without it.
+    fitted: the fit for a given spread. means: (n,), the observations that have it. chi² decreases monotonically with it; found by
+    bisection. Zero if chi²/dof does not exceed one without it, or would exceed one with any.
     """
     from scipy.optimize import brentq
 
     def excess(width: float) -> float:
-        return fitted(np.hypot(spread, width)).variance_factor - 1.0
+        return fitted(np.hypot(spread, width * means)).variance_factor - 1.0
 
     if excess(0.0) <= 0:
         return 0.0
     high = float(np.max(spread))
     while excess(high) > 0:
         high *= 4
+        if high > _WIDEST * float(np.max(spread)):
+            return 0.0
     return float(brentq(excess, 0.0, high, xtol=1e-6 * float(np.min(spread)), rtol=1e-9))

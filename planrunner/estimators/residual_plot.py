@@ -15,9 +15,12 @@ def residual_plot(
     x: tuple[float | str, ...] = (),
 ) -> Plot:
     """One series per output, in the unit of the first output, over the labels of the segments unless `x` is given."""
-    series = {name: tuple(map(float, one.residuals)) for name, one in zip(observations.channels, fit.fits, strict=True)}
+    n = len(observations.labels)
+    series = {
+        name: tuple(map(float, one.residuals[:n])) for name, one in zip(observations.channels, fit.fits, strict=True)
+    }
     spreads = {
-        name: tuple(map(float, noise.sigma))
+        name: tuple(map(float, noise.sigma[:n]))
         for name, noise in zip(observations.channels, fit.noises, strict=True)
         if noise.known
     }

@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 def resolution_influences(
     request: EstimateRequest[object], outputs: Sequence[str], functionals: Array
 ) -> tuple[Influence, ...]:
-    """One for each of the m outputs with a stated resolution. functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n).
+    """One for each of the m outputs with a stated resolution. functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n);
+    further observations are ignored.
 
     The rounding error of a mean is that of one count if the noise is too small to dither it, otherwise the average over its samples.
     """
@@ -33,7 +34,11 @@ def resolution_influences(
         if quantity is None:
             continue
         left = _left(request.segments, name, request.sensor)
-        found.append(Influence(quantity, functionals[:, k] * left, True, tuple(one.label for one in request.segments)))
+        found.append(
+            Influence(
+                quantity, functionals[:, k, : len(left)] * left, True, tuple(one.label for one in request.segments)
+            )
+        )
     return tuple(found)
 
 

@@ -119,14 +119,17 @@ def segment_statistics(recorded: RecordedSegment) -> JsonObject:
 
 
 def comparable(data: Json) -> Json:
-    """Results as JSON data without the format and without what only translations need: those of formats 2 and 3 can be compared."""
+    """Results as JSON data without the format, the versions that computed them, and what only translations need: those of formats 2 and 3
+    can be compared."""
     if isinstance(data, list):
         return [comparable(item) for item in data]
     if not isinstance(data, dict):
         return data
     if "text" in data and data.keys() <= {"text", "template", "plural", "values"}:
         return data["text"]
-    return {name: comparable(item) for name, item in data.items() if name != "planrunner_results"}
+    return {
+        name: comparable(item) for name, item in data.items() if name not in ("planrunner_results", "computed_with")
+    }
 
 
 def _find_to(one: Find) -> JsonObject:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,8 @@ class Observations:
     mean: (n, k). standard_error: (n, k), of each mean from its own segment, NaN if the segment is too short. batches: (n,), number of
     batches for it. start, end: (n,), of the recorded interval, half-open, s on the run's clock. correlation: (k, k) between the channels'
     samples, over all segments. expected: from a schedule, not from a recording: means without noise, and the declared noise. share: (n,)
-    of the samples that count; None for all. courses: (n,), of each segment as in `Statistics`; None without motion.
+    of the samples that count; None for all. courses: (n,), of each segment as in `Statistics`; None without motion. within: number of
+    further observations at the end that are no means, but contrasts within segments; their standard errors are known.
     """
 
     channels: tuple[str, ...]
@@ -44,6 +46,26 @@ class Observations:
     expected: bool = False
     share: Array | None = None
     courses: tuple[Array, ...] | None = None
+    within: int = 0
+
+    @property
+    def of_means(self) -> Observations:
+        """Without the contrasts."""
+        if not self.within:
+            return self
+        n = len(self.labels) - self.within
+        return replace(
+            self,
+            labels=self.labels[:n],
+            mean=self.mean[:n],
+            standard_error=self.standard_error[:n],
+            batches=self.batches[:n],
+            start=self.start[:n],
+            end=self.end[:n],
+            share=None if self.share is None else self.share[:n],
+            courses=None if self.courses is None else self.courses[:n],
+            within=0,
+        )
 
     @property
     def freedom(self) -> Array:
@@ -151,6 +173,10 @@ def within_segment_noise(
     error = observations.standard_error[:, channel]
     if observations.expected:
         return WithinSegmentNoise(error, True, "as declared", math.inf)
+    if observations.within:
+        shares = explained if isinstance(explained, float) else explained[: len(error) - observations.within]
+        means = within_segment_noise(observations.of_means, channel, shares)
+        return replace(means, sigma=np.concatenate([means.sigma, error[len(means.sigma) :]]))
     degrees = np.where(np.isfinite(error), observations.freedom, 0.0)
     usable = (degrees > 0) & (error > 0)
     n = len(error)

@@ -28,6 +28,7 @@ def observed(
     sensor: SensorModel,
     *,
     only: Collection[str] | None = None,
+    measured: Sequence[Channel] | None = None,
     angle_channel: str | None = None,
     temperature_channel: str | None = None,
     magnetic: Sequence[float] | None = None,
@@ -35,14 +36,15 @@ def observed(
 ) -> Observed:
     """The recorded segments of a run for a diagnosis, in order of time, as slow noise and hysteresis require.
 
-    only: the channels to use, by default all. Names give their axes (`axis_of`); angular-rate channels are gyros and acceleration channels
-    accelerometers, whatever their names. angle_channel: the table's encoder; temperature_channel: thermometer; by default the plan's values
-    are used. power_on: recording time of power-on, s. Raises `ObservationError` if the recording cannot be diagnosed.
+    only: the channels to use, by default all; measured: the channels, regardless of names and units. Names give their axes (`axis_of`);
+    angular-rate channels are gyros and acceleration channels accelerometers, whatever their names. angle_channel: the table's encoder;
+    temperature_channel: thermometer; by default the plan's values are used. power_on: recording time of power-on, s. Raises
+    `ObservationError` if the recording cannot be diagnosed.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
     recording = in_time_order(recording)
-    channels = channels_of(recording[0], sensor, only)
+    channels = channels_of(recording[0], sensor, only) if measured is None else tuple(measured)
     if not channels:
         raise ObservationError("the recording has no channel of angular rate or acceleration along an axis x, y or z")
     size = sizes(recording)
@@ -103,7 +105,8 @@ def _part(
     rows = rows_of(item, channels, extra, size, angle)
     time, table, motion = rows.time, rows.table, item.segment.motion
     left = 1.0 if size is None else fading(motion, size, 1 / rows.step)
-    part = motion_at(motion, time - rows.begin, _in_si(item, angle, table) if angle is not None else None, left)
+    encoder = None if angle is None or item.expected else _in_si(item, angle, table)
+    part = motion_at(motion, time - rows.begin, encoder, left)
     warm = _in_si(item, thermometer, table) if thermometer is not None else None
     temperature = temperature_of(item, time, warm)
     part["temperature"], part["temperature_rate"] = temperature.celsius, temperature.rate
@@ -127,12 +130,34 @@ def rows_of(
         raise ObservationError(
             f"segment '{item.label}' has no channel '{missing[0]}'; {closest(missing[0], item.units)}"
         )
-    rows = _held(item, names) if size is None else _averaged(item, channels, names, size, encoder)
+    if item.expected:
+        rows = _expected(item, channels, names, 1 if size is None else size)
+    else:
+        rows = _held(item, names) if size is None else _averaged(item, channels, names, size, encoder)
     if len(rows.time) < 8:
         raise ObservationError(
             f"segment '{item.label}' holds {len(rows.time)} usable samples: leave it out or record it again"
         )
     return rows
+
+
+def _expected(item: RecordedSegment, channels: Sequence[Channel], names: Sequence[str], size: int) -> Averaged:
+    """The times of the samples that are planned, with the expected means as values."""
+    known = item.statistics
+    time: Array = known.start + known.period * (
+        np.arange(known.count // size, dtype=np.float64) * size + (size - 1) / 2
+    )
+    table = {name: np.full(len(time), known.mean[known.of(name)]) for name in names}
+    k = len(channels)
+    return Averaged(
+        known.start,
+        known.period,
+        time,
+        table,
+        energy=np.zeros((k, k)),
+        spikes=np.zeros(k, dtype=np.int64),
+        levels=[np.empty(0)] * k,
+    )
 
 
 def _held(item: RecordedSegment, names: Sequence[str]) -> Averaged:

@@ -26,6 +26,9 @@ LOCKED = 1e-9  # sine of the angle between outer and inner axis below which they
 REACHED = 1e-7  # rad; an attitude nearer than this counts as reached
 ALIGNED = 1e-5  # rad; an axis nearer than this to a direction counts as lying along it
 SLACK = 1e-9  # rad beyond a joint limit that rounding may cause
+NEARLY = math.radians(20)  # rad by which a limited axis takes a longer way if this leads it nearer to zero
+ALIKE = 1e-6  # rad; moves of a continuous axis whose lengths differ by less count as equally long
+AS_QUICK = 1e-3  # relative difference of duration, and of length, below which two moves count as equally good
 
 
 class Unreachable(ValueError):  # noqa: N818 - reads as what the table says
@@ -85,7 +88,8 @@ def joint_angles(
 ) -> Array:
     """Joint angles [rad], shape (n,), for an attitude (3, 3): the solution within the limits that is reached fastest from `near`.
 
-    A limited axis keeps its absolute angle, so that cables unwind where they must. A continuous axis turns the shorter way. Raises
+    A limited axis keeps its absolute angle, so that cables unwind where they must. A continuous axis turns the shorter way. Of equally
+    good solutions, that with the limited axes nearest to zero is taken, then that which turns in the positive direction. Raises
     `Unreachable` with the reason.
     """
     return quickest_move(axes, target, near, azimuth)[0]
@@ -112,22 +116,40 @@ def _quickest_move(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azi
         only = f"has only the axis {names}" if len(axes) == 1 else f"has only the axes {names}"
         message = f"the table {only}; the nearest orientation it reaches is {math.degrees(off):.4g} deg away"
         raise Unreachable(message)
-    best: tuple[float, float, Angles] | None = None
+    ways: list[Angles] = []
     reasons: list[tuple[float, str]] = []
     for candidate in candidates:
         placed = [_place(axis, angle, start) for axis, angle, start in zip(axes, candidate, near, strict=True)]
         outside = [reason for _, reason in placed if reason is not None]
         if outside:
             reasons.append(max(outside))
-            continue
-        angles = tuple(angle for angle, _ in placed)
-        distance = sum((angle - start) ** 2 for angle, start in zip(angles, near, strict=True))
-        # Rounded, so that rounding errors cannot decide between two equally good solutions.
-        choice = (round(transition_time(axes, near, angles), 6), round(distance, 6), angles)
-        best = choice if best is None or choice[:2] < best[:2] else best
-    if best is None:
+        else:
+            ways.append(tuple(angle for angle, _ in placed))
+    if not ways:
         raise Unreachable(min(reasons)[1])
-    return best[2], transition_time(axes, near, best[2])
+    best = _preferred(axes, near, ways)
+    return best, transition_time(axes, near, best)
+
+
+def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> Angles:
+    """The quickest of some moves to joint angles; of equally quick ones, the shortest; of equally short ones, that with the limited axes
+    nearest to zero; and of those, that which turns the outermost differing axis in the positive direction."""
+    if len(ways) == 1:
+        return ways[0]
+    ways = _least(ways, [transition_time(axes, near, way) for way in ways])
+    ways = _least(ways, [math.dist(way, near) for way in ways])
+    wound = [math.hypot(*(angle for axis, angle in zip(axes, way, strict=True) if not axis.continuous)) for way in ways]
+    ways = _least(ways, wound)
+    for index in range(len(axes)):
+        furthest = max(way[index] for way in ways)
+        ways = [way for way in ways if way[index] >= furthest - ALIKE]
+    return ways[0]
+
+
+def _least(ways: list[Angles], values: list[float]) -> list[Angles]:
+    """The ways whose value is the least one, or exceeds it by so little that rounding or the end of a motion may decide."""
+    most = min(values) * (1 + AS_QUICK) + ALIKE
+    return [way for way, value in zip(ways, values, strict=True) if value <= most]
 
 
 def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
@@ -274,16 +296,24 @@ def _misalignment(axes: Sequence[TableAxis], angles: Angles, wanted: Array) -> f
 
 
 def _place(axis: TableAxis, angle: float, near: float) -> tuple[float, tuple[float, str] | None]:
-    """The equivalent of `angle` nearest to `near` within the limits; otherwise by how much it lies outside, and the reason."""
-    nearest = angle + TURN * round((near - angle) / TURN)
+    """The equivalent of `angle` nearest to `near` within the limits; otherwise by how much it lies outside, and the reason.
+
+    Half a turn away, two are equally near. A continuous axis then turns in the positive direction. A limited axis goes to the one nearer to
+    zero, even if the other is nearer by `NEARLY`; of two that are equally far from zero, it goes to the positive one.
+    """
+    nearest = angle + TURN * math.floor((near - angle + ALIKE) / TURN + 0.5)
     if axis.continuous:
         return nearest, None
-    low = nearest if math.isinf(axis.lowest) else angle + TURN * math.ceil((axis.lowest - SLACK - angle) / TURN)
-    high = nearest if math.isinf(axis.highest) else angle + TURN * math.floor((axis.highest + SLACK - angle) / TURN)
     lowest, highest = axis.lowest, axis.highest
-    choices = [choice for choice in (nearest, low, high) if lowest - SLACK <= choice <= highest + SLACK]
+    around = (nearest - TURN, nearest, nearest + TURN)
+    low = nearest if math.isinf(lowest) else angle + TURN * math.ceil((lowest - SLACK - angle) / TURN)
+    high = nearest if math.isinf(highest) else angle + TURN * math.floor((highest + SLACK - angle) / TURN)
+    choices = [choice for choice in (*around, low, high) if lowest - SLACK <= choice <= highest + SLACK]
     if choices:
-        best = min(choices, key=lambda choice: abs(choice - near))
+        shortest = min(abs(choice - near) for choice in choices)
+        ways = [choice for choice in choices if abs(choice - near) <= shortest + NEARLY]
+        zero = min(abs(choice) for choice in ways)
+        best = max(choice for choice in ways if abs(choice) <= zero + ALIKE)
         return min(max(best, lowest), highest), None
     central = math.remainder(angle, TURN)
     beyond = max(lowest - central, central - highest)

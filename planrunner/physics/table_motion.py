@@ -20,8 +20,8 @@ _GRANTED = 1 + 1e-9  # allowance for rounding at a limit
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """A requirement that an axis does not meet. kind: 'rings' (too few), 'rate', 'acceleration' or 'travel'; message: what the motion
-    requires and what the axis offers."""
+    """A requirement that an axis does not meet. kind: 'rings' (too few), 'axis' (none has the direction), 'rate', 'acceleration' or
+    'travel'; message: what the motion requires and what the axis offers."""
 
     kind: str
     message: str

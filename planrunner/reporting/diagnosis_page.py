@@ -118,23 +118,53 @@ def verdict(found: Data) -> str:
     beside = (
         ["+".join(sorted((*name.split("+"), residue))) for name in names] if residue not in (None, *effects) else []
     )
-    together = min(1.0, sum(posterior.get(name, 0.0) for name in {*names, "+".join(sorted(effects)), *beside}))
+    hypotheses = {*names, "+".join(sorted(effects)), *beside}
+    hypotheses |= {"+".join(sorted({*name.split("+"), "unknown"})) for name in hypotheses - {"unknown"}}
+    together = min(1.0, sum(posterior.get(name, 0.0) for name in hypotheses))
     nearly = residue is not None and together < 0.5
     how = _much(found, nearly) + ("" if nearly else f" ({probability(together)})")
-    if kind == "indistinguishable":
+    if kind == "indistinguishable" and _open(found):
+        chance = "" if nearly else f" (together {probability(together)})"
+        causes = f"One of {_listed(names, 'or')}{_something_else(found)} cause the gap"
+        said_so = f"{causes}: this plan cannot distinguish the named effects{chance}."
+    elif kind == "indistinguishable":
         what = f" explains {how}" if nearly else ""
         chance = "" if nearly else f" (together {probability(together)})"
         said_so = f"One of {_listed(names, 'or')}{what}: this plan cannot distinguish them{chance}."
+    elif _open(found):
+        chance = "" if nearly else f" ({probability(together)})"
+        said_so = f"{', '.join(effects)}{_something_else(found)} cause the gap{chance}."
     else:
-        said_so = f"{_listed(effects, 'and')} {'together explain' if kind == 'pair' else 'explains'} {how}."
+        said_so = f"{_listed(effects, 'and')} {'together explain' if len(effects) > 1 else 'explains'} {how}."
     return said_so + _rest(found) + _remainder(residue, effects)
+
+
+def _open(found: Data) -> bool:
+    """Whether something else acts beside the named effects, by its pattern or by the size of the rest."""
+    rest = found.get("rest")
+    visible = rest is not None and not rest["passes"] and float(rest["share"]) >= SMALL_REST
+    return visible or (found["verdict"].get("something_else") is True and not _form(found))
+
+
+def _form(found: Data) -> bool:
+    """Whether what is left may come from the idealised form of a strong effect."""
+    residue: str | None = found["verdict"].get("form_residue")
+    return residue == "unknown"
+
+
+def _something_else(found: Data) -> str:
+    rest = found.get("rest")
+    if rest is None or not rest.get("sigma"):
+        return " and something else"
+    channel, sigma = max(rest["sigma"].items(), key=lambda item: item[1])
+    return f" and something else of {sigma:.2g} σ on {channel}" if sigma > 0 else " and something else"
 
 
 def _much(found: Data, nearly: bool) -> str:
     """How much of the gap the named effects explain: the gap only if the rest is noise."""
     rest = found.get("rest")
     if rest is not None and not rest["passes"]:
-        return "nearly all of the gap" if rest["share"] < SMALL_REST else "most of the gap"
+        return "nearly all of the gap"
     return "nearly all of the gap" if nearly else "the gap"
 
 
@@ -153,8 +183,8 @@ def _remainder(residue: str | None, named: list[str]) -> str:
     if residue is None:
         return ""
     if residue in named:
-        (first,) = (name for name in named if name != residue)
-        return f" {residue} explains less than 5 % of it: it is present but weak, or it is a form residue of {first}."
+        others = _listed([name for name in named if name != residue], "and")
+        return f" {residue} explains less than 5 % of it: it is present but weak, or it is a form residue of {others}."
     if residue == "unknown":
         return " The rest comes from something that the catalogue does not contain."
     return f" The contribution of {residue} is below 5 % and is treated as form residue."
@@ -210,6 +240,7 @@ def tables(found: Data) -> dict[str, Table]:
         "comparison": comparison(found),
         "unknown_form": _unknown_form(found),
         "gap": _gap(found),
+        "closure": _closure(found),
         "noise": _noise(found),
         "where": _where(found),
         "hypotheses": _hypotheses(found),
@@ -270,6 +301,27 @@ def _gap(found: Data) -> Table:
     )
     figures = alike(Role.VALUE, "gap", "for noise alone", "times noise")
     return Table("Gap by channel", (TableColumn("Channel"), *figures, TableColumn("Unit")), rows)
+
+
+def _closure(found: Data) -> Table:
+    """The closure by channel, of channels whose data determine it."""
+    rows = tuple(
+        (
+            one["channel"],
+            _short(one["before"]),
+            _short(one["after"]),
+            _short(one["before_value"]),
+            _short(one["after_value"]),
+            one["unit"],
+            _percent(one["shrinks_by"]),
+            " to ".join(map(_percent, one["interval_90"])),
+        )
+        for one in found["closure"].get("channels", ())
+    )
+    figures = alike(Role.VALUE, "before [σ]", "after [σ]", "before", "after")
+    shares = alike(Role.VALUE, "shrinks by", "90 % interval")
+    title = "Gap of withheld segments without and with the effect"
+    return Table(title, (TableColumn("Channel"), *figures, TableColumn("Unit"), *shares), rows)
 
 
 def comparison(found: Data) -> Table:

@@ -161,10 +161,14 @@ def check_plan(
     return checked
 
 
+_OTHER_PAGES = ("show", "design", "diagnosis", "difference")
+"""Templates of pages that are no reports of a run."""
+
+
 @cache
 def report_names() -> tuple[str, ...]:
-    """The reports that can be written for a run: the shipped templates except those of `show`, `design` and `diagnose`."""
-    return tuple(name for name in available() if name.partition(".")[0] not in ("show", "design", "diagnosis"))
+    """The reports that can be written for a run: the shipped templates except `_OTHER_PAGES`."""
+    return tuple(name for name in available() if name.partition(".")[0] not in _OTHER_PAGES)
 
 
 def _find_bench(checked: Checked, plan: Plan, bench: str | Path | Document | None) -> bool:

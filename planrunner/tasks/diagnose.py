@@ -7,8 +7,8 @@ Recordings of one sensor made one after the other, such as of a plan and of what
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import date, datetime
 from functools import partial
 from pathlib import Path
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from planrunner.error_model.effects.interface import Effect
     from planrunner.error_model.observed import Observed
     from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
+    from planrunner.gap.hypotheses.declarations import WrongDeclaration
     from planrunner.reporting.advice import Advice
     from planrunner.tasks.propose import Next
 
@@ -63,12 +64,16 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosed:
-    """A diagnosis with remarks on the recording, the recording itself, and what to measure next, None if nothing is open."""
+    """A diagnosis with remarks on the recording, the recording itself, and what to measure next, None if nothing is open. declarations:
+    wrong ones, which were corrected before the diagnosis. stated: parameters of effects that are known to act, with their stated values;
+    the key '' means the only parameter, or all amplitudes."""
 
     recorded: Recorded
     diagnosis: Diagnosis
     findings: Findings
     following: Next | None = None
+    declarations: tuple[WrongDeclaration, ...] = ()
+    stated: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def advice(self) -> list[Advice]:
         """What to do about each effect of the verdict."""
@@ -80,8 +85,31 @@ class Diagnosed:
     def to_json(self) -> JsonObject:
         """The diagnosis according to `schemas/diagnosis.schema.json`."""
         named = [one.to_json() for one in self.advice()]
-        found = {"planrunner_diagnosis": DIAGNOSIS_FORMAT, "named": named, **self.diagnosis.to_json()}
+        wrong = [_declaration(one) for one in self.declarations]
+        found = {
+            "planrunner_diagnosis": DIAGNOSIS_FORMAT,
+            "declarations": wrong,
+            "named": named,
+            **self.diagnosis.to_json(),
+        }
+        found["given"] = {"fitted": found["given"], "stated": {name: dict(own) for name, own in self.stated.items()}}
         return found | {"next": None if self.following is None else self.following.to_json()}
+
+
+def _declaration(wrong: WrongDeclaration) -> JsonObject:
+    """According to `declarations` of `schemas/diagnosis.schema.json`."""
+    from planrunner.error_model.effects.about import about
+
+    told = about(_loaded(wrong.effect))
+    return {
+        "effect": wrong.effect,
+        "name": told.name,
+        "actor": told.actor.value,
+        "message": wrong.message,
+        "remedy": told.advice(wrong.where, None),
+        "parameters": dict(wrong.parameters),
+        "alternative": wrong.alternative,
+    }
 
 
 def _loaded(name: str) -> Effect:
@@ -90,31 +118,76 @@ def _loaded(name: str) -> Effect:
 
 
 def diagnose_recorded(
-    recorded: Recorded, options: DiagnosisOptions | None = None, jobs: int = 1, notice: Announce | None = None
+    recorded: Recorded,
+    options: DiagnosisOptions | None = None,
+    jobs: int = 1,
+    notice: Announce | None = None,
+    given: Sequence[str] = (),
 ) -> Diagnosed:
     """Diagnoses how a recording differs from its simulation. options: by default those of the plan; jobs: threads of the linear algebra;
-    with many small systems more than one rarely helps. notice: receives the progress of reading.
+    with many small systems more than one rarely helps. notice: receives the progress of reading. given: effects that are known to act, as
+    `EFFECT` (fitted), `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` (subtracted); the rest is diagnosed beside them.
     Raises `InputError` with all obstacles to a diagnosis."""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=jobs, user_api="blas"):
         segments = announced(recorded.segments, "diagnosing", notice)
-        return _diagnosed(replace(recorded, segments=segments), options)
+        return _diagnosed(replace(recorded, segments=segments), options, given)
 
 
-def _diagnosed(recorded: Recorded, options: DiagnosisOptions | None) -> Diagnosed:
+def _diagnosed(recorded: Recorded, options: DiagnosisOptions | None, given: Sequence[str]) -> Diagnosed:
     from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
     from planrunner.observation.refusals import ObservationError
 
     spec = recorded.sound.plan.diagnosis
     options = options or (DiagnosisOptions() if spec is None else DiagnosisOptions(nominal=spec.nominal))
-    observed, findings = observe(recorded, options.nominal)
+    fitted, stated = _known(given)
+    options = replace(options, given=(*options.given, *fitted))
+    observed, wrong, findings = corrected_observation(recorded, options.nominal)
     try:
-        found = diagnose(observed, options)
+        found = diagnose(_without(observed, stated, options.nominal), options)
     except ObservationError as error:
         raise _unfit(recorded, error) from None
     _compare_with_specification(recorded, found, findings)
-    return Diagnosed(recorded, found, findings, _following(recorded, found, findings))
+    following = None if wrong else _following(recorded, found, findings)
+    return Diagnosed(recorded, found, findings, following, wrong, stated)
+
+
+GIVEN = "--given"
+
+
+def _known(given: Sequence[str]) -> tuple[list[str], dict[str, Mapping[str, str]]]:
+    """Effects that are known to act: names of those to be fitted, and the stated values of the others. Raises `InputError`."""
+    from planrunner.tasks.simulate import parsed
+
+    fitted: list[str] = []
+    stated: dict[str, Mapping[str, str]] = {}
+    for text in given:
+        name, values = parsed(text, GIVEN)
+        if name not in plugins.names(plugins.EFFECTS):
+            hint = closest(name, plugins.names(plugins.EFFECTS))
+            raise InputError.at(Mark(GIVEN), "effect-unknown", f"no effect '{name}' is installed", hint)
+        if name in stated or name in fitted:
+            message = f"'{name}' is given twice"
+            raise InputError.at(Mark(GIVEN), "effect-twice", message, f"give all its parameters in one {GIVEN}")
+        if values:
+            stated[name] = values
+        else:
+            fitted.append(name)
+    return fitted, stated
+
+
+def _without(observed: Observed, stated: Mapping[str, Mapping[str, str]], nominal: tuple[str, ...]) -> Observed:
+    """The samples minus effects of known size. Raises `InputError`."""
+    if not stated:
+        return observed
+    from planrunner.error_model.added import added, addition
+    from planrunner.gap.hypotheses.candidates import Weighing
+
+    levels = Weighing(observed, nominal).fitted()
+    seen = replace(observed, fitted=levels)
+    additions = [addition(name, values, seen, Mark(GIVEN)) for name, values in stated.items()]
+    return replace(observed, values=observed.values - (added(seen, levels, additions, 0) - levels))
 
 
 _CLEARLY = 2.0
@@ -192,9 +265,18 @@ def _lasting(item: RecordedSegment) -> RecordedSegment:
 
 
 def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple[Observed, Findings]:
-    """The samples with their planned states, and warnings. nominal: terms that the simulation fits. Raises `InputError` with the
-    obstacles to a diagnosis."""
+    """The samples with their planned states, and warnings; wrong declarations are corrected. nominal: terms that the simulation fits.
+    Raises `InputError` with the obstacles to a diagnosis."""
+    seen, _, findings = corrected_observation(recorded, nominal)
+    return seen, findings
+
+
+def corrected_observation(
+    recorded: Recorded, nominal: Sequence[str]
+) -> tuple[Observed, tuple[WrongDeclaration, ...], Findings]:
+    """As `observe`, with the wrong declarations that were corrected."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
+    from planrunner.gap.hypotheses.declarations import corrected
     from planrunner.observation.poses import poses, unknown_orientations
     from planrunner.observation.refusals import ObservationError
     from planrunner.observation.samples import observed
@@ -220,12 +302,25 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
                 temperature_channel=_only(units, "temperature"),
                 magnetic=sound.models.site.magnetic_field,
             )
+        seen, wrong = corrected(seen)
+        for one in wrong:
+            findings.warning("gap-declaration", Mark(recorded.where), *_warned(one))
         check_observed(seen, recorded.where, findings)
     except ObservationError as error:
         raise _unfit(recorded, error) from None
     if findings.errors:
         raise InputError(findings)
-    return seen, findings
+    return seen, tuple(wrong), findings
+
+
+def _warned(wrong: WrongDeclaration) -> tuple[str, str]:
+    """Message and hint on a wrong declaration."""
+    from planrunner.error_model.effects.about import about
+
+    told = about(_loaded(wrong.effect))
+    also = f" (or {wrong.alternative})" if wrong.alternative else ""
+    hint = f"{told.advice(wrong.where, None)} The diagnosis continues with the corrected declaration"
+    return f"{told.name}: {wrong.message}{also}", hint
 
 
 def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> Recorded:

@@ -28,8 +28,11 @@ def report_context(
     analysis: str = "",
     analysed: str | None = None,
     certificate: CertificateFacts | None = None,
+    amendment: str = "",
 ) -> ReportContext:
     """All data that a report shows for one analysis.
+
+    amendment: which analysis it amends, by whom and why, in words.
 
     analysis: its number, if known; analysed: time of the analysis, UTC in ISO 8601, by default now.
     """
@@ -51,7 +54,7 @@ def report_context(
         failures=results.failures,
         warnings=tuple(_of_the_run(reader, len(sound.schedule.segments))),
         provenance=provenance(reader, analysis, moment, seeded=_seeded(sound)),
-        on_top=dict(_on_top(reader, segments, analysis)),
+        on_top=dict(_on_top(reader, segments, analysis)) | ({"amendment": amendment} if amendment else {}),
         origin=sound.models.origin,
         certificate=certificate,
     )
@@ -110,6 +113,7 @@ def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool 
     facts |= {"recording started (UTC)": str(reader.run["created"]), "analysed (UTC)": analysed}
     if reader.seal is not None:
         facts["sealed (UTC)"] = str(reader.seal["sealed"])
+        facts["seal.json (SHA-256)"] = str(reader.basis.seal)
         facts["journal head (SHA-256)"] = str(reader.seal["journal"]["head"])
     digests = reader.state.created.get("files", {})
     facts |= {f"{name} (SHA-256)": str(digests[name]) for name in FILES if name in digests}

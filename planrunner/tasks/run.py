@@ -15,6 +15,8 @@ from planrunner.archive.analyses import StoredAnalysis
 from planrunner.archive.formats import IntegrityError, from_bytes, to_bytes
 from planrunner.archive.lock import FolderLock
 from planrunner.archive.origin import OriginUnknownError, made_here
+from planrunner.archive.provenance import computed_with
+from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.space import recording_bytes, require_space
@@ -43,6 +45,15 @@ from planrunner.reporting.certificate_requirements import is_certificate
 from planrunner.reporting.context import CertificateFacts, ReportContext
 from planrunner.reporting.verdict import Headline
 from planrunner.reporting.view import render_report
+from planrunner.tasks.amendment import (
+    AMENDMENT,
+    EVALUATED_PLAN,
+    Amendment,
+    amended_analysis,
+    checked_amendment,
+    in_words,
+    require_same_measurement,
+)
 from planrunner.tasks.certify import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
 from planrunner.tasks.check import Document, Sound, check_plan
 from planrunner.tasks.report import report_context
@@ -134,7 +145,7 @@ def resume(
     folder = open_run(run)  # no lock is left in what is no run folder
     lock = _lock(folder)
     try:
-        found = examine(folder, samples=True)  # once, under the lock; what was found is handed on
+        found = examine(folder, samples="contents")  # once, under the lock; what was found is handed on
         reader = RunReader.of(found, to_reopen=True)
         file = None if bench is None else _stand_in(reader, bench)
         return _resume(found, reader, lock, stop, data_root, progress, operator, retake, file, trust_bench=trust_bench)
@@ -313,7 +324,11 @@ def sound_run(reader: RunReader, today: date | None = None, bench: Document | No
 
 
 def analyse_run(
-    run: Path, issue: Issue | None = None, checked: Sound | None = None, notice: Announce | None = None
+    run: Path,
+    issue: Issue | None = None,
+    checked: Sound | None = None,
+    notice: Announce | None = None,
+    amendment: Amendment | None = None,
 ) -> Analysis:
     """Estimate from a run's recording only; write results and reports as a new analysis.
 
@@ -322,9 +337,12 @@ def analyse_run(
 
     issue: the reports and the information for them; by default those of the plan. If a certificate requested by the plan cannot be issued
     it is withheld; if it is requested by the issue, `InputError` is raised with all obstacles.
+
+    amendment: who makes the analysis and why, stored with it; its plan, if any, replaces the estimates and limits of the run's plan.
     """
     issue = issue or Issue()
-    made = _analyse(run, issue, checked, notice, kept=True)
+    amendment = None if amendment is None else checked_amendment(amendment)
+    made = _analyse(run, issue, checked, notice, kept=True, amendment=amendment)
     reports = tuple(dict.fromkeys(issue.reports or made.sound.plan.report))
     withheld: tuple[Finding, ...] = ()
     if any(is_certificate(name) for name in reports):
@@ -332,7 +350,8 @@ def analyse_run(
         if withheld and issue.reports:
             raise InputError(withheld)
         reports = tuple(name for name in reports if not withheld or not is_certificate(name))
-    files = {RESULTS: to_bytes(made.results.to_json())}
+    files = {RESULTS: to_bytes({**made.results.to_json(), "computed_with": computed_with()})}
+    files |= made.amending
     for report in reports:
         files[report] = render_report(made.context, report).encode()
     if any(is_certificate(name) for name in reports):
@@ -363,6 +382,25 @@ def _read_results(analysis: StoredAnalysis) -> Json:
         raise IntegrityError(f"{analysis.path / RESULTS}: not JSON: {str(error)[:200]}; estimate again") from None
 
 
+def computed_by(analysis: StoredAnalysis) -> tuple[Json, dict[str, str]]:
+    """The stored results of an analysis as JSON data, and the versions that computed them, if stored. Raises `IntegrityError`."""
+    data = _read_results(analysis)
+    stated = data.get("computed_with", {}) if isinstance(data, Mapping) else {}
+    return data, {str(name): str(version) for name, version in stated.items()}
+
+
+def recompute(reader: RunReader, analysis: StoredAnalysis, notice: Announce | None = None) -> Results:
+    """The results from the samples, with the plan that the analysis used; nothing is written. Raises `IntegrityError`."""
+    return _estimated(reader, evaluated_as(reader, analysis), notice)[1]
+
+
+def evaluated_as(reader: RunReader, analysis: StoredAnalysis) -> Sound:
+    """The run under the plan that an analysis used. Raises `InputError` if it no longer passes the check, and `IntegrityError`."""
+    if EVALUATED_PLAN not in analysis.files:
+        return sound_run(reader)
+    return _evaluated(reader, Document(analysis.read(EVALUATED_PLAN), str(analysis.path / EVALUATED_PLAN)))
+
+
 def report_through(run: Path, template: Path, issue: Issue | None = None, notice: Announce | None = None) -> str:
     """The results of a run, rendered with a user's template; nothing is written to the run folder."""
     made = _analyse(run, issue or Issue(), notice=notice)
@@ -376,21 +414,52 @@ class _Made:
     results: Results
     context: ReportContext
     shown: CertificateFacts
+    amending: dict[str, bytes]
+
+
+def _evaluated(reader: RunReader, plan: Document) -> Sound:
+    """The run under a plan with other estimates or limits. Raises `InputError` for any other difference."""
+    made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
+    bench = Document(reader.bench_bytes, str(reader.path / "bench.yaml"))
+    sound = check_plan(plan, bench, made).sound()
+    require_same_measurement(sound_run(reader), sound)
+    return sound
+
+
+def _estimated(reader: RunReader, sound: Sound, notice: Announce | None) -> tuple[tuple[RecordedSegment, ...], Results]:
+    """The recording of a run and its results. One thread computes, because the digits of sums may depend on the number of threads."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        recording = reader.recording(sound.schedule, watch_of(sound.sensor), notice)
+        setup = replace(sound.setup, information=recorded_information(reader))
+        results = analyse(
+            sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor, setup, notice
+        )
+    return recording, replace(results, origin=sound.models.origin)
 
 
 def _analyse(
-    run: Path, issue: Issue, checked: Sound | None = None, notice: Announce | None = None, *, kept: bool = False
+    run: Path,
+    issue: Issue,
+    checked: Sound | None = None,
+    notice: Announce | None = None,
+    *,
+    kept: bool = False,
+    amendment: Amendment | None = None,
 ) -> _Made:
     """kept: whether it becomes the next analysis of the run; its reports then show this number."""
     reader = RunReader.open(run)
     same = checked is not None and (checked.plan_bytes, checked.bench_bytes) == (reader.plan_bytes, reader.bench_bytes)
     sound = checked if checked is not None and same else sound_run(reader)
-    recording = reader.recording(sound.schedule, watch_of(sound.sensor), notice)
-    setup = replace(sound.setup, information=recorded_information(reader))
-    results = analyse(
-        sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor, setup, notice
-    )
-    results = replace(results, origin=sound.models.origin)
+    amending, stated = {}, ""
+    if amendment is not None:
+        facts_of = amendment.to_json(amended_analysis(reader, amendment))
+        amending, stated = {AMENDMENT: to_bytes(facts_of)}, in_words(facts_of)
+        if amendment.plan is not None:
+            sound = _evaluated(reader, amendment.plan)
+            amending[EVALUATED_PLAN] = amendment.plan.data
+    recording, results = _estimated(reader, sound, notice)
     before = None if issue.before is None else _analyse(issue.before, Issue(), notice=notice)
     shown = facts(
         reader,
@@ -402,8 +471,8 @@ def _analyse(
     )
     earlier = reader.analyses
     number = str(earlier[-1].number + 1 if earlier else 1) if kept else ""
-    context = report_context(reader, sound, recording, results, analysis=number, certificate=shown)
-    return _Made(reader, sound, results, context, shown)
+    context = report_context(reader, sound, recording, results, analysis=number, certificate=shown, amendment=stated)
+    return _Made(reader, sound, results, context, shown, amending)
 
 
 def _obstacles(made: _Made, issue: Issue) -> list[Finding]:

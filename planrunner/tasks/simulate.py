@@ -101,16 +101,19 @@ def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]],
     return tuple(found.values())
 
 
-def parsed(text: str) -> tuple[str, dict[str, str]]:
-    """`EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` as name and values; a value without a name has the key ''."""
+def parsed(text: str, option: str = OPTION.file) -> tuple[str, dict[str, str]]:
+    """`EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` as name and values; a value without a name has the key ''. option: of
+    the command line, for messages."""
     name, equals, rest = (part.strip() for part in text.partition("="))
     values: dict[str, str] = {}
     for piece in rest.split(",") if equals else ():
         key, colon, value = piece.partition(":")
         key, value = (key.strip(), value.strip()) if colon else ("", key.strip())
         if not value or key in values:
-            hint = "write for example --with 'gyro_warm_up=tau:600 s,a_x:0.01 deg/s'"
-            raise InputError.at(OPTION, "effect-value", f"'{piece.strip()[:60]}' in '{text[:80]}' is not a value", hint)
+            hint = f"write for example {option} 'gyro_warm_up=tau:600 s,a_x:0.01 deg/s'"
+            raise InputError.at(
+                Mark(option), "effect-value", f"'{piece.strip()[:60]}' in '{text[:80]}' is not a value", hint
+            )
         values[key] = value
     return name, values
 

@@ -17,6 +17,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     make = commands.add_parser("make", help="make cases and commit to their labels")
     make.add_argument("count", type=int)
     make.add_argument("--seed", type=int, required=True, help="any whole number; who knows it knows the labels")
+    make.add_argument("--real-noise", action="store_true", help="add the noise of recordings at rest in ../shared/data")
     answer = commands.add_parser("answer", help="have every case answered")
     answer.add_argument(
         "--by",
@@ -51,7 +52,9 @@ def main(argv: list[str] | None = None) -> int:
     given = _arguments(argv)
     try:
         if given.command == "make":
-            campaign.make_all(given.folder, given.count, given.seed, given.jobs, given.scheduler, _tell)
+            campaign.make_all(
+                given.folder, given.count, given.seed, given.jobs, given.scheduler, _tell, given.real_noise
+            )
         elif given.command == "answer":
             for name in given.by or ["planrunner"]:
                 campaign.answer_all(given.folder, name, given.jobs, given.scheduler, _tell, given.first)

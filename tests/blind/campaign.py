@@ -31,9 +31,9 @@ ANSWERERS = {
 BATCH = 24  # cases of one set-up that a worker takes at a time
 
 
-def make_batch(folder: str, seed: int, numbers: Sequence[int]) -> int:
+def make_batch(folder: str, seed: int, real_noise: bool, numbers: Sequence[int]) -> int:
     for number in numbers:
-        store.write_case(Path(folder), make(seed, number), seed)
+        store.write_case(Path(folder), make(seed, number, real_noise=real_noise), seed)
     return len(numbers)
 
 
@@ -106,9 +106,17 @@ class Progress:
 
 
 def make_all(
-    folder: Path, count: int, seed: int, jobs: int = 1, scheduler: str | None = None, tell: Callable = lambda _: None
+    folder: Path,
+    count: int,
+    seed: int,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    tell: Callable = lambda _: None,
+    real_noise: bool = False,
 ) -> None:
     """Makes `count` cases, those that are whole already left out, then commits to the labels.
+
+    real_noise: the noise is that of recordings at rest, not drawn.
 
     Raises ValueError where the folder holds another campaign: its seed or its commitments would not be kept.
     """
@@ -116,13 +124,13 @@ def make_all(
     campaign = folder / "sealed" / "seed"
     if campaign.exists() and campaign.read_text(encoding="utf-8") != str(seed):
         raise ValueError(f"{folder} holds a campaign of another seed; take a new folder")
-    store.write_setups(folder)
+    store.write_setups(folder, real_noise)
     campaign.parent.mkdir(exist_ok=True)
     campaign.write_text(str(seed), encoding="utf-8")
     have = set(store.made(folder))
-    wanted = [(assigned(seed, n)[:2], n) for n in range(count) if f"case-{n:05d}" not in have]
+    wanted = [(assigned(seed, n, real_noise)[:2], n) for n in range(count) if f"case-{n:05d}" not in have]
     progress = Progress("made", count - len(wanted), count, tell)
-    for more in _run(make_batch, _batches(wanted), (str(folder), seed), jobs, scheduler):
+    for more in _run(make_batch, _batches(wanted), (str(folder), seed, real_noise), jobs, scheduler):
         progress.more(more)
     store.commit(folder)
 

@@ -29,6 +29,8 @@ class Sensor:
     gyro: Triad
     accel: Triad | None
     wrapped: bool = False  # the encoder's column runs from 0 to 360
+    real: bool = False  # its noise is that of a recording
+    counts: tuple[float, ...] = ()  # resolution of each channel, where those of a triad differ
 
     @property
     def triads(self) -> tuple[Triad, ...]:
@@ -202,7 +204,7 @@ def noise_factor(faults: Faults) -> float:
 def recorded(sensor: Sensor, clean: Array, faults: Faults, noise: Array) -> Array:
     """Outputs as recorded: noise added, clipped where the device clips, rounded to the resolution."""
     values = clean + noise
-    steps = np.repeat([t.resolution for t in sensor.triads], 3)
+    steps = np.array(sensor.counts) if sensor.counts else np.repeat([t.resolution for t in sensor.triads], 3)
     if "gyro_saturation" in faults:
         stop = float(np.abs(clean[:, :3]).max())
         values[:, :3] = np.clip(values[:, :3], -stop, stop)

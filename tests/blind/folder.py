@@ -14,12 +14,13 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tests.blind import commitment, generator
+from tests.blind import commitment, generator, real
 from tests.blind.device import SENSORS, Sensor
 from tests.blind.motion import Array, Schedule, Site
 from tests.blind.noise import FREQUENCIES
@@ -39,6 +40,9 @@ def declared(sensor: Sensor, site: Site) -> dict[str, Any]:
         }
         for name, triad in zip(("gyro", "accel"), sensor.triads, strict=False)
     }
+    for name, count in zip(generator.channel_names(sensor), sensor.counts, strict=False):
+        kind, axis = name.split("_")[:2]
+        channels[f"{kind}_{axis}"] = {**channels[kind], "resolution": count}
     return {
         "sensor": sensor.name,
         "sampling_hz": sensor.sampling,
@@ -84,7 +88,7 @@ class Shown:
 
     @property
     def sensor(self) -> Sensor:
-        return SENSORS[self.bench["sensor"]]
+        return real.sensor_called(self.bench["sensor"])
 
     @property
     def schedule(self) -> Schedule:
@@ -107,13 +111,12 @@ def _write(path: Path, text: str) -> None:
     aside.replace(path)
 
 
-def write_setups(folder: Path) -> None:
-    for plan, segments in PLANS.items():
-        for sensor in SENSORS.values():
-            here = folder / "setups" / f"{plan}-{sensor.name}"
-            here.mkdir(parents=True, exist_ok=True)
-            write_segments(here / "segments.csv", segments)
-            _write(here / "bench.json", json.dumps(declared(sensor, Site()), indent=2) + "\n")
+def write_setups(folder: Path, real_noise: bool = False) -> None:
+    for plan, name in real.SETUPS if real_noise else product(PLANS, SENSORS):
+        here = folder / "setups" / f"{plan}-{name}"
+        here.mkdir(parents=True, exist_ok=True)
+        write_segments(here / "segments.csv", PLANS[plan])
+        _write(here / "bench.json", json.dumps(declared(real.sensor_called(name), Site()), indent=2) + "\n")
 
 
 def write_case(folder: Path, case: generator.Case, seed: int) -> None:

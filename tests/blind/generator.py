@@ -7,6 +7,7 @@ from functools import cached_property, lru_cache, reduce
 
 import numpy as np
 
+from tests.blind import real
 from tests.blind.device import SENSORS, Device, Sensor, clean_output, noise_factor, random_device, recorded
 from tests.blind.effects import CATALOGUE, FOREIGN, KINDS, Kind, applies
 from tests.blind.motion import Array, Fault, Schedule, stimulus
@@ -42,7 +43,7 @@ class Case:
 @lru_cache(maxsize=2)
 def signatures(plan: str, sensor: str) -> Signatures:
     """Kept for the plan at work: cases are made plan by plan."""
-    kind = SENSORS[sensor]
+    kind = real.sensor_called(sensor)
     return Signatures(Schedule(PLANS[plan], kind.sampling), kind)
 
 
@@ -50,11 +51,14 @@ def _stream(seed: int, number: int, part: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, part)))
 
 
-def assigned(seed: int, number: int) -> tuple[str, str, str]:
+def assigned(seed: int, number: int, real_noise: bool = False) -> tuple[str, str, str]:
     """Plan, sensor type and kind of case `number`: the same whoever makes it."""
     rng = _stream(seed, number, 0)
-    plan = list(PLANS)[rng.integers(len(PLANS))]
-    sensor = list(SENSORS)[rng.integers(len(SENSORS))]
+    if real_noise:
+        plan, sensor = real.SETUPS[rng.integers(len(real.SETUPS))]
+    else:
+        plan = list(PLANS)[rng.integers(len(PLANS))]
+        sensor = list(SENSORS)[rng.integers(len(SENSORS))]
     return plan, sensor, str(rng.choice(list(COMPOSITION), p=list(COMPOSITION.values())))
 
 
@@ -249,9 +253,9 @@ def _channels(work: Work, fault: Fault) -> list[float]:
     return [round(float(v), 6) for v in energy / max(energy.sum(), 1e-300)]
 
 
-def make(seed: int, number: int, kind: str | None = None) -> Case:
+def make(seed: int, number: int, kind: str | None = None, real_noise: bool = False) -> Case:
     """Case `number` of a campaign: the same whatever other cases are made, and by whom."""
-    plan, sensor_name, assigned_kind = assigned(seed, number)
+    plan, sensor_name, assigned_kind = assigned(seed, number, real_noise)
     return draw(f"case-{number:05d}", plan, sensor_name, kind or assigned_kind, _stream(seed, number, 1))
 
 
@@ -259,17 +263,19 @@ def _surroundings(sensor: Sensor, rng: np.random.Generator) -> tuple[tuple[float
     """By what the noise of each triad is larger than declared, and the device."""
     wrong, most = rng.random() < WRONG_NOISE, np.log(WRONG_BY)
     factors = np.exp(rng.uniform(-most, most, len(sensor.triads)) * wrong)
+    if sensor.real:
+        factors = np.array(real.true_factors(sensor.name))
     return tuple(float(factor) for factor in factors), random_device(sensor, rng)
 
 
-def device_of(seed: int, number: int) -> Device:
+def device_of(seed: int, number: int, sensor: Sensor) -> Device:
     """The device of a case that was made before."""
-    return _surroundings(SENSORS[assigned(seed, number)[1]], _stream(seed, number, 1))[1]
+    return _surroundings(sensor, _stream(seed, number, 1))[1]
 
 
 def draw(name: str, plan: str, sensor_name: str, kind: str, rng: np.random.Generator) -> Case:
     """A case of the given composition under the given plan and sensor type."""
-    around, sensor = signatures(plan, sensor_name), SENSORS[sensor_name]
+    around, sensor = signatures(plan, sensor_name), real.sensor_called(sensor_name)
     factors, device = _surroundings(sensor, rng)
     work = Work(around, factors, device)
     faults = _effects(kind, work, rng)
@@ -285,7 +291,8 @@ def simulate(work: Work, faults: list[Fault], spiked: bool, rng: np.random.Gener
     by_name = {fault.effect: fault for fault in faults}
     scaled = np.repeat(work.factors, 3)
     scaled[:3] *= noise_factor(by_name)
-    added = noise(schedule, sensor, scaled, rng)
+    draws = real.noise if sensor.real else noise
+    added = draws(schedule, sensor, scaled, rng)
     if spiked:
         added = outliers(added, sensor.sigma() * scaled, rng)
     values = recorded(sensor, clean_output(schedule, sensor, work.device, by_name), by_name, added)

@@ -7,11 +7,11 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from tests.blind.device import SENSORS
 from tests.blind.effects import CATALOGUE, FOREIGN, Kind, Shape, applies
 from tests.blind.motion import Array, Schedule
 from tests.blind.noise import FLAT, flicker_basis, flicker_variance
 from tests.blind.plans import PLANS
+from tests.blind.real import sensor_called
 from tests.blind.signatures import Signature, Signatures
 
 SHAPES_TRIED = 3  # of an effect off the catalogue, beside the one that was drawn
@@ -146,5 +146,5 @@ class Weighed:
 
 @lru_cache(maxsize=2)
 def library(plan: str, sensor: str) -> Library:
-    kind = SENSORS[sensor]
+    kind = sensor_called(sensor)
     return Library(Signatures(Schedule(PLANS[plan], kind.sampling), kind))

@@ -29,10 +29,11 @@ from planrunner.plan.expand import expand
 from planrunner.plan.model import parse_plan
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
 from planrunner.tasks.propose import Frame, propose_next
+from tests.blind.device import SENSORS
 from tests.blind.folder import Shown
-from tests.blind.generator import channel_names, device_of
-from tests.blind.motion import WORDS, Array, Fault, vector
-from tests.blind.plans import Axis
+from tests.blind.generator import Case, channel_names, device_of
+from tests.blind.motion import WORDS, Array, Fault, Schedule, vector
+from tests.blind.plans import PLANS, Axis
 from tests.blind.plans import Segment as Row
 from tests.blind.signatures import change
 
@@ -76,7 +77,9 @@ def sensor_model(shown: Shown) -> SensorModel:
     """Declared noise in the product's terms: N of a one-sided density S is S ÷ √2."""
     outputs = []
     for name in channel_names(shown.sensor):
-        declared = shown.bench["channels"][name.split("_")[0]]
+        kind, axis = name.split("_")[:2]
+        channels = shown.bench["channels"]
+        declared = channels.get(f"{kind}_{axis}", channels[kind])
         noise = NoiseModel(
             declared["white_noise_density"] / np.sqrt(2), declared["bias_instability"], declared["resolution"]
         )
@@ -130,12 +133,39 @@ def diagnose(shown: Shown) -> dict[str, Any]:
     return answer
 
 
+def diagnosis_of(shown: Shown) -> Diagnosis:
+    """The diagnosis itself."""
+    return diagnosed(observation(shown))
+
+
+Shut = tuple[float, float, float, float]
+"""A stated closure, the ends of its interval, and the share by which the true gap of the held-out segments shrinks."""
+
+
+def closures_of(answer: Diagnosis, case: Case) -> dict[str, Shut]:
+    """The closure of all channels under '', and by channel; without those that are not stated."""
+    shut, weighing = answer.closure, answer.grounds.weighing
+    if not shut.resolvable:
+        return {}
+    sensor = SENSORS[case.sensor]
+    factors = [channel.factor for channel in weighing.observed.channels]
+    changed = change(Schedule(PLANS[case.plan], sensor.sampling), sensor, case.device, list(case.faults)) * factors
+    coefficients = weighing.spectrum.project(weighing.observed, changed)
+    gap, difference, channel = predictions(weighing, answer.grounds.choices, coefficients)
+    names = [one.name for one in weighing.observed.channels]
+    found = {"": (shut.shrinks_by, *shut.interval_90, _shrinks_by(gap, difference))}
+    for one in shut.channels:
+        at = channel == names.index(one.channel)
+        found[one.channel] = (one.shrinks_by, *one.interval_90, _shrinks_by(gap[at], difference[at]))
+    return found
+
+
 def closure_and_truth(shown: Shown) -> dict[str, Any]:
     """The closure beside the shares by which the true gap of the held-out segments shrinks: `true`, by the very predictions that it was
     made with, and `told`, by those of the same folds when the true effects are told. It opens what is sealed, and answers nothing else."""
     sealed = shown.folder.parents[1] / "sealed"
     label = json.loads((sealed / f"{shown.name}.json").read_text(encoding="utf-8"))["label"]
-    device = device_of(int((sealed / "seed").read_text(encoding="utf-8")), int(shown.name.split("-")[1]))
+    device = device_of(int((sealed / "seed").read_text(encoding="utf-8")), int(shown.name.split("-")[1]), shown.sensor)
     faults = [Fault(e["effect"], np.array(e["theta"]), tuple(e["shape"])) for e in label["entries"]]
     answer = diagnosed(observation(shown))
     plain = {"closure": answer.to_json()["closure"]}
@@ -146,8 +176,8 @@ def closure_and_truth(shown: Shown) -> dict[str, Any]:
         coefficients = weighing.spectrum.project(weighing.observed, changed)
         told = _told(answer, label["effects"])
         plain["closure"] |= {
-            "true": _shrinks_by(*predictions(weighing, answer.grounds.choices, coefficients)),
-            "told": _shrinks_by(*predictions(weighing, told, coefficients, -np.inf)) if told else None,
+            "true": _shrinks_by(*predictions(weighing, answer.grounds.choices, coefficients)[:2]),
+            "told": _shrinks_by(*predictions(weighing, told, coefficients, -np.inf)[:2]) if told else None,
         }
     return plain
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,10 +10,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from jsonschema import Draft202012Validator
 
 from planrunner.cli import main
 from planrunner.cli.exit_codes import DONE, WRONG_INPUT
-from tests.tasks.test_diagnose import change, laboratory, listed, set_at
+from tests.tasks.test_diagnose import SCHEMA, change, laboratory, listed, set_at
 
 Ended = tuple[int, str, str]
 DRAW = np.random.default_rng(1)
@@ -54,9 +56,8 @@ def test_what_is_no_number_is_left_out_and_reported(diagnosed: Callable[..., End
 
 
 MISFITS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
-    "wrong sign": (lambda v: -v, "it shows -1 of x"),
     "deaf": (lambda v: DRAW.normal(0, 0.01, len(v)), "of the applied angular rate"),
-    "wrong unit": (np.radians, "it shows 0.0175 of x"),
+    "no unit": (lambda v: 0.123 * v, "it shows 0.123 of x"),
 }
 
 
@@ -69,15 +70,35 @@ def test_a_channel_that_does_not_follow_the_plan_is_refused(diagnosed: Callable[
     assert "error[gap-nominal-misfit]: 'gyro_x' does not follow the plan" in err and words in err
 
 
-def test_exchanged_columns_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+DECLARED: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str, str]] = {
+    "wrong sign": (lambda v: -v, "sign of a channel is reversed: 'gyro_x' has the opposite sign", "Change the `sign`"),
+    "wrong unit": (np.radians, "unit of a channel is wrong: 'gyro_x': 0.01745 times the input", "between radians"),
+}
+
+
+@pytest.mark.parametrize("name", DECLARED)
+def test_a_wrong_declaration_is_named_and_corrected(diagnosed: Callable[..., Ended], name: str) -> None:
+    act, words, more = DECLARED[name]
+    code, out, err = diagnosed(gyro_x_deg_per_s=act)
+    assert code == DONE and "No effect is named" in out
+    assert f"warning[gap-declaration]: {words}" in err and more in err
+
+
+def test_exchanged_columns_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     laboratory(tmp_path, listed()[:12])
     table = pq.read_table(tmp_path / "recording.parquet")
     pq.write_table(
         pa.table({ALONE.get(name, name): table[name] for name in table.column_names}), tmp_path / "recording.parquet"
     )
     given = [str(tmp_path / "plan.yaml"), "--recording", str(tmp_path / "recording.parquet")]
-    assert main(["diagnose", *given]) == WRONG_INPUT
-    assert "'gyro_x' does not follow the plan" in capsys.readouterr().err
+    assert main(["diagnose", *given, "--json"]) == DONE
+    printed = capsys.readouterr()
+    assert "'gyro_x' and 'gyro_y' are exchanged" in printed.err
+    found = json.loads(printed.out)
+    (one,) = found["declarations"]
+    assert (one["effect"], one["actor"], one["parameters"]) == ("axes_exchanged", "bookkeeping", {"gyro_xy": 1.0})
+    assert "Exchange the columns of these channels in the bench file: 'gyro_x' and 'gyro_y'." in one["remedy"]
+    Draft202012Validator(SCHEMA).validate(found)
 
 
 def test_noise_far_from_what_is_declared_is_reported(diagnosed: Callable[..., Ended]) -> None:

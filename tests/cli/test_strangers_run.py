@@ -104,16 +104,16 @@ def test_a_folder_made_here_goes_on_also_when_it_was_moved(run: Path) -> None:
 
 
 def test_resuming_looks_a_folder_over_once(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    looked: list[bool] = []
+    looked: list[str] = []
     check = verifying._check_samples
 
-    def counted(found: verifying.Examined, recorded: Any, samples: bool) -> None:
+    def counted(found: verifying.Examined, recorded: Any, samples: verifying.SampleCheck) -> None:
         looked.append(samples)
         check(found, recorded, samples)
 
     monkeypatch.setattr(verifying, "_check_samples", counted)
     assert running.resume(cut(run), stop=StopRequest()).ok
-    assert looked == [True]
+    assert looked == ["contents"]
 
 
 @pytest.fixture

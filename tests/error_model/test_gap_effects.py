@@ -71,6 +71,15 @@ FOR_ESTIMATES = [
     "accel_magnetic_sensitivity",
 ]
 """Effects that the diagnosis does not weigh unless they are named."""
+DECLARATIONS = [
+    "axis_reversed",
+    "axes_mirrored",
+    "axes_exchanged",
+    "unit_wrong",
+    "table_sense_reversed",
+    "mount_turned",
+]
+"""Wrong declarations, which are found before effects are weighed."""
 EARTH = 15.041067 * DEG / 3600 * np.array([0, np.cos(SITE.latitude), np.sin(SITE.latitude)])
 EAST, NORTH, UP = np.eye(3)
 
@@ -81,8 +90,8 @@ def observed() -> Observed:
 
 
 def test_the_whole_catalogue_is_installed() -> None:
-    assert set(plugins.names("planrunner.effects")) == {*IDS, *FOR_ESTIMATES}
-    for name in (*IDS, *FOR_ESTIMATES):
+    assert set(plugins.names("planrunner.effects")) == {*IDS, *FOR_ESTIMATES, *DECLARATIONS}
+    for name in (*IDS, *FOR_ESTIMATES, *DECLARATIONS):
         effect = plugins.load("planrunner.effects", name)()
         assert effect.id == name
         assert effect.stage in ("stimulus", "sensor", "output", "acquisition", "covariance")

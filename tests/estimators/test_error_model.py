@@ -461,7 +461,8 @@ def test_what_the_segments_do_not_show_is_named_with_what_would_show_it() -> Non
     ("outputs", "message", "hint"),
     [
         ({"gx": ("accel_bias",)}, "'accel_bias' does not act on gx, a gyro", "leave it out"),
-        ({"gx": ("gyro_bandwidth",)}, "has a shape", "leave it out"),
+        ({"gx": ("gyro_bandwidth",)}, "does not act on gx, a gyro, in these segments", "rocking segments"),
+        ({"gx": ("gyro_bias_random_walk",)}, "noise", "leave it out"),
         ({"gx": ("gyro_noise_excess",)}, "noise", "leave it out"),
         ({"gx": ("table_position_error",)}, "position_uncertainty", "leave it out"),
         ({"gx": ("gyro_g_sensitivity.K_q",)}, "no parameter 'K_q'", "did you mean"),

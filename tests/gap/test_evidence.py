@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import hyp0f1
 
-from planrunner.gap.answer.posterior import PAIR_ENERGIES
+from planrunner.gap.answer.sets import PAIR_ENERGIES
 from planrunner.gap.evidence.bayes_factors import (
     best_amplitudes,
     log_bayes_factors,

@@ -134,6 +134,7 @@ def test_the_json_is_plain_and_keeps_the_contract() -> None:
         "shrinks_by": None,
         "interval_90": None,
         "resolvable": False,
+        "channels": [],
     }
 
 
@@ -156,3 +157,25 @@ def test_whitened_residuals_of_noise_are_standard() -> None:
 def test_the_smallest_p_value_of_all_levels_is_uniform_in_noise() -> None:
     smallest = [min(place.p for place, _ in levels(Weighing(record(seed=seed)))) for seed in range(100, 200)]
     assert kstest(smallest, "uniform").pvalue > 1e-3
+
+
+def test_a_known_effect_is_fitted_and_the_rest_is_diagnosed_beside_it() -> None:
+    """A g-sensitivity that is known to act, with a tilt of the table: the tilt alone is named."""
+
+    def both(
+        observed: Observed, omega: Array, force: Array, draw: np.random.Generator
+    ) -> tuple[Array | float, Array | float]:
+        return _unbalance(observed, omega, force, draw)[0], _tilt(observed, omega, force, draw)[1]
+
+    found = diagnose(record(seed=13, fault=both), DiagnosisOptions(given=("gyro_g_sensitivity",)))
+    assert (found.verdict.kind, found.verdict.effects) == ("effect", ("table_tilt",))
+    fitted = {one.name: one for one in found.given}
+    assert fitted["K_x_y"].value == pytest.approx(3e-3, abs=4.5 * fitted["K_x_y"].standard_uncertainty + 3e-5)
+    assert "gyro_g_sensitivity" not in found.posterior.log_evidence
+
+
+def test_an_effect_that_cannot_be_fitted_cannot_be_given() -> None:
+    with pytest.raises(ObservationError, match="table_rate_error"):
+        diagnose(record(seed=13), DiagnosisOptions(given=("table_rate_error",)))
+    with pytest.raises(ObservationError, match="measured in any case"):
+        diagnose(record(seed=13), DiagnosisOptions(given=("gyro_noise_excess",)))

@@ -32,7 +32,7 @@ def test_an_effect_that_cannot_act_takes_no_part_of_the_prior() -> None:
         odds = found.probability[name] / found.probability["none"]
         assert odds == pytest.approx(np.exp(found.log_evidence[name]) * 0.50 / len(single) / 0.20, rel=2e-3)
     pair = next(name for name in found.log_evidence if "+" in name and np.isfinite(found.log_evidence[name]))
-    share = 0.15 / (len(single) * (len(single) - 1) / 2)
+    share = 0.10 / (len(single) * (len(single) - 1) / 2)
     odds = found.probability[pair] / found.probability["none"]
     assert odds == pytest.approx(np.exp(found.log_evidence[pair]) * share / 0.20, rel=2e-3)
 

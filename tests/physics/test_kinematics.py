@@ -72,7 +72,7 @@ def test_every_attitude_is_reached_by_the_shorter_way(axes, quaternion, near, az
     wanted = Rotation.from_quat(quaternion).as_matrix()
     found = joint_angles(axes, wanted, near, azimuth)
     assert np.allclose(by_scipy(axes, list(found), azimuth), wanted, atol=1e-7)
-    assert np.abs(found - near).max() <= math.pi + 1e-9
+    assert np.abs(found - near).max() <= math.pi + 1e-6  # near half a turn, the positive direction is taken
 
 
 @pytest.mark.parametrize("axes", [THREE, LEVEL])
@@ -116,6 +116,21 @@ def test_a_limited_axis_unwinds_where_a_continuous_one_goes_on():
     # Where the middle axis may turn over, going back by 80 deg and turning both others by 180 deg is quicker than 260 deg.
     freer = (limited[0], *THREE[1:])
     assert np.abs(joint_angles(freer, quarter, start)) / DEG == pytest.approx([270, 180, 180])
+
+
+@given(st.floats(-5, 5), st.sampled_from([-1, 1]))
+def test_half_a_turn_away_a_limited_axis_goes_towards_zero(off, side):
+    axes = (axis("outer", UP, 370 * DEG),)
+    level = attitude(axes, [0.0])
+    assert joint_angles(axes, level, [(side * 180 + off) * DEG])[0] == pytest.approx(0, abs=1e-9)
+    assert joint_angles(axes, level, [side * 195 * DEG])[0] == pytest.approx(side * 2 * math.pi)  # 165 against 195 deg
+    assert joint_angles(axes, attitude(axes, [math.pi]), [off * DEG])[0] == pytest.approx(math.pi)
+
+
+@given(st.floats(-1e-7, 1e-7), st.floats(-20, 20))
+def test_half_a_turn_away_a_continuous_axis_turns_in_the_positive_direction(off, here):
+    target = joint_angles(THREE[:1], attitude(THREE[:1], [here + math.pi + off]), [here])
+    assert target[0] - here == pytest.approx(math.pi, abs=1e-6)
 
 
 def test_an_angle_at_the_very_limit_counts_as_within():

@@ -23,6 +23,8 @@ PLACES = {
     "Finding": 1,
     "Remark": 0,
     "_Known": 1,
+    "IntegrityError": 1,
+    "_error": 1,
 }
 
 

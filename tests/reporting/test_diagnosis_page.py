@@ -230,3 +230,20 @@ def test_text_from_files_cannot_become_markup():
     found["where"][0]["level"] = "<script>alert(1)</script>"
     html, _ = page(found, next_plan="</pre><script>x</script>")
     assert "<script>" not in html
+
+
+def test_something_else_is_said_with_its_size() -> None:
+    """Whatever is visible beside the named effects: they do not explain the gap."""
+    found = diagnosis("pair")
+    found["verdict"]["something_else"] = True
+    channels = {"gyro_x": 1.9, "gyro_y": 1.0}
+    found["rest"] = {
+        "share": 0.2,
+        "times_noise": channels,
+        "sigma": {"gyro_x": 35.2, "gyro_y": 0.0},
+        "p": 0.0,
+        "passes": False,
+    }
+    said = verdict(found)
+    assert said.startswith("gyro_g_sensitivity, lever_arm and something else of 35 σ on gyro_x cause the gap")
+    assert "explain" not in said.split(".")[0]

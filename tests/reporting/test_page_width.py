@@ -15,8 +15,12 @@ import reporting_example as example
 from diagnosis_example import diagnosis
 
 from planrunner.reporting.diagnosis_page import DiagnosisContext, render_page
+from planrunner.reporting.difference_page import render_difference
 from planrunner.reporting.show_page import ShowContext, render_show
 from planrunner.reporting.view import render_report
+from planrunner.review.compared import Compared
+from planrunner.tasks.check import Document
+from planrunner.tasks.diff import compare_plans
 
 BROWSER = next(
     (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
@@ -51,12 +55,21 @@ def widths(pages: Mapping[str, str], width: int, folder: Path) -> dict[str, tupl
     return {name: (window, content) for name, (window, content) in zip(pages, probed, strict=True)}
 
 
+def compared_example() -> Compared:
+    """Of a shipped plan with another orientation, another dwell and a long label."""
+    text = (Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml").read_bytes()
+    other = text.replace(b"T1: {x: north, y: west, z: up}", b"T1: {x: north, y: up}").replace(b"2 min", b"1 min")
+    other = other.replace(b"        V3:", b"        " + b"V" * 60 + b":")
+    return compare_plans(Document(text, "before.yaml"), Document(other, f"{'after' * 30}.yaml"))
+
+
 PAGES = {
     "report": lambda: render_report(example.context(), "report.html"),
     "show": lambda: render_show(ShowContext("Plan", example.schedule(), designs={"drift": example.design()})),
     "certificate": lambda: render_report(certificate_example.context(), "certificate.html"),
     "certificate in Chinese": lambda: render_report(certificate_example.context(), "certificate.zh.html"),
     "diagnosis": lambda: render_page(DiagnosisContext("Plan", diagnosis("pair"))),
+    "difference": lambda: render_difference(compared_example()),
     "long words": lambda: render_report(
         example.context(title="W" * 200, run_information={"n" * 60: "v" * 300}, warnings=("w" * 300,)), "report.html"
     ),

@@ -397,7 +397,7 @@ def test_linear_algebra_has_as_many_threads_as_jobs(tmp_path, monkeypatch, jobs)
         seen.append(threads())
         return refuse()
 
-    monkeypatch.setattr(diagnosing, "observe", observe)
+    monkeypatch.setattr(diagnosing, "corrected_observation", observe)
     recorded = recorded_file(
         laboratory(tmp_path) / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "segments.csv"
     )

@@ -32,6 +32,7 @@ class GyroBandwidth(Shaped):
         "below 1 deg: {found}.",
         _frequencies,
     )
+    shown_by, acts_on = "rocking segments", "rate"
 
     def grid(self, observed: Observed) -> Array:
         return np.geomspace(5e-4, 0.2, 14) if observed.acceleration.any() else np.empty(0)
@@ -60,6 +61,7 @@ class GyroDeadZone(Shaped):
         Actor.SENSOR,
         "Dither the sensor, or record at rates well above the threshold: {found}.",
     )
+    shown_by, acts_on = "slow rates about the axis, or rocking, with rates above and below the threshold", "output"
 
     def grid(self, observed: Observed) -> Array:
         return np.geomspace(1e-3, 2.0, 18) if observed.of_kind("gyro") else np.empty(0)
@@ -79,6 +81,7 @@ class GyroSaturation(Shaped):
         Actor.PLAN,
         "Keep the rates of the plan below the limit, or set a larger measurement range in the sensor: {found}.",
     )
+    shown_by, acts_on = "rates about the axis above the limit and below it", "output"
 
     def grid(self, observed: Observed) -> Array:
         if not observed.of_kind("gyro") or not observed.rate.any():

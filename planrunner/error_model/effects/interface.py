@@ -82,6 +82,11 @@ class Explained(Effect, Protocol):
     shown_by: str
 
 
+def shown_by(effect: Effect) -> str:
+    """Which segments determine an effect, in words; empty if the effect does not state them."""
+    return effect.shown_by if isinstance(effect, Explained) else ""
+
+
 @runtime_checkable
 class ExplainsTurning(Effect, Protocol):
     """An effect that describes the input of accelerometers away from the axis of rotation while the table turns; without it, an estimate
@@ -103,6 +108,13 @@ class NoHypothesis(Effect, Protocol):
     """An effect for simulations and estimates, which the diagnosis does not weigh unless it is named."""
 
     hypothesis: Literal[False]
+
+
+@runtime_checkable
+class WrongDeclarationOf(Effect, Protocol):
+    """An effect for simulations that is a mistake in a file or on the bench: it is corrected, never fitted. of_declaration: always true."""
+
+    of_declaration: Literal[True]
 
 
 NoiseKind = Literal["white", "resolution", "random walk"]
@@ -128,6 +140,17 @@ class HasShape(Effect, Protocol):
 
     shape_name: str
     shape_unit: str
+
+
+@runtime_checkable
+class ChangesWithinSegments(HasShape, Protocol):
+    """An effect that the course of an output within segments shows, so that an estimate fits it to samples.
+
+    acts_on: 'rate', if the output is that for another angular rate, an earlier or a smoothed one, whose difference the effect's only
+    column gives; 'output', if the output is a function of the output without the effect at the same moment (`Observed.fitted`), whose
+    difference the only column gives; 'amplitudes', if columns with amplitudes are given for each of a few values of the shape."""
+
+    acts_on: Literal["rate", "output", "amplitudes"]
 
 
 @runtime_checkable

@@ -101,7 +101,7 @@ class LeverArm:
         Actor.BENCH,
         "Mount the accelerometers on the axis of rotation, or correct for the lever arm: {found}.",
     )
-    shown_by, explains_turning = "rates, so that the accelerometers turn with the table", True
+    shown_by, explains_turning = "rates or rocking, so that the accelerometers turn with the table", True
 
     def variants(self, observed: Observed) -> list[Variant]:
         if not observed.rate.any() or not observed.of_kind("accel"):
@@ -125,6 +125,7 @@ class TimeLatency(Shaped):
         Actor.BENCH,
         "Correct the time stamps by the delay, or synchronise the sensor with the table: {found}.",
     )
+    shown_by, acts_on = "rocking segments", "rate"
 
     def grid(self, observed: Observed) -> Array:
         return np.geomspace(5e-4, 0.1, 10) if observed.acceleration.any() else np.empty(0)

@@ -20,12 +20,12 @@ def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
     rotation vector φ of all columns together; zero for small angles.
     """
     earth, force = observed.site.earth_rate_enu, observed.site.specific_force_enu
-    omega = observed.in_sensor_axes(_secant(axis, earth, turned))
-    felt = observed.in_sensor_axes(_secant(axis, force, turned))
+    omega = observed.in_sensor_axes(secant(axis, earth, turned))
+    felt = observed.in_sensor_axes(secant(axis, force, turned))
     return Column(name, "arcsec", ARCSEC, 60 * ARCSEC, on_stimulus(observed, omega, felt), axis=None)
 
 
-def _secant(axis: Array, vector: Array, turned: Array) -> Array:
+def secant(axis: Array, vector: Array, turned: Array) -> Array:
     """Change of a vector per radian about an axis. Summed over the axes with the components of φ it is (R(−φ) − I)·v, by Rodrigues'
     formula −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ × (φ × v)."""
     first = np.cross(axis, vector)
@@ -110,6 +110,7 @@ class TableRateRipple:
         Actor.BENCH,
         "Record whole turns, or have the drive and the encoder checked: {found}.",
     )
+    shown_by, acts_on = "turns about the axis", "amplitudes"
 
     def variants(self, observed: Observed) -> list[Variant]:
         if not observed.rate.any():

@@ -74,6 +74,7 @@ def common_amplitudes(outputs: Sequence[ModelledOutput]) -> CommonAmplitudes:
 
 def between_outputs(fits: Sequence[OutputsFit], rows: Sequence[Sequence[int]], correlation: Array, basis: str) -> Array:
     """Covariance (p, p) between the fitted amplitudes of different outputs, from the correlation of their samples; zero within an output.
+    Only means are taken as correlated, not the contrasts within segments.
 
     rows: of each fit, places of its segments among those of the estimate; correlation: (m, m) between the samples of the outputs.
     """
@@ -83,7 +84,7 @@ def between_outputs(fits: Sequence[OutputsFit], rows: Sequence[Sequence[int]], c
         size = float(np.sqrt(fit.variance_factors[0])) if basis == "residual" else 1.0
         noise = fit.spreads[0] if basis == "residual" else fit.noises[0].sigma
         root = np.zeros((fit.coefficients.size, n))
-        root[:, list(own)] = fit.gains[0] * noise * size
+        root[:, list(own)] = (fit.gains[0] * noise * size)[:, : len(own)]
         roots.append(root)
     owner = np.repeat(np.arange(len(fits)), [len(root) for root in roots])
     whole = np.vstack(roots)

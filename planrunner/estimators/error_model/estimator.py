@@ -18,7 +18,12 @@ from numpy.typing import NDArray
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
-from planrunner.error_model.effects.interface import FollowsTemperature, ShapedOverSegments
+from planrunner.error_model.effects.interface import (
+    FollowsTemperature,
+    HasShape,
+    ShapedOverSegments,
+    shown_by,
+)
 from planrunner.error_model.segment_columns import KINDS, SegmentStates, states_of
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import FitNote, judge, planned_basis, require_basis
@@ -26,10 +31,12 @@ from planrunner.estimators.declared_axes import AxisResponse, against_nominal, c
 from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.drift_order import planned_drift
 from planrunner.estimators.error_model.common import CommonAmplitudes, between_outputs, common_amplitudes
-from planrunner.estimators.error_model.outputs import ModelledOutput, Together, models, shown_by
+from planrunner.estimators.error_model.outputs import ModelledOutput, Together, models
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
+from planrunner.estimators.error_model.sampled_outputs import SampledOutputs
 from planrunner.estimators.error_model.shapes import shaped_part, with_shapes
-from planrunner.estimators.expected import Known
+from planrunner.estimators.error_model.within import Contrasts
+from planrunner.estimators.expected import ASSUMPTIONS, Known, expected_recording
 from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_table
 from planrunner.estimators.full_scale import beyond_full_scale, shares_along
 from planrunner.estimators.interface import (
@@ -61,6 +68,8 @@ from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
+WITHIN = "within segments"
+"""Label of the contrasts within segments, which join the means of the segments in a fit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,31 +108,33 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         by_name: dict[str, DesignBlock] = {}
         remarks: list[Remark] = []
         for group in _planned(request):
-            its_own = replace(request, segments=group.segments)
+            its_own = replace(request, segments=tuple(request.segments[row] for row in group.rows))
             for one in group.outputs:
                 made = planned_blocks(its_own, [one.name], one.names, one.columns.matrix, one.columns.magnitudes)
+                made = tuple(_block_with_contrasts(block, one) for block in made)
                 by_name[one.name] = made[0]
                 remarks += [*_inseparable(one, group.segments), *planned_basis(its_own, made, parameters.uncertainty)]
                 remarks += beyond_full_scale(its_own, [one.name], _shares(one, group.segments))
         if any(remark.code == "physics-rank" for remark in remarks):
             return Design((), remarks=tuple(remarks))
         blocks = tuple(by_name[name] for name in parameters.outputs)
-        remarks += planned_drift(request, blocks)
+        remarks += planned_drift(request, [one for one in blocks if WITHIN not in one.labels])
         return Design(blocks, remarks=tuple(dict.fromkeys(remarks)))
 
     def foresee(self, request: DesignRequest[ErrorModelParameters]) -> Foresight:
         """The coefficients of the expected recording; without uncertainties if a shape is to be found, which only a recording shows."""
         outputs = [one for group in _planned(request) for one in group.outputs]
         parts = [(one, part) for one in outputs if (part := shaped_part(one)) is not None]
-        if not parts:
+        unstated = dict.fromkeys(name for one in outputs for name in _unstated(one, request.parameters))
+        if not parts and not unstated:
             return by_expectation(self, request)
-        why = " and ".join(
-            dict.fromkeys(f"the shape of {part.effect.id} is only known from a recording" for _, part in parts)
-        )
+        reasons = [f"the shape of {part.effect.id} is only known from a recording" for _, part in parts]
+        reasons += [f"the plan does not state under `expected` what is expected of {name}" for name in unstated]
+        why = " and ".join(dict.fromkeys(reasons))
         found = [Unpredicted(one.name, one.unit, why, one.description) for one in common_amplitudes(outputs).amplitudes]
         for output, part in parts:
             effect, letter = part.effect, "xyz"[output.errors.axis]
-            assert isinstance(effect, ShapedOverSegments)
+            assert isinstance(effect, HasShape)
             found.append(Unpredicted(f"{effect.id}_{effect.shape_name}_{letter}", effect.shape_unit, why))
         return Foresight(unpredicted=tuple(found))
 
@@ -139,7 +150,8 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         _known_thermometer(parameters, units)
         planned = [one.segment for one in request.segments]
         states = _recorded_states(request.segments, parameters.temperature_channel)
-        groups = models(parameters, units, request.sensor, planned, request.site, states)
+        samples = SampledOutputs(request.segments, request.site, request.sensor, parameters)
+        groups = models(parameters, units, request.sensor, planned, request.site, states, samples)
         by_name = {one.model.name: one for group in groups for one in _fitted(request, group)}
         if shown := {
             course.name for one in by_name.values() for course in one.fit.drift.courses if one.fit.drift.by_evidence
@@ -183,6 +195,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
                 notes.setdefault(note, []).append(one.model.name)
             warnings += judged.warnings
         warnings += _contradictions(request, made.outputs)
+        warnings += [text for one in made.outputs for text in _of_samples(one)]
         warnings += _disagreement(request, made)
         every = len(made.outputs)
         shared = [
@@ -220,12 +233,22 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         )
 
 
+def _unstated(one: ModelledOutput, parameters: ErrorModelParameters) -> list[str]:
+    """Effects with a shape in an output that is fitted to samples, of which the plan expects nothing."""
+    if one.within is None:
+        return []
+    shaped = [amplitude.effect.id for amplitude in one.columns.amplitudes if amplitude.shape]
+    return [name for name in shaped if name not in parameters.expected]
+
+
 def _planned(request: DesignRequest[ErrorModelParameters]) -> tuple[Together, ...]:
     start = np.array([one.start for one in request.segments])
     seconds = np.array([one.dwell or 1.0 for one in request.segments])
     states = states_of(request.segments, start, seconds)
     units = {output.name: output.unit for output in request.sensor.outputs}
-    return models(request.parameters, units, request.sensor, request.segments, request.site, states)
+    expected = expected_recording(request, Known(), (), ASSUMPTIONS[0]).segments
+    samples = SampledOutputs(expected, request.site, request.sensor, request.parameters)
+    return models(request.parameters, units, request.sensor, request.segments, request.site, states, samples)
 
 
 def _recorded_states(recording: Sequence[RecordedSegment], thermometer: str | None) -> SegmentStates:
@@ -254,7 +277,7 @@ def _known_thermometer(parameters: ErrorModelParameters, units: Mapping[str, str
 def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remark]:
     """An error for amplitudes that the planned segments do not show or separate, with what would show them."""
     amplitudes = one.columns.amplitudes
-    seen = rank.look(one.columns.matrix / one.columns.magnitudes)
+    seen = rank.look(_matrix(one) / one.columns.magnitudes)
     if not len(seen.null):
         return []
     names = rank.unidentifiable(seen.null, one.names)
@@ -286,16 +309,16 @@ def _fitted(
     seen, abouts = [], []
     for k, one in enumerate(group.outputs):
         whole = _of_channel(together, k)
-        left = replace(whole, mean=whole.mean - np.reshape(one.ideal, (-1, 1)))
+        if one.within is not None:
+            whole = replace(whole, mean=one.within.mean[:, None])
+        left = _with_contrasts(replace(whole, mean=whole.mean - np.reshape(one.ideal, (-1, 1))), one)
         seen.append((whole, left))
-        about = coefficients_by_noise(one.columns.matrix, left, one.columns.magnitudes, one.names)
+        about = coefficients_by_noise(_matrix(one), left, one.columns.magnitudes, one.names)
         abouts.append(one.response(about[0]))
     responses = _stacked(abouts)
     inputs = request.setup.inputs
-    acting = (
-        *flicker_errors(together, inputs, parameters.drift_span.value),
-        *table_errors(group.model, group.segments, request.site, request.setup, responses),
-    )
+    flicker = flicker_errors(together, inputs, parameters.drift_span.value)
+    acting = table_errors(group.model, group.segments, request.site, request.setup, responses)
     drift = replace(
         drift_of(parameters.drift, parameters.temperature_channel, together, recorded, request.segments),
         fits=len(parameters.outputs),
@@ -304,13 +327,72 @@ def _fitted(
     site = site_errors(group.model, group.segments, request.site, inputs, responses)
     found = []
     for k, (one, (whole, left)) in enumerate(zip(group.outputs, seen, strict=True)):
-        effects = _of_output(acting, k)
-        model = one.columns
-        own = replace(drift, courses=tuple(course for course in drift.courses if not _modelled(course, drift, one)))
-        fit = fit_outputs(model.matrix, left, model.magnitudes, one.names, basis, effects=effects, drift=own)
+        contrasts = None if one.within is None else one.within.contrasts
+        effects = (
+            *(_extended(error, contrasts, own=True) for error in _of_output(flicker, k)),
+            *(_extended(error, contrasts) for error in _of_output(acting, k)),
+        )
+        courses = [course for course in drift.courses if not _modelled(course, drift, one)]
+        own = replace(drift, courses=tuple(replace(c, columns=_padded(c.columns, contrasts)) for c in courses))
+        fit = fit_outputs(_matrix(one), left, one.columns.magnitudes, one.names, basis, effects=effects, drift=own)
         require_basis(fit, basis, f"{request.name}, {one.name}")
-        found.append(FittedOutput(one, whole, fit, _of_output(site, k)))
+        found.append(FittedOutput(one, whole, fit, tuple(_extended(e, contrasts) for e in _of_output(site, k))))
     return found
+
+
+def _matrix(one: ModelledOutput) -> Array:
+    """(n + r, p): of the means, then of the contrasts within segments."""
+    matrix = one.columns.matrix
+    return matrix if one.within is None else np.vstack([matrix, one.within.contrasts.matrix])
+
+
+def _with_contrasts(means: Observations, one: ModelledOutput) -> Observations:
+    """The means of an output, then the contrasts within segments."""
+    if one.within is None or not len(one.within.contrasts.sigma):
+        return means
+    contrasts = one.within.contrasts
+    r = len(contrasts.sigma)
+    start, end = float(means.start.min()), float(means.end.max())
+    return replace(
+        means,
+        labels=(*means.labels, *(WITHIN,) * r),
+        mean=np.vstack([means.mean, contrasts.values[:, None]]),
+        standard_error=np.vstack([means.standard_error, contrasts.sigma[:, None]]),
+        batches=np.append(means.batches, np.full(r, means.batches.max())),
+        start=np.append(means.start, np.full(r, start)),
+        end=np.append(means.end, np.full(r, end)),
+        share=None if means.share is None else np.append(means.share, np.ones(r)),
+        courses=None if means.courses is None else (*means.courses, *(np.zeros((0, 0)),) * r),
+        within=r,
+    )
+
+
+def _block_with_contrasts(block: DesignBlock, one: ModelledOutput) -> DesignBlock:
+    if one.within is None:
+        return block
+    contrasts = one.within.contrasts
+    labels = (*block.labels, *(WITHIN,) * len(contrasts.sigma))
+    return replace(block, matrix=_matrix(one), sigma=np.append(block.sigma, contrasts.sigma), labels=labels)
+
+
+def _padded(rows: Array, contrasts: Contrasts | None) -> Array:
+    """Rows (n, …) of the means, and zeros for the contrasts."""
+    if contrasts is None:
+        return rows
+    return np.concatenate([rows, np.zeros((len(contrasts.sigma), *rows.shape[1:]))])
+
+
+def _extended(error: CorrelatedError, contrasts: Contrasts | None, own: bool = False) -> CorrelatedError:
+    """An error of the means, which does not act on the contrasts within segments; own: flicker, which acts on them too."""
+    if contrasts is None or not len(contrasts.sigma):
+        return error
+    changes = {}
+    for k, change in error.changes.items():
+        changes[k] = _padded(change, contrasts)
+        if own:
+            root = np.vstack([np.zeros((len(change), len(contrasts.sigma))), contrasts.flicker])
+            changes[k] = np.hstack([changes[k], root])
+    return replace(error, changes=changes, within={k: _padded(one, contrasts) for k, one in error.within.items()})
 
 
 def _modelled(course: DriftCourse, drift: DriftCourses, output: ModelledOutput) -> bool:
@@ -471,7 +553,14 @@ def _as_added(outputs: Sequence[FittedOutput], common: CommonAmplitudes, found: 
         letter = "xyz"[one.model.errors.axis]
         for amplitude, coefficient in zip(one.model.columns.amplitudes, one.model.coefficients, strict=True):
             value, effect = next(values), amplitude.effect
-            if isinstance(effect, ShapedOverSegments):
+            if one.model.within is not None and isinstance(effect, HasShape):
+                if amplitude.alone and sum(_names(other.model, effect.id) for other in outputs) > 1:
+                    continue  # a bench states one shape for all outputs
+                name = f"{amplitude.name}_{letter}" if amplitude.alone and not amplitude.shape else amplitude.name
+                stated = made.setdefault(effect.id, {})
+                stated[name] = f"{value:.9g} {coefficient.unit}"
+                stated.setdefault(effect.shape_name, f"{one.model.within.shapes[effect.id]:.9g} {effect.shape_unit}")
+            elif isinstance(effect, ShapedOverSegments):
                 if sum(shaped_part(other.model) is not None for other in outputs) > 1:
                     continue  # a bench states one shape for all outputs
                 name = f"{amplitude.name}_{letter}" if amplitude.name != effect.shape_name else amplitude.name
@@ -480,3 +569,36 @@ def _as_added(outputs: Sequence[FittedOutput], common: CommonAmplitudes, found: 
                 name = f"{amplitude.name}_{letter}" if amplitude.alone else amplitude.name
                 made.setdefault(amplitude.effect.id, {})[name] = f"{value:.9g} {coefficient.unit}"
     return made
+
+
+def _names(one: ModelledOutput, effect: str) -> bool:
+    """Whether an effect is in the model of an output."""
+    return any(part.effect.id == effect for part in one.errors.chosen)
+
+
+def _of_samples(one: FittedOutput) -> list[Said]:
+    """Warnings about the fit of an output's samples."""
+    within, found = one.model.within, []
+    if within is None:
+        return []
+    for effect in within.at_bound:
+        found.append(
+            said(
+                "{output}: the shape of {effect} is at a bound of the catalogue ({value:.4g}), so that its interval is not reliable: leave "
+                "the effect out, or record what shows it.",
+                output=one.model.name,
+                effect=effect,
+                value=within.shapes[effect],
+            )
+        )
+    if within.coloured > 1:
+        found.append(
+            said(
+                "{output}: within the segments, the means of consecutive samples vary {ratio:.3g} times as much (variance) as white noise "
+                "and the declared bias instability explain: the noise is coloured, or the model is incomplete, and the uncertainties of "
+                "effects within segments are too small.",
+                output=one.model.name,
+                ratio=within.coloured,
+            )
+        )
+    return found

@@ -13,8 +13,9 @@ from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.base.said import Said, said
-from planrunner.error_model.effects.interface import Effect, Explained, ExplainsTurning
+from planrunner.error_model.effects.interface import ChangesWithinSegments, Effect, ExplainsTurning, shown_by
 from planrunner.error_model.observed import axis_of
+from planrunner.error_model.sample_columns import ErrorsAtSamples
 from planrunner.error_model.segment_columns import (
     KINDS,
     Amplitude,
@@ -26,12 +27,14 @@ from planrunner.error_model.segment_columns import (
     estimable,
 )
 from planrunner.estimators.error_model.parameters import AXES, ErrorModelParameters
+from planrunner.estimators.error_model.sampled_outputs import SampledOutputs
+from planrunner.estimators.error_model.within import SampledOutput, WithinFit, fit_within
 from planrunner.estimators.interface import EstimationError
 from planrunner.estimators.stated_errors import mean_stimulus
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import StimulusError
-from planrunner.plan.schedule import Rest, Segment
+from planrunner.plan.schedule import Rest, Rock, Segment
 from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
 
 Array = NDArray[np.float64]
@@ -61,7 +64,8 @@ class ModelledOutput:
     (`direct`); otherwise the amplitude of the gain is the whole scale factor, and the other columns are scaled by it.
 
     rows: places of its segments among those of the estimate. gain: place of the scale factor among the amplitudes, None where it is not
-    fitted.
+    fitted. within: the fit of its samples, near which it is linear; None for an output of which the means suffice. followed: effect and
+    amplitude of each column with which it follows errors of the table and the site, if these are not `columns`.
     """
 
     errors: OutputErrors
@@ -70,6 +74,8 @@ class ModelledOutput:
     rows: tuple[int, ...]
     coefficients: tuple[ReportedAmplitude, ...]
     gain: int | None
+    within: WithinFit | None = None
+    followed: tuple[tuple[str, str], ...] = ()
 
     @property
     def name(self) -> str:
@@ -86,6 +92,8 @@ class ModelledOutput:
     @property
     def ideal(self) -> Array | float:
         """The part of the means (n,), in the output's unit, that is not fitted: an ideal sensor's, where no scale factor is."""
+        if self.within is not None:
+            return self.within.offset
         return 0.0 if self.gain is not None else self.columns.own / self.unit.factor
 
     def reported(self, fitted: Array) -> Array:
@@ -114,6 +122,9 @@ class ModelledOutput:
 
     def response(self, fitted: Array) -> Array:
         """Coefficients (1 + p,) of own input and columns, from fitted ones (p,)."""
+        if self.within is not None:
+            own = {(one.effect.id, one.name): n for n, one in enumerate(self.columns.amplitudes)}
+            fitted = np.array([fitted[own[key]] if key in own else 0.0 for key in self.followed])
         return np.concatenate([[0.0 if self.gain is not None else 1 / self.unit.factor], fitted])
 
 
@@ -134,17 +145,28 @@ def models(
     segments: Sequence[Segment],
     site: Site,
     states: SegmentStates,
+    samples: SampledOutputs,
 ) -> tuple[Together, ...]:
-    """units: of the outputs, as declared or recorded; states: of the segments. Raises `EstimationError`."""
+    """units: of the outputs, as declared or recorded; states: of the segments; samples: of all of them. Raises `EstimationError`."""
     for name in parameters.axes:
         if name not in parameters.outputs:
             raise EstimationError(f"`axes` names '{name}'", closest(name, parameters.outputs), f"axes.{name}")
     effects: dict[str, Effect] = {}
     named = [_errors(name, parameters, units, sensor, effects) for name in parameters.outputs]
-    groups: dict[tuple[int, ...], list[OutputErrors]] = {}
+    groups: dict[tuple[bool, tuple[int, ...]], list[OutputErrors]] = {}
     for one in named:
-        groups.setdefault(_usable(one, segments), []).append(one)
-    return tuple(_together(group, rows, units, segments, site, states) for rows, group in groups.items())
+        rows = _usable(one, segments)
+        sampled = changes_within(one) or any(isinstance(segments[row].motion, Rock) for row in rows)
+        groups.setdefault((sampled, samples.in_time(rows) if sampled else rows), []).append(one)
+    return tuple(
+        (_sampled if sampled else _together)(group, rows, units, segments, site, states, samples)
+        for (sampled, rows), group in groups.items()
+    )
+
+
+def changes_within(one: OutputErrors) -> bool:
+    """Whether an effect of an output changes it within segments."""
+    return any(isinstance(part.effect, ChangesWithinSegments) for part in one.chosen)
 
 
 def with_shape(group: Together, k: int, part: EffectPart) -> Together:
@@ -162,11 +184,6 @@ def with_shape(group: Together, k: int, part: EffectPart) -> Together:
 
 def _with(items: tuple[T, ...], k: int, item: T) -> tuple[T, ...]:
     return (*items[:k], item, *items[k + 1 :])
-
-
-def shown_by(effect: Effect) -> str:
-    """Which segments determine an effect, in words; empty if the effect does not state them."""
-    return effect.shown_by if isinstance(effect, Explained) else ""
 
 
 def _errors(
@@ -236,6 +253,7 @@ def _together(
     segments: Sequence[Segment],
     site: Site,
     states: SegmentStates,
+    _: SampledOutputs,
 ) -> Together:
     chosen = tuple(segments[row] for row in rows)
     try:
@@ -246,6 +264,61 @@ def _together(
     parts = model.of_outputs()
     outputs = tuple(_modelled(one, unit(units[one.output]), part, rows) for one, part in zip(group, parts, strict=True))
     return Together(model, chosen, rows, outputs)
+
+
+def _sampled(
+    group: Sequence[OutputErrors],
+    rows: tuple[int, ...],
+    units: Mapping[str, str],
+    segments: Sequence[Segment],
+    site: Site,
+    states: SegmentStates,
+    samples: SampledOutputs,
+) -> Together:
+    """Outputs that are fitted to samples. For errors of the table and the site, a table that rocks counts as one at rest."""
+    held = tuple(
+        replace(segments[row], motion=Rest()) if isinstance(segments[row].motion, Rock) else segments[row]
+        for row in rows
+    )
+    try:
+        felt = mean_stimulus(held, site)
+    except StimulusError as error:
+        raise EstimationError(str(error)) from None
+    outputs, followed = [], []
+    for one in samples.of(group, rows):
+        errors, own = one.errors, unit(units[one.errors.output])
+        _must_change(one)
+        fit = fit_within(one)
+        columns = OutputColumns(fit.own, fit.available, fit.amplitudes, fit.matrix)
+        made = _modelled(errors, own, columns, rows)
+        steady = tuple(
+            replace(part, shape=fit.shapes.get(part.effect.id))
+            for part in errors.chosen
+            if not isinstance(part.effect, ChangesWithinSegments)
+        )
+        followed.append(replace(errors, chosen=steady))
+        outputs.append(replace(made, within=fit))
+    model = ErrorsAtSegments(tuple(followed), held, site, states.at(rows), felt)
+    names = [tuple((a.effect.id, a.name) for a in columns.amplitudes) for columns in model.of_outputs()]
+    whole = tuple(replace(one, followed=own) for one, own in zip(outputs, names, strict=True))
+    return Together(model, held, rows, whole)
+
+
+def _must_change(output: SampledOutput) -> None:
+    """Raises `EstimationError` for effects within segments that do not act here, or not on an output of this unit."""
+    errors = output.errors
+    key, model = f"outputs.{errors.output}", ErrorsAtSamples.of(output.observed, errors)
+    for part in errors.chosen:
+        if not isinstance(part.effect, ChangesWithinSegments):
+            continue
+        if not len(model.grid(part)):
+            words = shown_by(part.effect)
+            message = f"'{part.effect.id}' does not act on {errors.output}, {_WORDS[errors.kind]}, in these segments"
+            hint = f"leave it out, or record what shows it ({words})" if words else "leave it out"
+            raise EstimationError(message, hint, key)
+        if part.effect.acts_on == "output" and output.unit.dimension != unit(KINDS[errors.kind]).dimension:
+            message = f"'{part.effect.id}' has a shape in {part.effect.shape_unit}, but {errors.output} is in {output.unit.text}"
+            raise EstimationError(message, "leave it out, or record the output as a rate", key)
 
 
 def _modelled(errors: OutputErrors, own: Unit, columns: OutputColumns, rows: tuple[int, ...]) -> ModelledOutput:
@@ -264,6 +337,8 @@ def _must_act(errors: OutputErrors, columns: OutputColumns) -> None:
     key = f"outputs.{errors.output}"
     for item in errors.chosen:
         here = [one.name for one in columns.amplitudes if one.effect is item.effect]
+        if isinstance(item.effect, ChangesWithinSegments) and not item.only:
+            continue  # see `_must_change`
         missing = [name for name in item.only if name not in here]
         effect = item.effect.id
         if missing:

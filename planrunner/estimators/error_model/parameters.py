@@ -11,7 +11,7 @@ from planrunner.estimators.outputs_fit import BASES
 from planrunner.observation.drift import drift
 from planrunner.observation.flicker import drift_span
 from planrunner.plan import source
-from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Record, Schema, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Record, Schema, Text, key
 from planrunner.plan.quantity import Quantity, anchored
 
 AXES = ("x", "y", "z")
@@ -61,6 +61,19 @@ class ErrorModelParameters(Record):
         "temperature then uses the only recorded channel that is a temperature.",
         "temperature",
         default=None,
+    )
+    angle_channel: str | None = key(
+        CHANNEL,
+        "The encoder of the table, for outputs that are fitted to samples; by default the planned angle.",
+        "table_angle",
+        default=None,
+    )
+    expected: dict[str, dict[str, str]] = key(
+        MapOf(MapOf(Text(), pattern=_COLUMN), pattern=r"[a-z][a-z0-9_]{0,59}"),
+        "The parameters that are expected of effects with a shape, as for the driver `added_effects`. `check` predicts the uncertainties "
+        "for these values; the estimate does not use them.",
+        {"gyro_bandwidth": {"tau": "5 ms"}, "gyro_warm_up": {"tau": "600 s", "a_x": "0.01 deg/s"}},
+        default_factory=dict,
     )
     uncertainty: str = key(
         Choice(BASES),

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.error_model.effects.interface import ShapedOverSegments
+from planrunner.error_model.effects.interface import ShapedOverSegments, shown_by
 from planrunner.error_model.segment_columns import EffectPart
 from planrunner.estimators import least_squares
-from planrunner.estimators.error_model.outputs import ModelledOutput, Together, shown_by, with_shape
+from planrunner.estimators.error_model.outputs import ModelledOutput, Together, with_shape
 from planrunner.estimators.interface import UnfitDataError
 from planrunner.estimators.least_squares import LinearFit
 from planrunner.observation.observations import Observations, within_segment_noise
@@ -28,7 +28,9 @@ _LEAST = 3.0  # standard uncertainties of an amplitude: of a smaller one the mea
 
 
 def shaped_part(output: ModelledOutput) -> EffectPart | None:
-    """The part of an output's model whose shape the segments are to show."""
+    """The part of an output's model whose shape the means of segments are to show."""
+    if output.within is not None:
+        return None
     return next((one for one in output.errors.chosen if isinstance(one.effect, ShapedOverSegments)), None)
 
 

@@ -13,7 +13,7 @@ difference d of the predictions with and without the effect is then known exactl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -35,16 +35,33 @@ WORTH = 4.0  # log BF in a fold at and above which an effect is selected
 
 
 @dataclass(frozen=True, slots=True)
+class ChannelClosure:
+    """The closure of one channel. before, after: size of the held-out gap in standard deviations of the noise, root mean square over the
+    coefficients; before_value, after_value: the same in `unit`, root mean square over the samples. shrinks_by, interval_90: as for all
+    channels."""
+
+    channel: str
+    unit: str
+    before: float
+    after: float
+    before_value: float
+    after_value: float
+    shrinks_by: float
+    interval_90: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Closure:
     """before, after: size of the held-out gap in standard deviations of the noise, root mean square over coefficients. shrinks_by:
     relative reduction, 1 for a closed gap. interval_90: interval of that reduction. resolvable: False if the data do not determine it;
-    the numbers are then NaN."""
+    the numbers are then NaN. channels: those whose data determine it."""
 
     before: float
     after: float
     shrinks_by: float
     interval_90: tuple[float, float]
     resolvable: bool
+    channels: tuple[ChannelClosure, ...] = ()
 
 
 NOT_RESOLVABLE = Closure(np.nan, np.nan, np.nan, (np.nan, np.nan), False)
@@ -82,9 +99,10 @@ class KnownCause:
 
 @dataclass(frozen=True)
 class _Fold:
-    """residual, difference: (m,), whitened; signatures: of every choice, (m, p); told: information (p, p) from the other segments about
-    it."""
+    """channel: (m,), index of every row. residual, difference: (m,), whitened; signatures: of every choice, (m, p); told: information
+    (p, p) from the other segments about it."""
 
+    channel: NDArray[np.int64]
     residual: Array
     difference: Array
     signatures: list[Array]
@@ -100,28 +118,66 @@ def closure(weighing: Weighing, choices: Sequence[FoldChoice], beyond: float) ->
     likeliest = max(range(len(choices)), key=lambda c: choices[c].probability)
     if _told(choices[likeliest].weighed, likeliest, folds) < TOLD:
         return NOT_RESOLVABLE
-    difference = np.concatenate([fold.difference for fold in folds])
+    whole = _measured_rows(choices, folds, [np.ones(len(fold.channel), dtype=bool) for fold in folds], beyond)
+    if not whole.resolvable:
+        return whole
+    channels = []
+    for index in range(len(weighing.weights)):
+        rows = [fold.channel == index for fold in folds]
+        own = _measured_rows(choices, folds, rows, beyond)
+        if own.resolvable:
+            residual = np.concatenate([fold.residual[at] for fold, at in zip(folds, rows, strict=True)])
+            channels.append(_in_unit(weighing, index, own, residual))
+    return replace(whole, channels=tuple(channels))
+
+
+def _measured_rows(
+    choices: Sequence[FoldChoice], folds: Sequence[_Fold], rows: Sequence[NDArray[np.bool_]], beyond: float
+) -> Closure:
+    """The closure on some rows of every fold."""
+    chosen = list(zip(folds, rows, strict=True))
+    difference = np.concatenate([fold.difference[at] for fold, at in chosen])
     known = []
     for number, choice in enumerate(choices):
-        signature = np.concatenate([fold.signatures[number] for fold in folds])
+        signature = np.concatenate([fold.signatures[number][at] for fold, at in chosen])
         gram, along = signature.T @ signature, signature.T @ difference
         fitted = choice.amplitudes(choice.weighed.gram[0], choice.weighed.score[0])
         known.append(KnownCause(choice.probability, gram, along, *fitted))
-    return measured(np.concatenate([fold.residual for fold in folds]), difference, known, beyond)
+    return measured(np.concatenate([fold.residual[at] for fold, at in chosen]), difference, known, beyond)
+
+
+def _in_unit(weighing: Weighing, index: int, own: Closure, residual: Array) -> ChannelClosure:
+    """The closure of a channel, also in its unit: coefficients count with the mean square of their noise."""
+    channel, weight = weighing.observed.channels[index], weighing.weights[index][0]
+    every = np.ones(len(weight.scale), dtype=bool)
+    sigma = float(np.sqrt(np.mean(np.diag(weight.covariance(every)))))
+    size = sigma * float(np.sqrt(len(residual) / weighing.observed.counts.sum())) / channel.factor
+    return ChannelClosure(
+        channel.name,
+        channel.unit,
+        own.before,
+        own.after,
+        own.before * size,
+        own.after * size,
+        own.shrinks_by,
+        own.interval_90,
+    )
 
 
 def predictions(
     weighing: Weighing, choices: Sequence[FoldChoice], change: Array, worth: float = WORTH
-) -> tuple[Array, Array]:
-    """The effect g (m,) of a known change of the outputs, coefficients (M, K), in held-out segments, and its prediction d (m,). For tests
-    with a known truth. worth: log BF from which a fold selects one of the choices."""
-    gap, difference = [], []
+) -> tuple[Array, Array, NDArray[np.int64]]:
+    """The effect g (m,) of a known change of the outputs, coefficients (M, K), in held-out segments, its prediction d (m,), and the
+    channel of every row. For tests with a known truth. worth: log BF from which a fold selects one of the choices."""
+    gap, difference, channels = [], [], []
     for held in held_out(weighing):
         rows = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
         known = [one.predict(change[:, [channel]], held)[1][:, 0] for channel, one in enumerate(rows)]
         gap.append(np.concatenate(known))
-        difference.append(_fold(weighing, choices, held, worth).difference)
-    return np.concatenate(gap), np.concatenate(difference)
+        fold = _fold(weighing, choices, held, worth)
+        difference.append(fold.difference)
+        channels.append(fold.channel)
+    return np.concatenate(gap), np.concatenate(difference), np.concatenate(channels)
 
 
 def held_out(weighing: Weighing) -> list[NDArray[np.bool_]]:
@@ -217,7 +273,8 @@ def _fold(weighing: Weighing, choices: Sequence[FoldChoice], held: NDArray[np.bo
     residual = np.concatenate([r for r, _ in predicted])
     signatures = np.concatenate([s for _, s in predicted])
     difference = np.zeros(len(residual)) if best is None else signatures[:, best] @ amplitudes
-    return _Fold(residual, difference, [signatures[:, part] for part in parts], told)
+    channel = np.repeat(np.arange(len(predicted)), [len(r) for r, _ in predicted])
+    return _Fold(channel, residual, difference, [signatures[:, part] for part in parts], told)
 
 
 class _Rows:

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.gap.answer.sets import EffectSet
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed
 
 Array = NDArray[np.float64]
@@ -42,16 +43,15 @@ def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
     return min(1.0, max(shares, default=0.0))
 
 
-def beside(pair: Weighed, first: Candidate) -> float:
-    """The share of the other effect's fitted energy in channels on which `first` does not act. This energy cannot be form residue of
-    `first`."""
-    amplitudes, _ = pair.amplitudes
-    width = pair.variant.widths[0]
-    own, other = slice(0, width), slice(width, None)
-    if not any(form.variant.columns[0] is pair.variant.columns[0] for form in first.variants):
-        own, other = other, own
-    energies = [float(((block[:, other] @ amplitudes[other]) ** 2).sum()) for block in pair.by_channel]
-    elsewhere = [part for part, raw in zip(energies, pair.raw, strict=True) if not raw[:, own].any()]
+def beside(together: EffectSet, name: str) -> float:
+    """The share of the fitted energy of one effect of a set in channels on which the others do not act. This energy cannot be form
+    residue of the others."""
+    weighed, own = together.weighed, together.columns(name)
+    amplitudes, _ = weighed.amplitudes
+    others = np.ones(len(amplitudes), dtype=bool)
+    others[own] = False
+    energies = [float(((block[:, own] @ amplitudes[own]) ** 2).sum()) for block in weighed.by_channel]
+    elsewhere = [part for part, raw in zip(energies, weighed.raw, strict=True) if not raw[:, others].any()]
     return sum(elsewhere) / sum(energies) if sum(energies) > 0 else 0.0
 
 

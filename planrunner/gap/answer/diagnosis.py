@@ -8,7 +8,7 @@ for patterns outside the catalogue (`posterior`, `open_set`); a verdict that nam
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
@@ -21,8 +21,9 @@ from planrunner.gap.answer.closure import NOT_RESOLVABLE, Closure, FoldChoice, c
 from planrunner.gap.answer.noise_found import NoiseFound, noise_found
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.answer.pictures import gap_by_channel, pictures
-from planrunner.gap.answer.posterior import PRIORS, Posterior, posterior
+from planrunner.gap.answer.posterior import PRIORS, UNKNOWN, Posterior, posterior
 from planrunner.gap.answer.remainder import Remainder, remainder
+from planrunner.gap.answer.sets import EffectSet, Member, key_of, together
 from planrunner.gap.answer.unknown_form import UnknownForm, unknown_form
 from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
 from planrunner.gap.answer.where import MisfitPlace, places
@@ -41,10 +42,12 @@ _ABSORBED_SHARE = 0.05  # remaining share of a signature's energy below which an
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisOptions:
-    """nominal: terms that the nominal simulation fits, from `candidates.FULL`; effects: candidates, by default all that are installed."""
+    """nominal: terms that the nominal simulation fits, from `candidates.FULL`; effects: candidates, by default all that are installed.
+    given: effects that are known to act; they are fitted, and the rest is diagnosed beside them."""
 
     nominal: tuple[str, ...] = FULL
     effects: tuple[str, ...] | None = None
+    given: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,8 @@ class Grounds:
 class Diagnosis:
     """gap: by channel, in its unit. noise: of every channel. posterior: of all hypotheses. absorbed: effect → share of its energy that
     remains after the nominal parameters. unknown: form of what the catalogue does not contain, if the verdict says so. rest: what remains
-    beside the named effects; None if none is named, or if a random walk is among them. pictures: data for plots."""
+    beside the named effects; None if none is named, or if a random walk is among them. pictures: data for plots.
+    given: parameters of the effects that are known to act, fitted together with the named ones."""
 
     gap: Mapping[str, Mapping[str, Json]]
     noise: tuple[NoiseFound, ...]
@@ -77,6 +81,7 @@ class Diagnosis:
     rest: Remainder | None
     pictures: Mapping[str, Json] = field(repr=False)
     grounds: Grounds = field(repr=False)
+    given: tuple[ParameterEstimate, ...] = ()
 
     def to_json(self) -> JsonObject:
         """Plain data according to `schemas/diagnosis.schema.json`; NaN becomes null."""
@@ -101,6 +106,7 @@ class Diagnosis:
                 "effects": list(self.verdict.effects),
                 "class": list(self.verdict.members),
                 "form_residue": self.verdict.residue,
+                "something_else": self.verdict.something_else,
             },
             "ambiguity_set": list(self.ambiguity_set),
             "absorbed": [{"effect": name, "kept_share": share} for name, share in self.absorbed.items()],
@@ -114,12 +120,14 @@ class Diagnosis:
                 }
                 for p in self.parameters
             ],
+            "given": [asdict(one) for one in self.given],
             "closure": {
                 "before": shut.before,
                 "after": shut.after,
                 "shrinks_by": shut.shrinks_by,
                 "interval_90": list(shut.interval_90) if shut.resolvable else None,
                 "resolvable": shut.resolvable,
+                "channels": [asdict(one) for one in shut.channels],
             },
             "unknown_form": None if self.unknown is None else self.unknown.to_json(),
             "rest": None if self.rest is None else asdict(self.rest),
@@ -142,7 +150,13 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         raise ObservationError(few, hint)
     effects = [effect for effect in hypotheses(options.effects) if effect.id not in options.nominal]
     weighing = Weighing(observed, options.nominal)
-    candidates = candidates_of(weighing, [effect for effect in effects if not isinstance(effect, ActsOnNoise)])
+    with_signatures = [effect for effect in effects if not isinstance(effect, ActsOnNoise)]
+    candidates = candidates_of(weighing, with_signatures)
+    plain, given = weighing, _given(candidates, options.given)
+    if given:
+        weighing = weighing.beside(together(weighing, given))
+        effects = [effect for effect in effects if effect.id not in options.given]
+        candidates = candidates_of(weighing, [effect for effect in with_signatures if effect.id not in options.given])
     found = posterior(weighing, effects, candidates)
     said = verdict(weighing, found, candidates)
     by_id = {candidate.id: candidate for candidate in candidates}
@@ -150,14 +164,17 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
     absorbed = {c.id: c.kept for c in candidates if c.variants and c.kept < _ABSORBED_SHARE}
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))
-    key = "+".join(sorted(named))
+    key = key_of(named)
     after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
     walks = {effect.id for effect in effects if isinstance(effect, ActsOnNoise) and effect.noise == "random walk"}
     exact = _exact(weighing, by_id[named[0]]) if len(named) == 1 else {}
     choices = _choices(found, by_id, walks, exact) or [FoldChoice(c.best, 0.0) for c in ranked[:_CHOICES]]
     if after is not None and all(after is not choice.weighed for choice in choices):
         choices.append(FoldChoice(after, 0.0))
+    rest = None if after is None or walks & set(said.effects) else remainder(weighing, after, said.something_else)
     beyond = 1 - found.probability["none"] - sum(choice.probability for choice in choices)
+    if rest is not None and not rest.passes:  # then no effect or set is the whole cause
+        choices, beyond = [replace(choice, probability=0.0) for choice in choices], 1.0
     return Diagnosis(
         gap_by_channel(weighing),
         noise_found(weighing, found.lines),
@@ -169,10 +186,47 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         tuple(_parameters(weighing, said, found, by_id, effects, exact)),
         closure(weighing, choices, max(beyond, 0.0)) if said.kind != "none" else NOT_RESOLVABLE,
         unknown_form(weighing, found) if "unknown" in (said.kind, said.residue, *said.members) else None,
-        None if after is None or walks & set(said.effects) else remainder(weighing, after),
+        rest,
         pictures(weighing, usable, after),
         Grounds(weighing, tuple(candidates), options.nominal, tuple(choices)),
+        tuple(_parameters_of_given(plain, given, found.sets.get(key), by_id, named)),
     )
+
+
+def _given(candidates: Sequence[Candidate], names: Sequence[str]) -> list[Member]:
+    """The effects that are known to act, each in its best form. Raises `ObservationError`."""
+    by_id = {candidate.id: candidate for candidate in candidates}
+    for name in names:
+        if name not in by_id:
+            message = f"{name} is fitted by the simulation or acts only on the noise, which is measured in any case"
+            raise ObservationError(message, "leave it out of --given")
+        if not np.isfinite(by_id[name].log_bayes).any():
+            message = (
+                f"the recording cannot show {name}: it does not act under this plan, or fitted parameters absorb it"
+            )
+            raise ObservationError(message, "leave it out of --given, or state its values")
+    return [Member.best(by_id[name]) for name in dict.fromkeys(names)]
+
+
+def _parameters_of_given(
+    weighing: Weighing,
+    given: Sequence[Member],
+    named: EffectSet | None,
+    by_id: Mapping[str, Candidate],
+    names: Sequence[str],
+) -> list[ParameterEstimate]:
+    """Estimates of the effects that are known to act, fitted together with the named effects."""
+    if not given:
+        return []
+    beside = named.members if named is not None else [Member.best(by_id[name]) for name in names]
+    whole = together(weighing, [*given, *beside])
+    listed: list[ParameterEstimate] = []
+    begin = 0
+    for member in given:
+        end = begin + len(member.form.variant.columns)
+        listed += estimates.amplitudes(member.id, whole, slice(begin, end)) + estimates.shape(member.candidate)
+        begin = end
+    return listed
 
 
 def hypotheses(names: Sequence[str] | None) -> list[Effect]:
@@ -193,14 +247,14 @@ def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
 def _choices(
     found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
 ) -> list[FoldChoice]:
-    """Choices of the folds of the closure: likely effects and pairs, regardless of their settings of the noise. Together with a random walk
-    of the bias, no effect is the whole cause."""
+    """Choices of the folds of the closure: likely effects and sets of them, regardless of their settings of the noise. Together with a
+    random walk of the bias, or with something else, no effect is the whole cause."""
     likely: dict[str, float] = {}
     for name, p in found.probability.items():
         parts = name.split("+")
         key = "+".join(part for part in parts if part in by_id)
         if p >= _LIKELY and key:
-            likely[key] = likely.get(key, 0.0) + (0.0 if walks & set(parts) else p)
+            likely[key] = likely.get(key, 0.0) + (0.0 if {*walks, UNKNOWN} & set(parts) else p)
     chosen: list[FoldChoice] = []
     for key, p in likely.items():
         if key in found.pairs:
@@ -220,9 +274,9 @@ def _parameters(
     effects: list[Effect],
     exact: Mapping[str, Forms],
 ) -> list[ParameterEstimate]:
-    """Estimates for the likeliest effects. The effects of a pair are fitted together."""
+    """Estimates for the likeliest effects. The effects of a set are fitted together."""
     listed: list[ParameterEstimate] = []
-    pair = found.pairs.get("+".join(sorted(said.effects)))
+    together = found.sets.get(key_of(name for name in said.effects if name in by_id))
     for name in said.effects:
         if name not in by_id:
             listed += estimates.of_noise(
@@ -236,15 +290,12 @@ def _parameters(
         if shaped is not None and len(said.effects) == 1 and by_id[name].best.amplitudes[0][0] < 0:
             listed += estimates.opposite(shaped, by_id[name].best)
             continue
-        columns = slice(None)
-        weighed = by_id[name].best
-        if pair is not None:
-            own = {column.name for column in weighed.variant.columns}
-            size = len(weighed.variant.columns)
-            head = [column.name for column in pair.variant.columns[:size]]
-            first = set(head) == own and by_id[name].best.variant.columns[0].unit == pair.variant.columns[0].unit
-            columns, weighed = (slice(None, size) if first else slice(len(pair.variant.columns) - size, None)), pair
-        listed += estimates.amplitudes(name, weighed, columns) + estimates.shape(by_id[name])
+        if together is None:
+            listed += estimates.amplitudes(name, by_id[name].best, slice(None)) + estimates.shape(by_id[name])
+        else:
+            (member,) = (one for one in together.members if one.id == name)
+            listed += estimates.amplitudes(name, together.weighed, together.columns(name))
+            listed += estimates.shape(member.candidate)
     return listed
 
 

@@ -1,36 +1,47 @@
-"""The posterior over {none, each effect, pairs, unknown}, with fixed and published priors."""
+"""The posterior over {none, each effect, sets of effects, unknown, sets and something else besides}, with fixed and published priors.
+
+The probability that effects of the catalogue are the whole cause, that they act beside something else, and that none of them acts follow
+from the evidence as it is. How the probability of effects is shared among sets of them follows from the evidence with the noise enlarged by
+the dispersion of the rest (`evidence.dispersion`): if the best set leaves more than noise, the evidence for its names is that much weaker.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import product
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.error_model.effects.interface import ActsOnNoise, Effect, Variant
-from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, pair_log_bayes_factor
+from planrunner.error_model.effects.interface import ActsOnNoise, Effect
+from planrunner.gap.answer.sets import EffectSet, key_of, sets_of
+from planrunner.gap.evidence.dispersion import dispersion
 from planrunner.gap.evidence.noise_levels import log_densities
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
-from planrunner.gap.hypotheses.open_set import Kinds, Line, competitors, unknown
+from planrunner.gap.hypotheses.open_set import Kinds, Line, competitors, something_else, unknown
 from planrunner.gap.hypotheses.patterns import Pattern
 
 Array = NDArray[np.float64]
 BESIDE = 0.001  # probability of a tone or bursts beside an effect, from an independent cause
-PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.15, "unknown": 0.15}
-FIRST = 6  # number of effects from which pairs are formed: the likeliest
-WEIGHED = 10  # number of pairs evaluated in full, selected by a quick evaluation
-PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
+PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.10, "several": 0.05, "unknown": 0.15}
+"""several: three and more effects of the catalogue, or effects and something else, half each; halved again for every further effect."""
+NAMEABLE = 0.05  # the probability of none above which no effect is named
+LIKELY = 1e-3  # smallest probability of a set beside which something else may act
+WORTH = 3.0  # log BF of something else from which it may be the cause of what some of the effects follow
+UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """probability: of every hypothesis, pairs as 'a+b' in alphabetical order. log_evidence: of each, relative to none, for effects from the
-    coefficients alone. pairs: the
-    weighed variant of pairs of two deterministic effects. kinds: log evidence, relative to none, of what "unknown" could be. by_channel:
+    """probability: of every hypothesis, sets of effects as 'a+b' in alphabetical order, with something else besides as 'a+b+unknown'.
+    log_evidence: of each, relative to none, for effects from the
+    coefficients alone. pairs: the weighed variant of sets of two and more deterministic effects. sets: the same with their effects.
+    kinds: log evidence, relative to none, of what "unknown" could be. by_channel:
     log BF (K,) of each of those in one channel alone. levels: effects that only raise the noise level. lines:
-    tones. beside: probability of a tone or bursts beside an effect."""
+    tones. beside: probability of a tone or bursts beside an effect. dispersions: by channel, the ratio of the rest of the best set to the
+    noise, by which the evidence for its effects is reduced; 1 if the rest is noise."""
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
@@ -40,45 +51,202 @@ class Posterior:
     levels: frozenset[str] = frozenset()
     lines: tuple[Line, ...] = ()
     beside: float = 0.0
+    sets: Mapping[str, EffectSet] = field(default_factory=dict, repr=False)
+    dispersions: Mapping[str, float] = field(default_factory=dict)
+
+    def of_effects(self) -> dict[str, float]:
+        """Probability of none, unknown and every set of effects, with or without something else besides; the likeliest first."""
+        found: dict[str, float] = {}
+        for name, value in self.probability.items():
+            key = without_unknown(name)
+            found[key] = found.get(key, 0.0) + value
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def pair_key(first: str, second: str) -> str:
-    return "+".join(sorted((first, second)))
+    return key_of([first, second])
+
+
+def without_unknown(name: str) -> str:
+    """The effects of a hypothesis, without the something else that acts beside them."""
+    return "+".join(part for part in name.split("+") if part != UNKNOWN) or UNKNOWN
+
+
+@dataclass(frozen=True)
+class _NoiseOnly:
+    """Effects on the noise. walk: a random walk of the gyros, or ''; others: level of the white noise by effect; levels: log densities."""
+
+    walk: str
+    others: Mapping[str, str]
+    levels: Mapping[str, float]
+
+    @property
+    def states(self) -> dict[str, float]:
+        """Log density of the white noise without and with each other effect on it."""
+        return {"": self.levels["declared"], **{name: self.levels[level] for name, level in self.others.items()}}
 
 
 def posterior(weighing: Weighing, effects: Sequence[Effect], candidates: Sequence[Candidate]) -> Posterior:
     """Weigh all hypotheses. effects: all that are installed; candidates: those of them with signatures, weighed."""
     nothing = np.zeros(len(weighing.base))
-    levels = log_densities(weighing.declared, weighing.white, weighing.white_degrees, weighing.steps)
     acting = {effect.noise: effect.id for effect in effects if isinstance(effect, ActsOnNoise)}
     walk = acting.pop("random walk", "")
-    others = {name: level for level, name in acting.items()}
-    start = weighing.evidence(nothing) + levels["declared"]
-    alone = {"": nothing} | {c.id: c.log_bayes for c in candidates if np.isfinite(c.log_bayes).any()}
-    found: dict[str, float] = {}
-    walks = (False, True) if walk and np.isfinite(weighing.log_prior[1]).any() else (False,)
-    for (name, log_bayes), walking in product(alone.items(), walks):
-        value = weighing.evidence(log_bayes, walking) - start
-        for other, level in {"": "declared", **others}.items():
-            present = [part for part in (name, walk if walking else "", other) if part]
-            if len(present) < 3:
-                found["+".join(sorted(present)) or "none"] = value + levels[level]
-    together, weighed = _pairs(weighing, candidates)
-    found |= {key: value + levels["declared"] - start for key, value in together.items()}
+    densities = log_densities(weighing.declared, weighing.white, weighing.white_degrees, weighing.steps)
+    noise = _NoiseOnly(walk, {name: level for level, name in acting.items()}, densities)
+    start = weighing.evidence(nothing) + densities["declared"]
+    found, sets = _of_effects(weighing, candidates, noise)
     kinds = competitors(weighing)
-    found["unknown"] = weighing.evidence(unknown(kinds)) + levels["declared"] - start
-    plainly = {what: weighing.evidence(value) + levels["declared"] - start for what, value in kinds.log_bayes.items()}
+    found[UNKNOWN] = weighing.evidence(unknown(kinds)) + densities["declared"] - start
+    plainly = {
+        what: weighing.evidence(value) + densities["declared"] - start for what, value in kinds.log_bayes.items()
+    }
+    count = _acting(found)
+    logs = {
+        name: value + log_prior(name, count) + (0.0 if name in PRIORS else _beside(kinds))
+        for name, value in found.items()
+    }
+    ratios = np.ones(len(weighing.weights))
+    if _shares(logs)["none"] < NAMEABLE:
+        best = max((name for name in logs if name not in PRIORS), key=lambda name: logs[name], default="")
+        chain = _chain(best, sets, candidates)
+        if chain:
+            named = _shared(logs)
+            if walk not in best.split("+"):
+                ratios = _dispersions(weighing, chain[-1][1])
+            if (ratios > 1).any():
+                wide = weighing.inflated(ratios.tolist())
+                again, _ = _of_effects(wide, [_again(wide, c) for c in candidates], noise, refit=False)
+                named = _shared({name: value + log_prior(name, count) for name, value in again.items()})
+            more = _with_something_else(weighing, chain, found, count)
+            logs = _as_named(logs, named, more, walk)
     beside = float(np.exp(np.log(BESIDE) + kinds.outside - _beside(kinds)))
     return Posterior(
-        _normalised({name: value + (0.0 if name in PRIORS else _beside(kinds)) for name, value in found.items()}),
+        dict(sorted(_shares(logs).items(), key=lambda item: -item[1])),
         found,
-        weighed,
+        {key: one.weighed for key, one in sets.items()},
         plainly,
         kinds.by_channel,
         frozenset(acting.values()),
         kinds.lines,
         beside,
+        sets,
+        {channel.name: float(r) for channel, r in zip(weighing.observed.channels, ratios, strict=True)},
     )
+
+
+def _of_effects(
+    weighing: Weighing, candidates: Sequence[Candidate], noise: _NoiseOnly, refit: bool = True
+) -> tuple[dict[str, float], dict[str, EffectSet]]:
+    """Log evidence of none, of single effects and of sets, relative to none, and the sets evaluated in full."""
+    nothing = np.zeros(len(weighing.base))
+    start = weighing.evidence(nothing) + noise.levels["declared"]
+    alone = {"": nothing} | {c.id: c.log_bayes for c in candidates if np.isfinite(c.log_bayes).any()}
+    found: dict[str, float] = {}
+    walks = (False, True) if noise.walk and np.isfinite(weighing.log_prior[1]).any() else (False,)
+    for (name, log_bayes), walking in product(alone.items(), walks):
+        value = weighing.evidence(log_bayes, walking) - start
+        for other, density in noise.states.items():
+            present = [part for part in (name, noise.walk if walking else "", other) if part]
+            found[key_of(present) or "none"] = value + density
+    count = _acting(found)
+    sets = sets_of(weighing, candidates, lambda size: _log_prior_of(size, count), len(walks) > 1, refit)
+    found |= {key: value + noise.levels["declared"] - start for key, value in sets.quick.items()}
+    for key, one in sets.full.items():
+        for value, walking in ((one.evidence, False), (one.walking, True)):
+            for other, density in noise.states.items():
+                if np.isfinite(value):
+                    present = [*key.split("+"), *filter(None, (noise.walk if walking else "", other))]
+                    found[key_of(present)] = value + density - start
+    return found, sets.full
+
+
+def _again(weighing: Weighing, candidate: Candidate) -> Candidate:
+    """A candidate under other noise; the cost of its shape stays."""
+    if not np.isfinite(candidate.log_bayes).any():
+        return candidate
+    usable = [item for item in candidate.variants if item.trace > 0]
+    raw = [np.hstack(blocks) for blocks in zip(*(item.raw for item in usable), strict=True)]
+    weighed = weighing.weigh([item.variant for item in usable], raw)
+    best = np.max([item.log_bayes for item in weighed], axis=0)
+    return replace(candidate, variants=tuple(weighed), log_bayes=best + candidate.shape_cost)
+
+
+def _chain(name: str, sets: Mapping[str, EffectSet], candidates: Sequence[Candidate]) -> list[tuple[str, Weighed]]:
+    """The effects of a hypothesis that have signatures, from the first that was chosen to all of them together."""
+    by_id = {c.id: c for c in candidates}
+    known = [part for part in name.split("+") if part in by_id]
+    if len(known) == 1:
+        return [(known[0], by_id[known[0]].best)]
+    if key_of(known) not in sets:
+        return []
+    order = [member.id for member in sets[key_of(known)].members]
+    found = [(order[0], by_id[order[0]].best)]
+    for size in range(2, len(order) + 1):
+        key = key_of(order[:size])
+        if key in sets:
+            found.append((key, sets[key].weighed))
+    return found
+
+
+def _with_something_else(
+    weighing: Weighing, chain: Sequence[tuple[str, Weighed]], found: Mapping[str, float], count: int
+) -> dict[str, float]:
+    """Log weights of something else besides sets of effects. If it may act besides all effects of a chain, it is weighed besides fewer
+    too: some of them may only follow it."""
+    made: dict[str, float] = {}
+    for key, weighed in reversed(chain):
+        besides = something_else(weighing.beside(weighed))
+        made[key] = found[key] + besides + log_prior(key_of([*key.split("+"), UNKNOWN]), count)
+        if besides < WORTH:
+            break
+    return made
+
+
+def _dispersions(weighing: Weighing, known: Weighed) -> Array:
+    """Dispersion (K,) of what effects leave."""
+    amplitudes = known.amplitudes[0]
+    found, count = [], len(weighing.weights)
+    for (weight, *_), columns in zip(weighing.weights, known.by_channel, strict=True):
+        rest = weight.residual - columns @ amplitudes
+        degrees = max(len(rest) - weight.basis.shape[1], 1)
+        found.append(dispersion(rest, degrees, weighing.spectrum.means, 2 * count))
+    return np.array(found)
+
+
+def _as_named(
+    logs: Mapping[str, float], named: Mapping[str, float], more: Mapping[str, float], walk: str
+) -> dict[str, float]:
+    """Log weights with the probability of effects shared as `named`, and with something else besides.
+
+    more: log weight of something else besides a set. It is shared among the sets of the same size that are likely, in the same way, except
+    those with a random walk (`walk`), which explains what something else explains.
+    """
+    whole = float(np.logaddexp.reduce([value for name, value in logs.items() if name not in PRIORS]))
+    made = {name: value for name, value in logs.items() if name in PRIORS}
+    made |= {name: whole + float(np.log(share)) for name, share in named.items() if share > 0}
+    for key, value in more.items():
+        size = key.count("+")
+        alike = {
+            name: share
+            for name, share in named.items()
+            if name.count("+") == size and share > 0 and walk not in name.split("+")
+        }
+        total = sum(alike.values())
+        likely = {name: share / total for name, share in alike.items() if share >= LIKELY * total} or {key: 1.0}
+        for name, share in likely.items():
+            made[key_of([*name.split("+"), UNKNOWN])] = value + float(np.log(share))
+    return made
+
+
+def _shared(logs: Mapping[str, float]) -> dict[str, float]:
+    """Shares of the effects and their sets alone."""
+    return _shares({name: value for name, value in logs.items() if name not in PRIORS})
+
+
+def _shares(logs: Mapping[str, float]) -> dict[str, float]:
+    """Weights of sum 1 from their logs."""
+    total = np.logaddexp.reduce(list(logs.values()))
+    return {name: float(np.exp(value - total)) for name, value in logs.items()}
 
 
 def _beside(kinds: Kinds) -> float:
@@ -86,73 +254,22 @@ def _beside(kinds: Kinds) -> float:
     return float(np.logaddexp(np.log1p(-BESIDE), np.log(BESIDE) + kinds.outside))
 
 
-def _normalised(log_evidence: dict[str, float]) -> dict[str, float]:
-    """Priors are shared evenly by all effects that the plan can excite, and by all pairs of these. An effect that this plan cannot
-    excite counts as absent."""
-    acting = sum(np.isfinite(value) and name not in PRIORS and "+" not in name for name, value in log_evidence.items())
-    shares = {"single": PRIORS["single"] / max(acting, 1), "pair": PRIORS["pair"] / max(acting * (acting - 1) / 2, 1)}
-    logs = {}
-    for name, value in log_evidence.items():
-        kind = name if name in PRIORS else ("pair" if "+" in name else "single")
-        logs[name] = value + float(np.log(shares.get(kind, PRIORS.get(kind, 0.0))))
-    total = np.logaddexp.reduce(list(logs.values()))
-    return {name: float(np.exp(value - total)) for name, value in sorted(logs.items(), key=lambda item: -item[1])}
+def _acting(log_evidence: Mapping[str, float]) -> int:
+    """The number of effects that the plan can excite. One that it cannot excite counts as absent."""
+    return sum(np.isfinite(value) and name not in PRIORS and "+" not in name for name, value in log_evidence.items())
 
 
-def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[str, float], dict[str, Weighed]]:
-    """Log evidence of pairs of effects with signatures, and the fully evaluated best pairs.
-
-    A quick evaluation fixes each likely effect at its most probable size and evaluates every form of the others on the rest. The best pairs
-    are then evaluated with both amplitudes on a grid, under every setting of the noise. The others keep their evidence at the declared
-    noise.
-    """
-    usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
-    ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))[:FIRST]
-    quick: dict[str, tuple[float, Weighed, Weighed, float]] = {}
-    for first in ranked:
-        a = first.best
-        for second, (b, value) in _given(a, [other for other in usable if other.id != first.id]):
-            cost = first.shape_cost + second.shape_cost
-            value += float(a.log_bayes[0]) + cost
-            key = pair_key(first.id, second.id)
-            if key not in quick or value > quick[key][0]:
-                quick[key] = (value, a, b, cost)
-    declared = float(weighing.base[0] + weighing.log_prior[0][0])
-    found = {key: declared + value for key, (value, *_) in quick.items()}
-    best: dict[str, Weighed] = {}
-    for key in sorted(quick, key=lambda key: -quick[key][0])[:WEIGHED]:
-        _, a, b, cost = quick[key]
-        own = a.variant.columns, b.variant.columns
-        raw = [np.hstack(blocks) for blocks in zip(a.raw, b.raw, strict=True)]
-        (both,) = weighing.weigh([Variant(own[0] + own[1], widths=(len(own[0]), len(own[1])))], raw)
-        log_bayes = np.full(len(weighing.base), -np.inf)
-        for g in np.flatnonzero(np.isfinite(weighing.log_prior[0])):
-            log_bayes[g] = pair_log_bayes_factor(
-                both.gram[g], both.score[g], len(a.variant.columns), (a.trace, b.trace), PAIR_ENERGIES
-            )
-        found[key], best[key] = weighing.evidence(log_bayes + cost), both
-    return found, best
+def log_prior(name: str, acting: int) -> float:
+    """Log prior of a hypothesis. The priors are shared evenly by all sets of the same number of effects that the plan can excite."""
+    if name in PRIORS:
+        return float(np.log(PRIORS[name]))
+    parts = name.split("+")
+    return _log_prior_of(len([part for part in parts if part != UNKNOWN]), acting, UNKNOWN in parts)
 
 
-def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Candidate, tuple[Weighed, float]]]:
-    """The form of each effect that fits the data best in addition to `a` at its most probable size, and the log BF that it adds."""
-    if not others:
-        return
-    mean, covariance = a.amplitudes
-    forms = [len(other.variants) for other in others]
-    size = np.zeros((sum(forms), max((other.variants[0].gram.shape[1] for other in others), default=0)))
-    along, last = np.zeros_like(size), 0
-    for other, count in zip(others, forms, strict=True):
-        cross = other.across(a)
-        grams = np.array([item.gram[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
-        scores = np.array([item.score[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ mean
-        values, vectors = np.linalg.eigh(grams)
-        # the energies of each variant are in units of its trace
-        traces = np.array([item.trace for item in other.variants])[:, None]
-        part = slice(last, last := last + count), slice(values.shape[1])
-        size[part] = np.maximum(values, 0.0) / traces
-        along[part] = np.einsum("vji,vj->vi", vectors, scores) ** 2 / traces
-    added = averaged(from_eigen(size, along, 1.0))
-    for other, values in zip(others, np.split(added, np.cumsum(forms)[:-1]), strict=True):
-        best = int(np.argmax(values))
-        yield other, (other.variants[best], float(values[best]))
+def _log_prior_of(size: int, acting: int, besides: bool = False) -> float:
+    """Log prior of one set of `size` effects. besides: with something else."""
+    share = PRIORS["several"] / 2 ** (size + 1 if besides else size - 1)
+    if not besides and size < 3:
+        share = PRIORS["single" if size == 1 else "pair"]
+    return float(np.log(share / max(comb(acting, size), 1)))

@@ -9,31 +9,34 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from planrunner.gap.evidence.dispersion import LEVEL
 from planrunner.gap.hypotheses.candidates import Weighed, Weighing
 
-LEVEL = 0.001  # of the test
 VISIBLE = 1.2  # times the noise: smaller rests are within the uncertainty of the noise model
 
 
 @dataclass(frozen=True, slots=True)
 class Remainder:
     """share: of the gap, ratio of root mean squares without noise, 0 if noise alone explains the rest. times_noise: by channel, root mean
-    square of the coefficients of the rest in standard deviations of the noise, 1 for noise alone. p: of the test. passes: whether noise
-    alone explains the rest."""
+    square of the coefficients of the rest in standard deviations of the noise, 1 for noise alone. sigma: by channel, size of the whole rest
+    in standard deviations, the root of χ² − ν; 0 where it is not larger than the noise. p: of the test. passes: whether noise alone
+    explains the rest, in every channel and for every pattern outside the catalogue."""
 
     share: float
     times_noise: Mapping[str, float]
+    sigma: Mapping[str, float]
     p: float
     passes: bool
 
 
-def remainder(weighing: Weighing, named: Weighed) -> Remainder:
-    """The rest beside effects that are fitted together."""
+def remainder(weighing: Weighing, named: Weighed, something_else: bool = False) -> Remainder:
+    """The rest beside effects that are fitted together. something_else: whether it follows a pattern outside the catalogue."""
     from scipy.special import chdtrc
 
     amplitudes = named.amplitudes[0]
     before = after = 0.0
     times: dict[str, float] = {}
+    sigma: dict[str, float] = {}
     smallest = 1.0
     for index, channel in enumerate(weighing.observed.channels):
         weight = weighing.weights[index][0]
@@ -43,8 +46,9 @@ def remainder(weighing: Weighing, named: Weighed) -> Remainder:
         before += float(weight.residual @ weight.residual) - degrees
         after += squares - degrees
         times[channel.name] = (squares / degrees) ** 0.5
+        sigma[channel.name] = max(squares - degrees, 0.0) ** 0.5
         smallest = min(smallest, float(chdtrc(degrees, squares)))
     p = min(1.0, smallest * len(times))
-    passes = p >= LEVEL or max(times.values()) < VISIBLE
+    passes = not something_else and (p >= LEVEL or max(times.values()) < VISIBLE)
     share = 0.0 if passes or before <= 0 else min((max(after, 0.0) / before) ** 0.5, 1.0)
-    return Remainder(share, times, p, passes)
+    return Remainder(share, times, sigma, p, passes)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.error_model.effects.interface import Column, Effect, Shaped, Variant
+from planrunner.error_model.effects.interface import Column, Effect, Shaped
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.discrimination import Rival
 from planrunner.gap.answer.posterior import Posterior
@@ -65,47 +65,27 @@ def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Expl
 
 
 def _simplest(total: Mapping[str, float]) -> dict[str, float]:
-    """Pairs that are less likely than one of their effects alone are counted with that effect, because the addition may be nothing."""
-    found = {name: value for name, value in total.items() if "+" not in name}
-    for name, value in total.items():
-        likelier = [one for one in name.split("+") if total.get(one, 0.0) > value] if "+" in name else []
-        if likelier:
-            found[max(likelier, key=lambda one: total[one])] += value
-        elif "+" in name:
-            found[name] = found.get(name, 0.0) + value
+    """Sets that are less likely than a set with fewer of their effects are counted with that set, because the addition may be nothing."""
+    found: dict[str, float] = {}
+    for name, value in sorted(total.items(), key=lambda item: item[0].count("+")):
+        parts = set(name.split("+"))
+        likelier = [one for one in found if set(one.split("+")) < parts and total[one] > value]
+        target = max(likelier, key=lambda one: total[one], default=name)
+        found[target] = found.get(target, 0.0) + value
     return found
 
 
 def _parts(name: str, found: Posterior, by_id: Mapping[str, Candidate]) -> tuple[ExplanationPart, ...]:
     if name in SILENT:
         return ()
-    names = name.split("+")
-    pair = found.pairs.get(name)
-    forms = [by_id[one].best for one in names]
-    if pair is None or len(names) == 1:
-        return tuple(
-            ExplanationPart(by_id[one].effect, form, _size(form, slice(None)))
-            for one, form in zip(names, forms, strict=True)
-        )
-    placed = [_within(pair.variant, by_id[one]) for one in names]
+    together = found.sets.get(name)
+    if together is None:
+        forms = {one: by_id[one].best for one in name.split("+")}
+        return tuple(ExplanationPart(by_id[one].effect, form, _size(form, slice(None))) for one, form in forms.items())
     return tuple(
-        ExplanationPart(
-            by_id[one].effect, where[0] if where else form, _size(pair, where[1]) if where else _size(form, slice(None))
-        )
-        for one, form, where in zip(names, forms, placed, strict=True)
+        ExplanationPart(member.candidate.effect, member.form, _size(together.weighed, together.columns(member.id)))
+        for member in sorted(together.members, key=lambda member: member.id)
     )
-
-
-def _within(pair: Variant, candidate: Candidate) -> tuple[Weighed, slice] | None:
-    """The form of an effect in a pair, and its columns there."""
-    for form in candidate.variants:
-        own = form.variant.columns
-        for part in (slice(0, len(own)), slice(len(pair.columns) - len(own), None)):
-            if len(pair.columns[part]) == len(own) and all(
-                a is b for a, b in zip(pair.columns[part], own, strict=True)
-            ):
-                return form, part
-    return None
 
 
 def _size(weighed: Weighed, columns: slice) -> float:

@@ -1,4 +1,4 @@
-"""From a posterior to a verdict: none, one effect, a pair, unknown, or a class of effects that this plan cannot distinguish.
+"""From a posterior to a verdict: none, one effect, a pair, several effects, unknown, or a class that this plan cannot distinguish.
 
 An effect that explains nearly all of a gap is named, whatever else there is; the rest is reported as a remainder. The remainder may be
 terms of the full nominal model that a reduced one lacks: if the simulation of a sensor has no bias, a small additional deviation that no
@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from planrunner.gap.answer.confusability import ALIKE, DISCRIMINABLE, beside, energy, fitted, reproduced
-from planrunner.gap.answer.posterior import Posterior, pair_key
+from planrunner.gap.answer.posterior import NAMEABLE, UNKNOWN, Posterior
+from planrunner.gap.answer.sets import key_of
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 from planrunner.plan.model import NOMINAL_TERMS
 
@@ -53,7 +54,6 @@ def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float
     return {name: math.exp(min(value, 0.0)) for name, value in away.items() if value <= TWO_NAMES}
 
 
-NAMEABLE = 0.05  # the probability of none above which no effect is named
 RIVAL = 0.02  # fraction of the first's probability: less likely members of a class are left out, because the data exclude them
 COVERED = 0.95
 ELSEWHERE = 0.5  # share of an effect's energy in other channels at and above which it is not form residue
@@ -62,48 +62,57 @@ SOMETHING_ELSE = 0.90  # the probability at and above which "unknown" is reporte
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """kind: none, effect, pair, unknown or indistinguishable. effects: the likeliest. members: effects that cannot be distinguished from
-    them, including themselves; pairs as 'a+b'. residue: an effect, or "unknown", that may be only form residue of the named effect; it
-    may also be one of a named pair."""
+    """kind: none, effect, pair, several, unknown or indistinguishable. effects: the likeliest. members: effects that cannot be
+    distinguished from them, including themselves; sets as 'a+b'. residue: an effect, or "unknown", that may be only form residue of the
+    named effect; it may also be one of the named effects. something_else: whether something that the catalogue does not contain acts
+    beside the named effects."""
 
     kind: str
     effects: tuple[str, ...] = ()
     members: tuple[str, ...] = ()
     residue: str | None = None
+    something_else: bool = False
 
 
 def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]) -> Verdict:
     """The verdict. Nothing is named while P(none) is 5 % or more, nor a member of a class that the plan cannot separate."""
-    probability = found.probability
+    probability = found.of_effects()
     if probability["none"] >= NAMEABLE:
         return Verdict("none")
     top = next(iter(probability))
     by_id = {candidate.id: candidate for candidate in candidates}
     top, remainder = leading(found.log_evidence, top, by_id) or (top, None)
-    if top == "unknown":
-        best = next(name for name in probability if name not in ("none", "unknown"))
-        if probability["unknown"] >= SOMETHING_ELSE:
+    if top == UNKNOWN:
+        best = next(name for name in probability if name not in ("none", UNKNOWN))
+        if probability[UNKNOWN] >= SOMETHING_ELSE:
             return Verdict("unknown")
-        return Verdict("indistinguishable", tuple(best.split("+")), (best, "unknown"))
+        return Verdict("indistinguishable", tuple(best.split("+")), (best, UNKNOWN))
     likely = probability if remainder is None else as_probable(found.log_evidence, top)
-    if "+" not in top:
-        return _named("effect", (top,), _rivals(likely, by_id, top), remainder)
     named, residue = _residue(found, by_id, top)
+    left = found.probability.get(key_of([*top.split("+"), UNKNOWN]), 0.0) > found.probability.get(top, 0.0)
     if named == top or residue is None:
-        return _named(
-            "pair", tuple(top.split("+")), _rival_pairs(likely, found.pairs, by_id, top), remainder or residue
-        )
-    beside = {name: likely.get(pair_key(name, residue), 0.0) for name in by_id if name != residue}
-    return _named("effect", (named,), _rivals(beside, by_id, named), remainder or residue)
+        rivals = _rivals(likely, by_id, top) if "+" not in top else _rival_sets(likely, found.pairs, by_id, top)
+    else:
+        beside = {
+            without: value
+            for name, value in likely.items()
+            if (without := _without(name, residue)) and len(without.split("+")) == len(named.split("+"))
+        }
+        rivals = _rivals(beside, by_id, named) if "+" not in named else (named,)
+    return _named(tuple(named.split("+")), rivals, remainder or residue, left)
 
 
-def _named(kind: str, effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | None) -> Verdict:
-    """Effects of a kind or, if they have rivals, their class."""
-    return (
-        Verdict("indistinguishable", effects, rivals, residue)
-        if len(rivals) > 1
-        else Verdict(kind, effects, (), residue)
-    )
+def _without(name: str, effect: str) -> str:
+    """The rest of a set of effects that contains `effect`; empty otherwise."""
+    parts = name.split("+")
+    return key_of(part for part in parts if part != effect) if effect in parts else ""
+
+
+def _named(effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | None, left: bool) -> Verdict:
+    """Effects or, if they have rivals, their class."""
+    if len(rivals) > 1:
+        return Verdict("indistinguishable", effects, rivals, residue, left)
+    return Verdict({1: "effect", 2: "pair"}.get(len(effects), "several"), effects, (), residue, left)
 
 
 def ambiguity_set(probability: Mapping[str, float]) -> list[str]:
@@ -138,38 +147,50 @@ def _rivals(probability: Mapping[str, float], by_id: Mapping[str, Candidate], to
     return tuple(found)
 
 
-def _rival_pairs(
-    probability: Mapping[str, float], pairs: Mapping[str, Weighed], by_id: Mapping[str, Candidate], top: str
+def _rival_sets(
+    probability: Mapping[str, float], sets: Mapping[str, Weighed], by_id: Mapping[str, Candidate], top: str
 ) -> tuple[str, ...]:
-    """Pairs that share one effect with `top` and replace the other by one that cannot be distinguished from it; `top` first."""
+    """Sets that share all effects but one with `top` and replace this one by an effect that cannot be distinguished from it; `top`
+    first."""
     found = [top]
     mine = set(top.split("+"))
     for name, value in probability.items():
         theirs = set(name.split("+"))
-        if name == top or len(theirs) < 2 or len(mine & theirs) != 1 or value < RIVAL * probability[top]:
+        alike = len(theirs) == len(mine) and len(mine & theirs) == len(mine) - 1
+        if name == top or not alike or value < RIVAL * probability.get(top, 0.0):
             continue
+        ours, other = (key_of(part for part in key.split("+") if part in by_id) for key in (top, name))
         confusable = (
-            _confusable(pairs[top], [pairs[name]]) if top in pairs and name in pairs else value > probability[top] / 10
+            _confusable(sets[ours], [sets[other]])
+            if ours in sets and other in sets and ours != other
+            else value > probability.get(top, 0.0) / 10
         )
         if confusable:
             found.append(name)
     return tuple(found)
 
 
-def _residue(found: Posterior, by_id: Mapping[str, Candidate], pair: str) -> tuple[str, str | None]:
-    """The effects of a pair to name, and the one that may be form residue: the weaker effect, if at more than 50 σ it explains less than
-    `RESIDUE` of what both explain. Below `FORM` it is not named. It is not form residue if it acts on channels on which the first does
+def _residue(found: Posterior, by_id: Mapping[str, Candidate], named: str) -> tuple[str, str | None]:
+    """The effects of a set to name, and the weakest, if it may be form residue of the strongest: if at more than 50 σ it explains less
+    than `RESIDUE` of what all explain. Below `FORM` it is not named. It is not form residue if it acts on channels on which the others do
     not act, or if it raises the noise level. Terms of a nominal model are exact and have no form residue."""
-    energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in pair.split("+") if name in by_id}
+    names = named.split("+")
+    energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in names if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")
-    if not first or first in NOMINAL_TERMS:
-        return pair, None
-    both = 2 * found.log_evidence[pair]
-    other = next(name for name in pair.split("+") if name != first)
-    if other in found.levels:
-        return pair, None
-    alone = 2 * max(found.log_evidence.get(first, -np.inf), 0.0)
-    small = alone > STRONG and alone > (1 - RESIDUE) * both
-    if not small or (pair in found.pairs and beside(found.pairs[pair], by_id[first]) > ELSEWHERE):
-        return pair, None
-    return (first if alone > (1 - FORM) * both else pair), other
+    if len(names) < 2 or not first or first in NOMINAL_TERMS:
+        return named, None
+    whole = 2 * found.log_evidence[named]
+    without = {
+        name: 2 * max(found.log_evidence.get(_without(named, name), -np.inf), 0.0)
+        for name in names
+        if name != first and name not in found.levels
+    }
+    other = max(without, key=lambda name: without[name], default=None)
+    if other is None:
+        return named, None
+    rest = without[other]
+    small = rest > STRONG and rest > (1 - RESIDUE) * whole
+    known = found.sets.get(key_of(name for name in names if name in by_id))
+    if not small or (known is not None and other in by_id and beside(known, other) > ELSEWHERE):
+        return named, None
+    return (_without(named, other) if rest > (1 - FORM) * whole else named), other

@@ -104,9 +104,51 @@ def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:
     """log BF of two effects together: columns 0 … first − 1 and the rest, each with a separate s² on the grid `energies`; both have at
     least the strength `WEAKEST`."""
-    p = len(score)
+    widths = (first, len(score) - first)
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
-    root = np.sqrt(np.where(np.arange(p) < first, one.ravel()[:, None], two.ravel()[:, None]))
+    each = _at_scales(gram, score, widths, np.column_stack([one.ravel(), two.ravel()]))
+    return float(averaged(averaged(each.reshape(len(energies), -1), energies), energies))
+
+
+def set_log_bayes_factor(
+    gram: Array, score: Array, widths: Sequence[int], traces: Sequence[float], energies: Array, near: Array
+) -> float:
+    """log BF of any number of effects together, each with a separate s² on the grid `energies` and at least the strength `WEAKEST`. near:
+    (p,), s² at which the search for the most probable begins.
+
+    The grid over all s² would have a dimension for each effect. Instead the most probable s² are found for one effect at a time, and the
+    average over each s² is taken there with the others fixed: exact if the integrand is a product of functions of each s².
+    """
+    grids = [energies / trace for trace in traces]
+    start = near[np.cumsum(widths) - 1]
+    at = [int(np.argmin(np.abs(np.log(grid / max(value, 1e-300))))) for grid, value in zip(grids, start, strict=True)]
+    lines: list[Array] = []
+    for _ in range(_SWEEPS):
+        lines, before = [], list(at)
+        for effect, grid in enumerate(grids):
+            scales = np.array([[other[k] for other, k in zip(grids, at, strict=True)]] * len(grid))
+            scales[:, effect] = grid
+            lines.append(_at_scales(gram, score, widths, scales))
+            at[effect] = int(np.argmax(lines[-1]))
+        if at == before:
+            break
+    gained = [float(averaged(line, energies)) - float(line[k]) for line, k in zip(lines, at, strict=True)]
+    return float(lines[-1][at[-1]]) + sum(gained)
+
+
+def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
+    """log BF (G,) of Gaussian amplitudes of fixed s² (p,), for stacks of gram (G, p, p) and score (G, p)."""
+    root = np.sqrt(scales)
+    inner = np.eye(len(root)) + root[:, None] * gram * root
+    along = root * score
+    fitted = np.linalg.solve(inner, along[..., None])[..., 0]
+    return np.asarray(0.5 * ((along * fitted).sum(-1) - np.linalg.slogdet(inner)[1]))
+
+
+def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) -> Array:
+    """log BF (E,) of effects of `widths` columns with s² (E, effects), times the probability that each has the strength `WEAKEST`."""
+    p = len(score)
+    root = np.sqrt(np.repeat(scales, widths, axis=1))
     inner = np.eye(p) + root[:, :, None] * gram * root[:, None, :]
     # Strong effects with nearly equal signatures: keep the matrix positive definite under rounding.
     inner += np.eye(p) * (_ROUNDING * np.trace(inner, axis1=1, axis2=2))[:, None, None]
@@ -115,7 +157,8 @@ def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[f
     covariance = root[:, :, None] * np.linalg.inv(inner) * root[:, None, :]
     amplitudes = covariance @ score
     each += 0.5 * amplitudes @ score
-    for part in (slice(0, first), slice(first, p)):
+    ends = np.cumsum(widths)
+    for part in (slice(end - width, end) for end, width in zip(ends, widths, strict=True)):
         own, spread, size = gram[part, part], covariance[:, part, part], amplitudes[:, part]
         product = own @ spread
         at = size @ own
@@ -124,7 +167,7 @@ def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[f
             "ei,eij,ej->e", at, spread, at
         )
         each += strong_enough(mean, variance)
-    return float(averaged(averaged(each.reshape(len(energies), -1), energies), energies))
+    return np.asarray(each)
 
 
 def log_mean_exp(values: Array, axis: int, weights: Array | None = None) -> Array:

@@ -77,7 +77,7 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
         channels = observed.of_kind(kind)
         if not channels:
             continue
-        stimulus = _means(observed, observed.omega if kind == "gyro" else observed.force)
+        stimulus = segment_means(observed, observed.omega if kind == "gyro" else observed.force)
         design = np.column_stack([stimulus, np.ones(len(stimulus))])
         rank = int(np.linalg.matrix_rank(design / np.maximum(np.abs(design).max(axis=0), 1e-30)))
         if len(observed) <= rank:
@@ -88,7 +88,7 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
                 message,
                 "add segments in other states: without withheld segments, no closure can be computed",
             )
-        means = _means(observed, observed.values[:, channels])
+        means = segment_means(observed, observed.values[:, channels])
         fitted = np.linalg.lstsq(design, means, rcond=None)[0]
         left = means - design @ fitted
         told = rank == design.shape[1] and float(stimulus.std(axis=0).min()) > STIRRED[kind]
@@ -141,7 +141,7 @@ def exchanged_labels(observed: Observed) -> tuple[int, int, float] | None:
         channels = observed.of_kind(kind)
         if not channels:
             continue
-        stimulus = _means(observed, observed.omega if kind == "gyro" else observed.force)
+        stimulus = segment_means(observed, observed.omega if kind == "gyro" else observed.force)
         design = np.column_stack([stimulus, np.ones(segments)])
         left, size, _ = np.linalg.svd(design / np.maximum(np.abs(design).max(axis=0), 1e-30), full_matrices=False)
         basis = left[:, size > RANK * size.max()]
@@ -150,7 +150,7 @@ def exchanged_labels(observed: Observed) -> tuple[int, int, float] | None:
         projection = np.eye(segments) - basis @ basis.T
         diagonal = np.diag(projection)
         across = diagonal[:, None] + diagonal - 2 * projection
-        for mean in _means(observed, observed.values[:, channels]).T:
+        for mean in segment_means(observed, observed.values[:, channels]).T:
             scale = max(float(mean.var()), 1e-300)
             residual = projection @ mean
             step = mean - mean[:, None]
@@ -182,8 +182,8 @@ def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
 
 def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
     """Whether poses in unknown orientations read the magnitude of gravity, and whether there are enough of them to hold some out."""
-    expected = _means(observed, observed.seen(0, observed.force)[:, None])[:, 0]
-    ratio = float(np.median(_means(observed, observed.values)[:, 0] / expected))
+    expected = segment_means(observed, observed.seen(0, observed.force)[:, None])[:, 0]
+    ratio = float(np.median(segment_means(observed, observed.values)[:, 0] / expected))
     if abs(ratio - 1) > MISFIT:
         message = f"at rest the accelerometers read {ratio:.3g} times gravity"
         log.error("gap-nominal-misfit", mark, message, "check the channels' units and signs in the bench file")
@@ -197,7 +197,8 @@ def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
         )
 
 
-def _means(observed: Observed, values: Array) -> Array:
+def segment_means(observed: Observed, values: Array) -> Array:
+    """Means (S, K) over the segments of values (N, K)."""
     return np.array([values[part].mean(axis=0) for part in observed.segments()])
 
 

@@ -15,6 +15,7 @@ few rows on which a design acts: with Y its whitened rows and B an orthonormal b
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -192,6 +193,30 @@ class ChannelWeights:
         log_det += 2 * float(np.log(np.abs(np.diag(upper)) + 1e-300).sum())
         self.residual = self.project(spectrum.values[:, [channel]])[:, 0]
         self.log_likelihood = -0.5 * (log_det + float(self.residual @ self.residual))
+
+    def beside(self, columns: Array) -> ChannelWeights:
+        """The same with further columns (M, p) among the nominal ones, in SI as these. Their likelihood is that of the residual alone."""
+        made = copy(self)
+        whitened = self.whiten(columns[:, columns.any(axis=0)])
+        whitened /= np.linalg.norm(whitened, axis=0)
+        left, size, _ = np.linalg.svd(whitened - self.basis @ (self.basis.T @ whitened), full_matrices=False)
+        left = left[:, size > _NOTHING]
+        made.basis = np.hstack([self.basis, left])
+        made.residual = self.residual - left @ (left.T @ self.residual)
+        made.log_likelihood = self.log_likelihood + 0.5 * float(self.residual @ self.residual)
+        made.log_likelihood -= 0.5 * float(made.residual @ made.residual)
+        return made
+
+    def inflated(self, ratio: float) -> ChannelWeights:
+        """The same with `ratio` times the variance of the noise."""
+        made, root = copy(self), float(np.sqrt(ratio))
+        made._covariance = self._covariance * ratio
+        made.scale = self.scale / root
+        made._inverse = None if self._inverse is None else self._inverse / root
+        made.residual = self.residual / root
+        squares = float(self.residual @ self.residual)
+        made.log_likelihood = self.log_likelihood + 0.5 * (1 - 1 / ratio) * squares
+        return made
 
     def covariance(self, rows: NDArray[np.bool_]) -> Array:
         """Covariance of the coefficients in some rows (M,), SI²·samples."""

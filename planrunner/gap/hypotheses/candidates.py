@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -172,6 +173,29 @@ class Weighing:
             for column, value in zip(own, values, strict=True):
                 out[:, index] += column.parts[index] * (column.magnitude * value)
         return out
+
+    def beside(self, known: Weighed) -> Weighing:
+        """The recording with effects among the nominal parameters: whatever their amplitudes, in every channel separately."""
+        made = self._with(lambda weight, channel: weight.beside(known.raw[channel]))
+        acting = [raw[:, raw.any(axis=0)] for raw in known.raw]
+        made.nominal = [independent(np.hstack(parts)) for parts in zip(self.nominal, acting, strict=True)]
+        return made
+
+    def inflated(self, ratios: Sequence[float]) -> Weighing:
+        """The recording with the variance of each channel's noise multiplied by its ratio."""
+        return self._with(lambda weight, channel: weight.inflated(ratios[channel]))
+
+    def _with(self, change: Callable[[ChannelWeights, int], ChannelWeights]) -> Weighing:
+        """A copy with changed weights. The likelihood of a setting changes as that of its weights does; settings share weights."""
+        made = copy(self)
+        made.__dict__.pop("base", None)
+        made.weights, made.log_likelihood = [], []
+        for channel, (weights, likelihood) in enumerate(zip(self.weights, self.log_likelihood, strict=True)):
+            changed = {id(weight): change(weight, channel) for weight in weights}
+            made.weights.append([changed[id(weight)] for weight in weights])
+            gained = [changed[id(weight)].log_likelihood - weight.log_likelihood for weight in weights]
+            made.log_likelihood.append(likelihood + np.array(gained))
+        return made
 
     @cached_property
     def shape(self) -> tuple[int, int]:

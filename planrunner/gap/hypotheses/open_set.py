@@ -79,6 +79,17 @@ def competitors(weighing: Weighing) -> Kinds:
     return Kinds(found, several, alone, beside, lines)
 
 
+def something_else(weighing: Weighing) -> float:
+    """log BF of patterns of the coefficients, alone and in combination, against none at the likeliest setting of the noise. Of a weighing
+    beside effects: the evidence for something else beside these."""
+    at = int(np.argmax(weighing.base + weighing.log_prior[0]))
+    channels = [Left.whole(weight) for weight in _weights(weighing, at)]
+    patterns = _Patterns(weighing)
+    each = patterns.weighed(channels)
+    kinds = [float(log_mean_exp(value, 0)) for value in each.values()]
+    return float(log_mean_exp(np.array([*kinds, _several(patterns, channels, each)]), 0))
+
+
 def unknown(kinds: Kinds) -> Array:
     """log BF (G,) of "something else": the mean over its kinds and over combinations of them."""
     return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several]), 0)

@@ -135,7 +135,7 @@ def _length(data, place, rule, longest):  # type: ignore[no-untyped-def]
                 return -1
             length = 7 + np.int64(data[place + 4]) * 256 + np.int64(data[place + 5])
         return length if length <= longest else 0
-    return _line(data, place, longest)[0]
+    return _line(data, place, longest, np.int64(0))[0]
 
 
 @compiled()
@@ -148,13 +148,21 @@ def _digit(byte):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _line(data, place, longest):  # type: ignore[no-untyped-def]
-    """Bytes of the line that begins here, as in `_length`, and the exclusive-or of all but its first.
+def _line(data, place, longest, usual):  # type: ignore[no-untyped-def]
+    """Bytes of the line that begins here, as in `_length`, and the exclusive-or of all but its first. usual: length of the line before; 0:
+    unknown.
 
-    The end is searched for four bytes at a time; the following loop has a known end, so it can process many bytes at once.
+    Lines are usually as long as the one before. One loop, whose end is known so that it can process many bytes at once, then finds whether
+    this one is. Otherwise its end is searched for four bytes at a time, and the same loop follows.
     """
     start, stop = np.uintp(place + 1), np.uintp(min(place + longest, data.size))
     end, feed = start, np.uint8(LINE_FEED)
+    if usual > 1 and place + usual <= data.size and usual <= longest and data[np.uintp(place + usual - 1)] == feed:
+        end = np.uintp(place + usual - 1)
+        together, strange, earlier = _summary(data, start, end)
+        if not earlier:
+            return (0, np.uint32(0)) if strange else (np.int64(usual), np.uint32(together ^ feed))
+        end = start
     one, two, three, four = np.uintp(1), np.uintp(2), np.uintp(3), np.uintp(4)
     while end + four <= stop and not (
         (data[end] == feed) | (data[end + one] == feed) | (data[end + two] == feed) | (data[end + three] == feed)
@@ -162,16 +170,24 @@ def _line(data, place, longest):  # type: ignore[no-untyped-def]
         end += four
     while end < stop and data[end] != feed:
         end += one
-    together, strange = np.uint8(0), np.uint8(0)
-    for item in range(start, end):
-        byte = data[np.uintp(item)]
-        together = np.uint8(together ^ byte)
-        strange = np.uint8(strange | np.uint8(byte > 126))
+    together, strange, _ = _summary(data, start, end)
     if strange:
         return 0, np.uint32(0)
     if end < stop:
         return np.int64(end) + 1 - place, np.uint32(together ^ feed)
     return (0 if data.size - place >= longest else -1), np.uint32(0)
+
+
+@compiled()
+def _summary(data, start, end):  # type: ignore[no-untyped-def]
+    """Of data[start:end]: the exclusive-or, whether a byte lies above 126, and whether there is a line feed."""
+    together, strange, feeds, feed = np.uint8(0), np.uint8(0), np.uint8(0), np.uint8(LINE_FEED)
+    for item in range(start, end):
+        byte = data[np.uintp(item)]
+        together = np.uint8(together ^ byte)
+        strange = np.uint8(strange | np.uint8(byte > 126))
+        feeds = np.uint8(feeds | np.uint8(byte == feed))
+    return together, strange, feeds
 
 
 @compiled()
@@ -219,7 +235,7 @@ def find(data, sync, trailer, shape, check, positions, base, kind, width, tables
     shortest = longest if rule == FIXED else 5
     starts = np.empty(data.size // shortest + 1, np.int64)
     lengths = np.empty(starts.size, np.int64)
-    count = place = corrupt = skipped = np.int64(0)
+    count = place = corrupt = skipped = usual = np.int64(0)
     while place < data.size:
         if place == expected and trailer.size > 0:
             ends = _matches(data, place, trailer)
@@ -232,7 +248,7 @@ def find(data, sync, trailer, shape, check, positions, base, kind, width, tables
         begins = _matches(data, place, sync)
         length, together = np.int64(0), np.uint32(0)
         if begins == 1 and rule == LINE:
-            length, together = _line(data, place, longest)
+            length, together = _line(data, place, longest, usual)
         elif begins == 1:
             length = _length(data, place, rule, longest)
         if begins == -1 or length == -1 or place + length > data.size:
@@ -255,7 +271,7 @@ def find(data, sync, trailer, shape, check, positions, base, kind, width, tables
                 starts[count], lengths[count] = place, length
                 count += 1
                 place += length
-                expected = place
+                expected, usual = place, length
                 continue
         if place == expected:
             corrupt += 1 if rule == FIXED or begins == 1 else 0  # between frames of varying length others may stand
@@ -344,30 +360,43 @@ def _floats(data, starts, offset, width, little, scale, out):  # type: ignore[no
 @compiled()
 def decimals(data, starts, lengths, out):  # type: ignore[no-untyped-def]
     """The decimal numbers behind the commas of lines, up to `*`; whether each line has exactly as many as `out` has rows. At most 15
-    digits: a whole number over a power of ten, and so rounded once."""
+    digits: a whole number over a power of ten, and so rounded once.
+
+    Each line ends with a line feed, as `find` gives it: it is neither comma nor asterisk, sign, point or digit, so every search ends there.
+    """
     good = np.zeros(starts.size, np.bool_)
-    rows, one, zero = out.shape[0], np.uintp(1), np.uint8(48)
+    rows, one, zero, ten = out.shape[0], np.uintp(1), np.uint8(48), np.uint8(10)
     for line in range(starts.size):
-        place, end = np.uintp(starts[line]), np.uintp(starts[line] + lengths[line])
-        while place < end and data[place] != COMMA and data[place] != ASTERISK:
+        place, last = np.uintp(starts[line]), np.uintp(starts[line] + lengths[line] - 1)
+        if data[last] != LINE_FEED:
+            continue
+        byte = data[place]
+        while byte != COMMA and byte != ASTERISK and place < last:
             place += one
+            byte = data[place]
         row = 0
-        while row < rows and place < end and data[place] == COMMA:
+        while row < rows and byte == COMMA:
             place += one
-            negative = place < end and data[place] == 45
-            if negative or (place < end and data[place] == 43):
+            byte = data[place]
+            negative = byte == 45
+            if negative or byte == 43:
                 place += one
+                byte = data[place]
             mantissa, first = np.int64(0), place
-            while place < end and np.uint8(data[place] - zero) < 10:
-                mantissa = mantissa * 10 + np.int64(data[place] - zero)
+            digit = np.uint8(byte - zero)
+            while digit < ten:
+                mantissa = mantissa * 10 + np.int64(digit)
                 place += one
+                digit = np.uint8(data[place] - zero)
             digits, behind = place - first, np.uintp(0)
-            if place < end and data[place] == 46:
+            if data[place] == 46:
                 place += one
                 first = place
-                while place < end and np.uint8(data[place] - zero) < 10:
-                    mantissa = mantissa * 10 + np.int64(data[place] - zero)
+                digit = np.uint8(data[place] - zero)
+                while digit < ten:
+                    mantissa = mantissa * 10 + np.int64(digit)
                     place += one
+                    digit = np.uint8(data[place] - zero)
                 behind = place - first
                 digits += behind
             if digits == 0 or digits > 15:
@@ -375,5 +404,6 @@ def decimals(data, starts, lengths, out):  # type: ignore[no-untyped-def]
             number = mantissa / POWERS[behind]
             out[row, line] = -number if negative else number
             row += 1
-        good[line] = row == rows and place < end and data[place] == ASTERISK
+            byte = data[place]
+        good[line] = row == rows and byte == ASTERISK
     return good

@@ -111,6 +111,16 @@ def test_lines_with_and_without_carriage_return() -> None:
     assert framer.corrupt == 1
 
 
+def test_lines_of_different_lengths() -> None:
+    # Where a second line of 20 bytes would end, a line feed ends the second of two lines of 10.
+    long, short = line("AB,12345678901"), line("AB,1")
+    assert (len(long), len(short)) == (20, 10)
+    lines = [long, short, short, long, line("AB,12"), long, long, short]
+    found, framer = pushed(LINES, b"".join(lines), [])
+    assert found == lines
+    assert (framer.good, framer.corrupt, framer.skipped) == (8, 0, 0)
+
+
 def test_a_line_without_end_is_given_up() -> None:
     found, framer = pushed(LINES, b"$AB," + b"7" * 100 + line("AB,1"), [])
     assert found == [line("AB,1")]

@@ -1,0 +1,132 @@
+"""Where a table may be: its planned joint angles, by how much a motion may miss them, and what follows for the next orientation.
+
+A motion ends at an angle that is known only approximately: the computer ends it, some time after it was due, and the rate has an error.
+Where two ways to the next orientation take almost equally long, this decides which one the table takes. Both are then possible.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from planrunner.base.dataclass import dataclass
+from planrunner.physics.kinematics import TURN, Angles, Array, TableAxis, quickest_move
+
+STOPS_LATE = 0.1
+"""s; a motion ends at most this much earlier or later than planned: as long as the executor may wait between two looks at the table."""
+RATE_ERROR = 1e-3
+"""A rate differs from the planned one by at most this fraction."""
+MOST = 16
+"""Number of further positions that are followed; more would need several motions in a row, each stopped between two ways."""
+_SAME = 1e-6  # rad; joint angles nearer than this are the same
+_STEP = math.pi / 4  # rad; angles at which the choice is tried are at most this far apart
+
+
+@dataclass(frozen=True, slots=True)
+class TableState:
+    """State of the table: joint angles [rad], outermost first, and the time [s] to come to rest.
+
+    roughly: index of a joint that stopped after a motion and is only approximately at its angle, until the next orientation; None if every
+    joint is at its commanded angle. below, above: rad by which each joint may differ from `joints`, negative and positive; empty if they
+    are exact. others: further joint angles at which the table may be instead.
+    """
+
+    joints: Array
+    stopping: float = 0.0
+    roughly: int | None = None
+    below: Angles = ()
+    above: Angles = ()
+    others: tuple[Array, ...] = ()
+
+    def still(self) -> TableState:
+        """The same at rest."""
+        return replace(self, stopping=0.0)
+
+    def starts(self) -> list[Array]:
+        """Joint angles from which the next motion may begin, the planned ones first."""
+        centres = [self.joints, *self.others]
+        return centres + [centre + offset for offset in self._offsets() for centre in centres]
+
+    def _offsets(self) -> list[Array]:
+        """Deviations [rad] from the angles of `joints` or `others`, close enough to meet every choice between two ways."""
+        ranges = [_tried(low, high) for low, high in zip(self.below, self.above, strict=True)]
+        return [np.array(offset) for offset in product(*ranges) if any(offset)]
+
+    def ended(
+        self, axes: Sequence[TableAxis], joint: int, angle: float, misses: tuple[float, float], stopping: float
+    ) -> TableState:
+        """After a motion that turns a joint by `angle` [rad], an end that it may miss by `misses` [rad, negative and positive]."""
+        turn = np.zeros(len(self.joints))
+        turn[joint] = angle
+        low, high = list(self.below or (0.0,) * len(axes)), list(self.above or (0.0,) * len(axes))
+        low[joint] += misses[0]
+        high[joint] += misses[1]
+        joints = self.joints + turn
+        if axes[joint].continuous:
+            joints[joint] = math.remainder(joints[joint], TURN)
+            low[joint], high[joint] = max(low[joint], -math.pi), min(high[joint], math.pi)
+        roughly = joint if self.roughly is None else min(joint, self.roughly)
+        others = tuple(other + turn for other in self.others)
+        return TableState(joints, stopping, roughly, tuple(low), tuple(high), others)
+
+    def oriented(self, axes: Sequence[TableAxis], attitude: Array, azimuth: float) -> tuple[TableState, float]:
+        """After the move to an attitude (3, 3), and the seconds of the move from the planned angles.
+
+        Raises `Unreachable` with the reason, also if the attitude cannot be reached from an angle at which the table may be.
+        """
+        target, seconds = quickest_move(axes, attitude, self.joints, azimuth)
+        offsets = self._offsets()
+        if not (offsets or self.others) or (len(axes) == 1 and axes[0].continuous):
+            return TableState(target), seconds
+        below, above = np.zeros(len(target)), np.zeros(len(target))
+        reached = [target]
+
+        def keep(end: Array) -> None:
+            if len(reached) <= MOST and all(np.abs(_apart(axes, end, known)).max() > _SAME for known in reached):
+                reached.append(end)
+
+        for centre in (self.joints, *self.others):
+            planned = quickest_move(axes, attitude, centre, azimuth)[0]
+            keep(planned)
+            for offset in offsets:
+                end = quickest_move(axes, attitude, centre + offset, azimuth)[0]
+                off = _apart(axes, end, planned)
+                if np.abs(off).max() <= np.abs(offset).max() + _SAME:  # the same way, whose end may depend on the start
+                    np.minimum(below, off, out=below)
+                    np.maximum(above, off, out=above)
+                else:
+                    keep(end)
+        loose = [index for index in range(len(target)) if max(-below[index], above[index]) > _SAME]
+        roughly = loose[0] if loose else None
+        if roughly is None:
+            return TableState(target, others=tuple(reached[1:])), seconds
+        low, high = tuple(below.tolist()), tuple(above.tolist())
+        return TableState(target, 0.0, roughly, low, high, tuple(reached[1:])), seconds
+
+
+def spin_misses(rate: float, angle: float, sooner: float) -> tuple[float, float]:
+    """The angles [rad], negative and positive, by which a spin at `rate` [rad/s] through `angle` [rad] may miss its planned end.
+
+    sooner: s by which it may end earlier, because its settling depends on measurements.
+    """
+    missed = abs(rate) * STOPS_LATE + abs(angle) * RATE_ERROR
+    early = abs(rate) * sooner
+    return (-missed - early, missed) if rate > 0 else (-missed, missed + early)
+
+
+def _tried(low: float, high: float) -> list[float]:
+    """Offsets [rad] within a range, at most `_STEP` apart."""
+    if low == 0.0 and high == 0.0:
+        return [0.0]
+    steps = max(1, math.ceil((high - low) / _STEP))
+    return sorted({0.0, *(low + (high - low) * step / steps for step in range(steps + 1))})
+
+
+def _apart(axes: Sequence[TableAxis], first: Array, second: Array) -> Array:
+    """Differences of joint angles [rad]; whole turns of a continuous axis do not count."""
+    pairs = zip(axes, (first - second).tolist(), strict=True)
+    return np.array([math.remainder(off, TURN) if axis.continuous else off for axis, off in pairs])

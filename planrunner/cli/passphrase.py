@@ -1,0 +1,43 @@
+"""The passphrase of a key: from a file descriptor, the environment or the terminal, never from the command line, which others can see."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+from planrunner.base.findings import COMMAND_LINE, InputError
+
+VARIABLE = "PLANRUNNER_PASSPHRASE"
+_MOST = 1024  # bytes
+
+
+def add_passphrase(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--passphrase-fd",
+        type=int,
+        metavar="N",
+        help=f"read the passphrase from this file descriptor (default: {VARIABLE} in the environment, or the terminal)",
+    )
+
+
+def passphrase(args: argparse.Namespace, *, twice: bool = False) -> bytes:
+    """The passphrase, without the end of its line. twice: ask again at the terminal. Raises `InputError`."""
+    if args.passphrase_fd is not None:
+        try:
+            data = os.read(args.passphrase_fd, _MOST)
+        except OSError as error:
+            message = f"the file descriptor {args.passphrase_fd} cannot be read: {error.strerror}"
+            raise InputError.at(COMMAND_LINE, "key-passphrase", message, "redirect a file to it") from None
+        return data.partition(b"\n")[0]
+    if VARIABLE in os.environ:
+        return os.environ[VARIABLE].encode()
+    if sys.stdin is None or not sys.stdin.isatty():
+        hint = f"set {VARIABLE} in the environment, or give --passphrase-fd"
+        raise InputError.at(COMMAND_LINE, "key-passphrase", "there is no terminal to ask for the passphrase", hint)
+    from getpass import getpass
+
+    text = getpass("Passphrase: ")
+    if twice and getpass("Again: ") != text:
+        raise InputError.at(COMMAND_LINE, "key-passphrase", "the two passphrases differ", "type them again")
+    return text.encode()

@@ -1,0 +1,81 @@
+"""`planrunner verify`: what was changed in run folders since they were written; exit code 4 if anything was."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.cli import exit_codes
+from planrunner.cli.each_run import Done, add_runs, each_run
+from planrunner.reporting.printable import printable
+from planrunner.signing.key_ring import read_ring
+from planrunner.tasks.verify import Verification, runs_beneath, verify_run
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_runs(parser)
+    parser.add_argument("--all", action="store_true", help="RUN is an archive: verify every run folder in it")
+    parser.add_argument(
+        "--keys", metavar="RING", type=Path, help="key ring that the signatures of the runs are verified with"
+    )
+    parser.add_argument("--json", action="store_true", help="print a list of verifications as JSON, one entry per run")
+
+
+def run(args: argparse.Namespace) -> int:
+    runs: list[Path] = args.runs
+    if args.all:
+        if len(runs) > 1:
+            message = "--all takes one folder"
+            raise InputError.at(COMMAND_LINE, "command-usage", message, "give the folder that contains the runs")
+        runs = runs_beneath(runs[0])
+    ring = None if args.keys is None else read_ring(args.keys)
+    bad: list[Path] = []
+
+    def one(folder: Path) -> Done:
+        verification = verify_run(folder, ring)
+        if not args.json:
+            _show("" if len(runs) > 1 else f"{folder}: ", verification)
+        if verification.changes:
+            bad.append(folder)
+        return Done(exit_codes.INTEGRITY if verification.changes else exit_codes.DONE, verification.to_json())
+
+    code = each_run(runs, one, as_json=args.json)
+    if len(runs) > 1 and not args.json:
+        print(f"{len(runs)} runs: {len(bad)} changed" if bad else f"{len(runs)} runs: all unchanged")
+    return code
+
+
+def _show(name: str, verification: Verification) -> None:
+    """name: of the folder; empty where it is already printed."""
+    found = verification.found
+    state = "CHANGED" if verification.changes else "unchanged" if verification.sealed else "unchanged, NOT SEALED"
+    _say(f"{name or '    '}{state}")
+    for change, finding in verification.changes:
+        _say(f"    {change}: {finding.message}")
+    if found.seal is not None and found.seal_digest is not None:
+        _say(f"    sealed {found.seal['sealed']}, SHA-256 of seal.json: {found.seal_digest}")
+    if found.scan is not None:
+        files = found.files.values()
+        size = sum(part.bytes for part in files) / 1e6
+        _say(f"    {found.scan.count} events, {len(files)} files of samples ({size:.1f} MB), {_analyses(verification)}")
+    for number, words in verification.amendments.items():
+        _say(f"    analysis {number} {words}")
+    for one in verification.signatures:
+        if one.standing != "invalid":
+            standing = f"valid, key of {one.owner}" if one.standing == "valid" else f"NOT VERIFIED: {one.why}"
+            result = f"{one.result}, analyses 1 to {one.analyses}" if one.analyses > 1 else one.result
+            _say(f"    {one.meaning} by {one.name}, {one.signed} ({result}): {standing} ({one.key})")
+    for finding in verification.remarks:
+        _say(f"    {finding.message}")
+    for hint in dict.fromkeys(finding.hint for _, finding in verification.changes if finding.hint):
+        _say(f"    hint: {hint}")
+
+
+def _analyses(verification: Verification) -> str:
+    numbers = [one.number for one in verification.found.analyses]
+    return f"{len(numbers)} {'analysis' if len(numbers) == 1 else 'analyses'}"
+
+
+def _say(text: str) -> None:
+    print(printable(text, keep=""))

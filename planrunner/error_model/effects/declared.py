@@ -1,0 +1,181 @@
+"""Wrong declarations: axes, signs, units and senses of rotation that a plan or a bench file states differently from the recording.
+
+A diagnosis does not weigh the effects that change an output altogether; `gap/hypotheses/declarations.py` finds them before it weighs
+effects of the sensor. Added to a simulation, they give recordings with these mistakes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from planrunner.error_model.effects.about import About, Actor
+from planrunner.error_model.effects.interface import Array, Column, Variant, on_stimulus, single, whole
+from planrunner.error_model.effects.table import secant
+from planrunner.error_model.observed import Observed
+from planrunner.plan.schedule import Spin
+
+DEG = np.pi / 180
+CYCLES = ("xy", "yz", "zx", "xyz", "xzy")
+"""Exchanges of outputs: each letter's output shows the input of the next one, the last shows that of the first."""
+
+
+def _channels(observed: Observed) -> Iterator[tuple[str, int, int]]:
+    """Name such as gyro_x, index and axis of every channel; none for a sensor in unknown orientations."""
+    if observed.along is None:
+        for index, channel in enumerate(observed.channels):
+            yield f"{channel.kind}_{'xyz'[channel.axis]}", index, channel.axis
+
+
+class AxisReversed:
+    """Output × −1: the channel has the opposite sign of its declaration. 1: reversed, 0: as declared."""
+
+    id, stage, hypothesis = "axis_reversed", "output", False
+    of_declaration: Literal[True] = True
+    about = About(
+        "sign of a channel is reversed",
+        "A channel measures along the opposite direction of the declared axis.",
+        Actor.BOOKKEEPING,
+        "Change the `sign` of the channel in the bench file: {found}.",
+    )
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        nominal = observed.nominal_output
+        return single(
+            [
+                Column(name, "1", 1.0, 1.0, {index: -2 * nominal[:, index]}, axis=axis)
+                for name, index, axis in _channels(observed)
+            ]
+        )
+
+
+class AxesMirrored:
+    """Outputs of the gyro and the accelerometer along one axis × −1: the axes of the sensor are declared as a left-handed system."""
+
+    id, stage, hypothesis = "axes_mirrored", "output", False
+    of_declaration: Literal[True] = True
+    about = About(
+        "axes of the sensor are declared left-handed",
+        "Gyro and accelerometer both measure along the opposite direction of one declared axis, so that the "
+        "declared axes form a left-handed system.",
+        Actor.BOOKKEEPING,
+        "Change the `sign` of both channels of this axis in the bench file: {found}.",
+    )
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        nominal, columns = observed.nominal_output, []
+        for axis, letter in enumerate("xyz"):
+            own = {index: -2 * nominal[:, index] for _, index, other in _channels(observed) if other == axis}
+            if len(own) > 1:
+                columns.append(Column(f"mirrored_{letter}", "1", 1.0, 1.0, own, axis=None))
+        return single(columns)
+
+
+class AxesExchanged:
+    """Outputs of a triad under each other's names. 1: exchanged, 0: as declared."""
+
+    id, stage, hypothesis = "axes_exchanged", "output", False
+    of_declaration: Literal[True] = True
+    about = About(
+        "channels of two axes are exchanged",
+        "Channels of a triad carry the names of each other's axes.",
+        Actor.BOOKKEEPING,
+        "Exchange the columns of these channels in the bench file: {found}.",
+    )
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        nominal, columns = observed.nominal_output, []
+        for kind in ("gyro", "accel"):
+            at = {"xyz"[axis]: index for _, index, axis in _channels(observed) if observed.channels[index].kind == kind}
+            for cycle in CYCLES:
+                if set(cycle) <= set(at):
+                    nexts = dict(zip(cycle, cycle[1:] + cycle[:1], strict=True))
+                    parts = {at[own]: nominal[:, at[source]] - nominal[:, at[own]] for own, source in nexts.items()}
+                    columns.append(Column(f"{kind}_{cycle}", "1", 1.0, 1.0, parts, axis=None))
+        return single(columns)
+
+
+class UnitWrong:
+    """Output × (1 + e): the values are in another unit than declared; e = factor − 1."""
+
+    id, stage, hypothesis = "unit_wrong", "output", False
+    of_declaration: Literal[True] = True
+    about = About(
+        "unit of a channel is wrong",
+        "The values of a channel are in another unit than the bench file declares, or a constant factor is missing.",
+        Actor.BOOKKEEPING,
+        "Correct the `unit` or `per_unit` of the channel in the bench file: {found}.",
+    )
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        nominal = observed.nominal_output
+        return single(
+            [
+                Column(f"excess_{name}", "1", 1.0, 1.0, {index: nominal[:, index]}, axis=axis)
+                for name, index, axis in _channels(observed)
+            ]
+        )
+
+
+class TableSenseReversed:
+    """The table turns in the opposite sense of the plan: rate and angle × −1."""
+
+    id, stage, hypothesis = "table_sense_reversed", "stimulus", False
+    of_declaration: Literal[True] = True
+    about = About(
+        "table turns in the opposite sense",
+        "The table turns in the opposite sense of rotation to the declared one.",
+        Actor.BENCH,
+        "State the sense of rotation of the table correctly in the plan (`sense: clockwise`) or in its controller: {found}.",
+    )
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        if not observed.rate.any() or observed.along is not None:
+            return []
+        seen = turned_back(observed)
+        return single([whole(on_stimulus(observed, seen.omega - observed.omega, seen.force - observed.force))])
+
+
+class MountTurned:
+    """The sensor is mounted in another orientation: turned by a rotation vector in its own axes, which need not be small."""
+
+    id, stage, hypothesis = "mount_turned", "stimulus", False
+    of_declaration: Literal[True] = True
+    about = About(
+        "sensor is mounted in another orientation",
+        "Gyros and accelerometers are turned together from the orientation that the plan states.",
+        Actor.PLAN,
+        "Correct the orientations in the plan, or mount the sensor as planned: {found}.",
+    )
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return self.around(observed, np.zeros(3))
+
+    def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
+        if observed.along is not None:
+            return []
+        columns = []
+        for letter, axis in zip("xyz", np.eye(3), strict=True):
+            felt = (secant(axis, vector, amplitudes) for vector in (observed.omega, observed.force))
+            columns.append(Column(f"about_{letter}", "deg", DEG, DEG, on_stimulus(observed, *felt), axis=None))
+        return single(columns)
+
+
+def turned_back(observed: Observed) -> Observed:
+    """The recording with the table turning in the opposite sense."""
+    motions = tuple(replace(m, rate=-m.rate) if isinstance(m, Spin) else m for m in observed.motions)
+    return replace(
+        observed,
+        motions=motions,
+        angle=-observed.angle,
+        rate=-observed.rate,
+        acceleration=-observed.acceleration,
+    )
+
+
+def rearranged(observed: Observed, sources: Sequence[int], factors: Sequence[float]) -> Observed:
+    """The recording with its channels corrected: the output of channel `sources[k]`, divided by `factors[k]`, is that of channel k."""
+    return replace(observed, values=observed.values[:, list(sources)] / np.asarray(factors))

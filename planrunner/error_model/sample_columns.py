@@ -1,0 +1,154 @@
+"""Effects of the catalogue at the samples of a recording, or at bins of them: the model of an output that changes within segments.
+
+    output = F(own input + Σ amplitude · column)
+
+An effect of the stimulus that has amplitudes (a lever arm, a ripple of the table's rate) changes what all other columns are taken at, so
+that the sensor's scale factor and misalignments act on it too; the model is not linear in it. An effect that changes the rate (a lag, a
+delay) acts next: all columns are then those at the rate that the output shows. An effect on the output (a dead zone, a limit) acts last:
+it is the function F. Neither has an amplitude. The columns are those of the catalogue, which a simulation adds and a diagnosis searches
+for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.error_model.effects.interface import ChangesWithinSegments, Column, Effect, Shaped
+from planrunner.error_model.observed import Observed
+from planrunner.error_model.segment_columns import TRIADS, Amplitude, EffectPart, OutputErrors, amplitudes_of
+
+Array = NDArray[np.float64]
+
+_STEP = 1e-6  # of the largest output, for the slope of an effect on the output
+
+
+def shaped(part: EffectPart) -> bool:
+    """Whether an effect has a shape."""
+    return isinstance(part.effect, Shaped | ChangesWithinSegments)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleColumns:
+    """own: (N,), SI, input along the axis of the output, as an effect on the rate changes it; rows: (p, N), SI per SI amplitude, zero for
+    an amplitude of the stimulus; available: by effect, the names of all amplitudes that it has for this output."""
+
+    own: Array
+    amplitudes: tuple[Amplitude, ...]
+    rows: Array
+    available: Mapping[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorsAtSamples:
+    """The model of one output. observed: stimulus at N samples, with any channels."""
+
+    observed: Observed
+    errors: OutputErrors
+
+    @classmethod
+    def of(cls, observed: Observed, errors: OutputErrors) -> ErrorsAtSamples:
+        ideal = np.zeros((len(observed.time), len(TRIADS)))
+        return cls(replace(observed, channels=TRIADS, values=ideal, along=None), errors)
+
+    def grid(self, part: EffectPart) -> Array:
+        """The values of the shape that the catalogue gives for an effect here, ascending; empty if it cannot act."""
+        effect = part.effect
+        seen = replace(self.observed, fitted=self._alone(self._own(self.observed)))
+        variants = effect.variants(seen)
+        if not any(self.errors.channel in column.parts for one in variants[:1] for column in one.columns):
+            return np.zeros(0)
+        if isinstance(effect, Shaped):
+            return np.sort(effect.grid(seen))
+        return np.array(sorted({one.shape for one in effect.variants(seen) if one.shape is not None}))
+
+    def columns(self, shapes: Mapping[str, float], stimulus: Mapping[tuple[str, str], float]) -> SampleColumns:
+        """shapes: effect → value of its shape; stimulus: (effect, amplitude) → SI value, those that are not zero."""
+        felt = self._felt(shapes, stimulus)
+        amplitudes: list[Amplitude] = []
+        rows: list[Array] = []
+        available = {}
+        for part in self.errors.chosen:
+            if not _fixed(part.effect):
+                made = _columns(part.effect, felt, shapes)
+                own, columns, available[part.effect.id] = amplitudes_of(part, self.errors, felt, made)
+                if of_stimulus(part.effect):
+                    columns = [np.zeros(len(felt.time))] * len(columns)
+                amplitudes += own
+                rows += columns
+        matrix = np.array(rows) if rows else np.zeros((0, len(felt.time)))
+        return SampleColumns(self._own(felt), tuple(amplitudes), matrix, available)
+
+    def output(self, linear: Array, shapes: Mapping[str, float]) -> Array:
+        """F of an output (N,), SI."""
+        for part in self.errors.chosen:
+            effect = part.effect
+            if isinstance(effect, ChangesWithinSegments) and effect.acts_on == "output":
+                seen = replace(self.observed, fitted=self._alone(linear))
+                (column,) = _columns(effect, seen, shapes)
+                linear = linear + column.parts[self.errors.channel]
+        return linear
+
+    def slope(self, linear: Array, shapes: Mapping[str, float]) -> Array:
+        """dF of an output (N,)."""
+        step = _STEP * max(float(np.abs(linear).max()), 1e-12)
+        return np.asarray((self.output(linear + step, shapes) - self.output(linear - step, shapes)) / (2 * step))
+
+    @property
+    def bent(self) -> bool:
+        """Whether F is not the identity."""
+        return any(
+            isinstance(part.effect, ChangesWithinSegments) and part.effect.acts_on == "output"
+            for part in self.errors.chosen
+        )
+
+    def _own(self, felt: Observed) -> Array:
+        return np.asarray((felt.omega if self.errors.kind == "gyro" else felt.force)[:, self.errors.axis])
+
+    def _alone(self, linear: Array) -> Array:
+        made = np.zeros((len(linear), len(TRIADS)))
+        made[:, self.errors.channel] = linear
+        return made
+
+    def _felt(self, shapes: Mapping[str, float], stimulus: Mapping[tuple[str, str], float]) -> Observed:
+        """With what the sensor feels, and the rate that the output shows."""
+        observed = self.observed
+        change = np.zeros((len(TRIADS), len(observed.time)))
+        for part in self.errors.chosen:
+            if of_stimulus(part.effect):
+                for column in _columns(part.effect, self.observed, shapes):
+                    size = stimulus.get((part.effect.id, column.name), 0.0)
+                    here = 1.0 if column.segments is None else column.segments[observed.owner]
+                    for channel, values in column.parts.items() if size else ():
+                        change[channel] += size * here * values
+        if change.any():
+            observed = replace(observed, felt=(observed.omega + change[:3].T, observed.force + change[3:].T))
+        for part in self.errors.chosen:
+            effect = part.effect
+            if isinstance(effect, ChangesWithinSegments) and effect.acts_on == "rate":
+                (column,) = _columns(effect, observed, shapes)
+                change = np.column_stack([column.parts[channel] for channel in range(3)])
+                observed = replace(observed, felt=(observed.omega + change, observed.force))
+        return observed
+
+
+def of_stimulus(effect: Effect) -> bool:
+    """Whether an effect has amplitudes by which it changes what the sensor feels."""
+    return effect.stage == "stimulus" and not _fixed(effect)
+
+
+def _fixed(effect: Effect) -> bool:
+    return isinstance(effect, ChangesWithinSegments) and effect.acts_on != "amplitudes"
+
+
+def _columns(effect: Effect, observed: Observed, shapes: Mapping[str, float]) -> Sequence[Column]:
+    if effect.id in shapes and isinstance(effect, Shaped):
+        return effect.at(observed, shapes[effect.id]).columns
+    variants = effect.variants(observed)
+    if effect.id in shapes:
+        variants = [one for one in variants if one.shape == shapes[effect.id]]
+    return variants[0].columns if variants else ()

@@ -1,0 +1,488 @@
+"""Effects that change an output within segments, fitted to samples: shapes by variable projection, then one linear fit with the means.
+
+The samples of a segment are split into their mean and what differs from it. For given shapes, such as a time constant, the amplitudes are
+linear, and χ² of their fit is a function of the shapes alone (G. Golub and V. Pereyra, SIAM J. Numer. Anal. 10, 1973), whose smallest
+value is sought within the bounds of the catalogue. There the model is made linear in amplitudes and shapes: J = ∂y/∂(amplitudes, shapes).
+For white noise of standard deviation σ, what the N samples within the segments contribute to the fit is contained in as many contrasts as J
+has columns: with JᵀJ = V·S·Vᵀ of the centred columns, the contrasts S^(−1/2)·Vᵀ·Jᵀ·y have uncorrelated noise σ, and the design √S·Vᵀ. They
+join the means of the segments as further observations of the generalised least-squares fit (`outputs_fit`), so that drift, errors of the
+table and scatter between segments act on the means as in every other fit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.error_model.effects.interface import HasShape, shown_by
+from planrunner.error_model.observed import Observed
+from planrunner.error_model.sample_columns import ErrorsAtSamples, SampleColumns, of_stimulus, shaped
+from planrunner.error_model.segment_columns import Amplitude, EffectPart, OutputErrors
+from planrunner.estimators.interface import UnfitDataError
+from planrunner.observation.flicker import weighted_covariance
+from planrunner.observation.observations import SIGNIFICANCE, variances_differ
+from planrunner.plan.units import Unit
+
+Array = NDArray[np.float64]
+
+_SLOPE = 1e-3  # of the distance to the next value of the catalogue: the step for a derivative with respect to a shape
+_EDGE = 0.02  # of that distance: a shape nearer to the end of the catalogue's values counts as at its bound
+_ROUNDS = 15  # of Gauss and Newton's method, for the amplitudes of an output that an effect bends
+_DONE = 1e-8  # relative change of χ²
+_RESOLVED = 1e-12  # of the largest eigenvalue of JᵀJ, for columns of size one: smaller ones are rounding
+_REWEIGHTED = 2.0  # change of a weight from which the shapes are sought anew
+_KEPT = 12  # evaluations of the columns
+_BATCHES = 16  # of a segment, for the judgement whether its noise is white
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """The shape of an effect and its values in the catalogue, ascending. discrete: whether it has only these."""
+
+    part: EffectPart
+    values: Array
+    discrete: bool
+
+    @property
+    def id(self) -> str:
+        return self.part.effect.id
+
+    def at(self, place: float) -> float:
+        """The value at a place among the catalogue's values, counted from 0; smooth between them."""
+        from scipy.interpolate import PchipInterpolator
+
+        if self.discrete or len(self.values) < 3:
+            return float(self.values[round(place)])
+        return float(
+            PchipInterpolator(np.arange(len(self.values)), self.values)(np.clip(place, 0, len(self.values) - 1))
+        )
+
+    def step(self, value: float) -> float:
+        """For a derivative."""
+        near = int(np.clip(np.searchsorted(self.values, value), 1, len(self.values) - 1))
+        return _SLOPE * float(self.values[near] - self.values[near - 1])
+
+    def at_bound(self, value: float) -> bool:
+        first, last = self.values[[0, -1]]
+        low, high = self.values[1] - first, last - self.values[-2]
+        return not self.discrete and bool(value < first + _EDGE * low or value > last - _EDGE * high)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contrasts:
+    """What the samples within segments contribute, in the output's unit. matrix: (r, p); values: (r,), of the linear model; sigma: (r,);
+    flicker: (r, r), root of their covariance for flicker with B = 1."""
+
+    matrix: Array
+    values: Array
+    sigma: Array
+    flicker: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WithinFit:
+    """An output fitted to samples.
+
+    amplitudes: p, those of the model and then the shapes that are not discrete. matrix: (n, p), the linear model of the means, as in
+    `OutputColumns`; mean: (n,), observed; offset: (n,), part of the means that is not fitted, both in the unit of the output. own,
+    available: as in `OutputColumns`. shapes: effect → value. at_bound: effects whose shape is at a bound. coloured: how many times
+    larger the variance of slow noise is than white noise explains; 1 if it is white.
+    """
+
+    amplitudes: tuple[Amplitude, ...]
+    matrix: Array
+    mean: Array
+    offset: Array
+    contrasts: Contrasts
+    own: Array
+    available: Mapping[str, tuple[str, ...]]
+    shapes: Mapping[str, float]
+    at_bound: tuple[str, ...] = ()
+    coloured: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledOutput:
+    """The samples of one output. observed: their stimulus, in the order of the segments; values: (N,), in the output's unit; None for a
+    schedule. variance: (n,), of one value in each segment; error: (n,), of the mean of each segment. gain: whether the scale factor is
+    among the amplitudes. flicker: declared, in the output's unit."""
+
+    observed: Observed
+    errors: OutputErrors
+    unit: Unit
+    values: Array | None
+    variance: Array
+    error: Array
+    gain: bool
+    nominal: float
+    flicker: float = 0.0
+    expected: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+
+def shapes_of(model: ErrorsAtSamples) -> tuple[Shape, ...]:
+    """The shapes of a model; without those of effects that cannot act here."""
+    found = []
+    for part in model.errors.chosen:
+        if shaped(part):
+            values = model.grid(part)
+            if len(values):
+                found.append(Shape(part, values, len(values) < 3))
+    return tuple(found)
+
+
+def fit_within(output: SampledOutput) -> WithinFit:
+    """Raises `UnfitDataError` if the samples do not show a shape."""
+    model = ErrorsAtSamples.of(output.observed, output.errors)
+    return _Problem(output, model, shapes_of(model)).solved()
+
+
+class _Problem:
+    """Least squares over the samples of one output, weighted as means and differences from them."""
+
+    def __init__(self, output: SampledOutput, model: ErrorsAtSamples, shapes: tuple[Shape, ...]):
+        self.output, self.model, self.shapes = output, model, shapes
+        observed = output.observed
+        self.owner, self.first = observed.owner, observed.bounds[:-1]
+        self.counts = np.diff(observed.bounds).astype(float)
+        self.factor = output.unit.factor
+        self.sigma = np.sqrt(output.variance)
+        self.error = output.error
+        self._latest: tuple[Amplitude, ...] = ()
+        self._kept: dict[tuple[tuple[float, ...], tuple[float, ...]], SampleColumns] = {}
+
+    # -- the model -----------------------------------------------------------------------------------------------------
+
+    def columns(self, values: Sequence[float], amplitudes: Array | None = None) -> SampleColumns:
+        """At the stimulus that these amplitudes give; without them, at the nominal one."""
+        stimulus = {} if amplitudes is None else self._stimulus(amplitudes)
+        key = (tuple(values), tuple(stimulus.values()))
+        if key not in self._kept:
+            if len(self._kept) >= _KEPT:
+                del self._kept[next(iter(self._kept))]
+            self._kept[key] = self.model.columns(self._named(values), stimulus)
+        return self._kept[key]
+
+    @cached_property
+    def amplitudes(self) -> tuple[Amplitude, ...]:
+        return self.columns(self.planned()).amplitudes
+
+    @cached_property
+    def moving(self) -> tuple[int, ...]:
+        """Places of the amplitudes of the stimulus."""
+        return tuple(n for n, one in enumerate(self.amplitudes) if of_stimulus(one.effect))
+
+    def _stimulus(self, amplitudes: Array) -> dict[tuple[str, str], float]:
+        """In SI; fitted values are in the output's unit per SI, as those of the other amplitudes."""
+        if not self.moving:
+            return {}
+        response = self._response(amplitudes)
+        named = ((self.amplitudes[n].effect.id, self.amplitudes[n].name, n) for n in self.moving)
+        return {(effect, name): float(amplitudes[n]) / response for effect, name, n in named}
+
+    def _response(self, amplitudes: Array) -> float:
+        """The output per SI unit of what it measures."""
+        along = [n for n, one in enumerate(self.amplitudes) if one.along == self.output.errors.axis]
+        direct = self.output.nominal * self.factor == 1.0 or not along
+        return 1 / self.factor if direct else float(amplitudes[along[0]])
+
+    def _named(self, values: Sequence[float]) -> dict[str, float]:
+        return {shape.id: value for shape, value in zip(self.shapes, values, strict=True)}
+
+    def linear(self, values: Sequence[float], amplitudes: Array) -> Array:
+        """The output before an effect on it, in its unit, (N,)."""
+        columns = self.columns(values, amplitudes)
+        ideal = 0.0 if self.output.gain else columns.own / self.factor
+        return np.asarray(ideal + amplitudes @ columns.rows)
+
+    def values(self, values: Sequence[float], amplitudes: Array) -> Array:
+        """The output (N,)."""
+        linear = self.linear(values, amplitudes)
+        return self.model.output(linear * self.factor, self._named(values)) / self.factor
+
+    def tangents(self, values: Sequence[float], amplitudes: Array) -> Array:
+        """Derivatives with respect to the amplitudes, (p, N)."""
+        rows = self.columns(values, amplitudes).rows
+        if self.moving:
+            rows = rows.copy()
+            for n in self.moving:
+                step = np.zeros(len(amplitudes))
+                step[n] = self._natural(n)
+                sides = [self.linear(values, amplitudes + by * step) for by in (1, -1)]
+                rows[n] = (sides[0] - sides[1]) / (2 * step[n])
+        if self.model.bent:
+            linear = self.linear(values, amplitudes)
+            rows = rows * self.model.slope(linear * self.factor, self._named(values))
+        return np.asarray(rows)
+
+    def _natural(self, n: int) -> float:
+        """A step of an amplitude of the stimulus."""
+        return 10 * self.amplitudes[n].factor * self.output.nominal
+
+    # -- weights -------------------------------------------------------------------------------------------------------
+
+    def means(self, rows: Array) -> Array:
+        return np.asarray(np.add.reduceat(rows, self.first, axis=-1) / self.counts)
+
+    def centred(self, rows: Array) -> Array:
+        return np.asarray(rows - self.means(rows)[..., self.owner])
+
+    def weighted(self, rows: Array) -> Array:
+        """(…, N) → (…, N + n), of variance one."""
+        means = self.means(rows)
+        return np.concatenate([(rows - means[..., self.owner]) / self.sigma[self.owner], means / self.error], axis=-1)
+
+    # -- amplitudes and shapes -----------------------------------------------------------------------------------------
+
+    def nominal(self) -> Array:
+        """Amplitudes of an ideal sensor, with those that the plan expects."""
+        found = np.zeros(len(self.amplitudes))
+        for place, one in enumerate(self.amplitudes):
+            stated = self.output.expected.get(one.effect.id, {})
+            letter = f"_{'xyz'[self.output.errors.axis]}" if one.alone else ""
+            own = stated.get(f"{one.name}{letter}", 0.0) * one.factor
+            found[place] = (own + (one.along == self.output.errors.axis)) * self.output.nominal
+        return found
+
+    def planned(self) -> list[float]:
+        """The shapes that the plan expects, otherwise from the middle of the catalogue's values."""
+        return [
+            self.output.expected.get(shape.id, {}).get(_shape_name(shape.part), shape.at((len(shape.values) - 1) / 2))
+            for shape in self.shapes
+        ]
+
+    def projected(self, values: Sequence[float], observed: Array) -> tuple[Array, Array]:
+        """The best amplitudes for given shapes, and the weighted residuals."""
+        ideal = np.zeros(len(self.amplitudes))
+        if self.moving and self.output.gain:
+            ideal = np.where(
+                [one.along == self.output.errors.axis for one in self.amplitudes], self.output.nominal, 0.0
+            )
+        rows = self.tangents(values, ideal) if self.moving and not self.model.bent else self.columns(values).rows
+        start = ideal + _solved(self.weighted(rows), self.weighted(observed - self.linear(values, ideal)))
+        if not self.model.bent and not self.moving:
+            return start, self.weighted(observed - self.linear(values, start))
+        best, left = start, self.weighted(observed - self.values(values, start))
+        for _ in range(_ROUNDS):
+            step = _solved(self.weighted(self.tangents(values, best)), left)
+            share, before = 1.0, float(left @ left)
+            while share > 1e-4:
+                tried = best + share * step
+                after = self.weighted(observed - self.values(values, tried))
+                if float(after @ after) < before:
+                    break
+                share /= 4
+            else:
+                break
+            best, left = tried, after
+            if before - float(left @ left) <= _DONE * before:
+                break
+        return best, left
+
+    def search(self, observed: Array, start: list[float] | None) -> list[float]:
+        """Places of the shapes with the smallest χ²."""
+        from scipy.optimize import least_squares, minimize_scalar
+
+        def chi_squared(places: Sequence[float]) -> float:
+            left = self.projected(self._at(places), observed)[1]
+            return float(left @ left)
+
+        ends = [len(shape.values) - 1 for shape in self.shapes]
+        places = [end / 2 for end in ends] if start is None else list(start)
+        if start is None:
+            for _ in range(min(2, len(self.shapes))):
+                for k, end in enumerate(ends):
+                    tried = [chi_squared([*places[:k], n, *places[k + 1 :]]) for n in range(end + 1)]
+                    places[k] = float(np.argmin(tried))
+        free = [k for k, shape in enumerate(self.shapes) if not shape.discrete]
+        if len(free) == 1:
+            k = free[0]
+            bounds = max(places[k] - 1, 0.0), min(places[k] + 1, float(ends[k]))
+            found = minimize_scalar(
+                lambda at: chi_squared([*places[:k], at, *places[k + 1 :]]),
+                bounds=bounds,
+                method="bounded",
+                options={"xatol": 1e-4},
+            )
+            places[k] = float(found.x)
+        elif free:
+
+            def residuals(tried: Array) -> Array:
+                made = list(places)
+                for k, at in zip(free, tried, strict=True):
+                    made[k] = float(at)
+                return self.projected(self._at(made), observed)[1]
+
+            low, high = np.zeros(len(free)), np.array([float(ends[k]) for k in free])
+            first = np.clip([places[k] for k in free], low + 1e-3, high - 1e-3)
+            made = least_squares(
+                residuals, first, bounds=(low, high), diff_step=1e-4, xtol=1e-6, ftol=1e-10, max_nfev=40
+            )
+            for k, at in zip(free, made.x.tolist(), strict=True):
+                places[k] = at
+        return places
+
+    def _at(self, places: Sequence[float]) -> list[float]:
+        return [shape.at(place) for shape, place in zip(self.shapes, places, strict=True)]
+
+    # -- the result ----------------------------------------------------------------------------------------------------
+
+    def solved(self) -> WithinFit:
+        observed = self.output.values
+        if observed is None:
+            values, amplitudes = self.planned(), self.nominal()
+            return self._linearised(values, amplitudes, None, 1.0)
+        places = self.search(observed, None)
+        changed = self._reweighted(self._at(places), observed)
+        if self.shapes:
+            places = self.search(observed, None if changed > _REWEIGHTED else places)
+            self._reweighted(self._at(places), observed)
+        values = self._at(places)
+        amplitudes, _ = self.projected(values, observed)
+        coloured = self._colour(self.centred(observed - self.values(values, amplitudes)))
+        return self._linearised(values, amplitudes, observed, coloured)
+
+    def _reweighted(self, values: Sequence[float], observed: Array) -> float:
+        """The noise of samples and means from what a fit leaves; the factor by which their ratio changes."""
+        before = self.sigma / self.error
+        amplitudes, _ = self.projected(values, observed)
+        left = observed - self.values(values, amplitudes)
+        squares = np.add.reduceat(self.centred(left) ** 2, self.first)
+        freedom = np.maximum(self.counts - 1, 1.0)
+        each = squares / freedom
+        taken = len(amplitudes) + len(self.shapes)
+        pooled = float(squares.sum() / max(freedom.sum() - taken, 1.0))
+        least = 1e-24 * float(np.max(observed**2, initial=0.0)) + 1e-300
+        unequal = (each > least).all() and len(each) > 1 and variances_differ(each, freedom, max(pooled, least))
+        self.sigma = np.sqrt(np.maximum(each if unequal else np.full(len(each), pooled), least))
+        means = self.means(left)
+        spare = len(means) - len(amplitudes)
+        if spare > 0:
+            excess = float(np.sum((means / self.error) ** 2)) / spare
+            self.error = self.error * math.sqrt(max(excess, 1.0))
+        ratio = self.sigma / self.error / before
+        return float(max(ratio.max(), 1 / ratio.min()))
+
+    def _linearised(
+        self, values: Sequence[float], amplitudes: Array, observed: Array | None, coloured: float
+    ) -> WithinFit:
+        output = self.output
+        rows: list[Array] = [self.tangents(values, amplitudes)]
+        self._latest = self.columns(values, amplitudes).amplitudes
+        parts, bounds = list(self._latest), []
+        for k, (shape, value) in enumerate(zip(self.shapes, values, strict=True)):
+            if shape.discrete:
+                continue
+            step = shape.step(value)
+            sides = [[*values[:k], value + by, *values[k + 1 :]] for by in (step, -step)]
+            above, below = (self.values(side, self._rescaled(amplitudes, side)) for side in sides)
+            slope = (above - below) / (2 * step)
+            if not np.abs(slope).max() > 1e-9 * np.abs(self.values(values, amplitudes)).max() / shape.values[-1]:
+                raise UnfitDataError(_absent(output, shape))
+            effect = shape.part.effect
+            size = float(np.abs(slope).max()) * self.factor
+            alone = effect.stage in ("sensor", "output")
+            name, text = _shape_name(shape.part), _shape_unit(shape.part)
+            parts.append(Amplitude(effect, name, True, alone, text, 1.0, None, size, value, True))
+            rows.append(slope[None] / self._response(amplitudes))
+            if shape.at_bound(value):
+                bounds.append(shape.id)
+        tangents = np.vstack(rows)
+        predicted = self.values(values, amplitudes)
+        at = np.concatenate([amplitudes, np.zeros(len(tangents) - len(amplitudes))])
+        linear = (predicted if observed is None else observed) - predicted + at @ tangents
+        offset = self.means(predicted - at @ tangents)
+        columns = self.columns(values, amplitudes)
+        return WithinFit(
+            tuple(parts),
+            self.means(tangents).T,
+            self.means(predicted if observed is None else observed),
+            offset,
+            self._contrasts(tangents, linear),
+            self.means(columns.own),
+            columns.available,
+            self._named(values),
+            tuple(bounds),
+            coloured,
+        )
+
+    def _rescaled(self, amplitudes: Array, values: Sequence[float]) -> Array:
+        """Amplitudes that keep their values in the unit of display, whose SI value may depend on a shape."""
+        factors = [one.factor for one in self.columns(values).amplitudes]
+        return np.asarray(amplitudes * factors / np.array([one.factor for one in self._latest]))
+
+    def _contrasts(self, tangents: Array, values: Array) -> Contrasts:
+        """See the text of the module."""
+        weight = 1 / self.sigma[self.owner]
+        centred = self.centred(tangents) * weight
+        size = np.sqrt(np.sum(centred**2, axis=1))
+        whole = np.sqrt(np.sum((tangents * weight) ** 2, axis=1))
+        size = np.where(size > 1e-9 * whole, size, np.inf)
+        J = centred / size[:, None]
+        S, V = np.linalg.eigh(J @ J.T)
+        kept = _RESOLVED * max(float(S[-1]), 1e-300) < S if np.isfinite(size).any() else np.inf < S
+        S, V = S[kept], V[:, kept]
+        functionals = (V / np.sqrt(S)).T @ J
+        unit = float(np.sqrt(np.average(self.sigma**2, weights=self.counts)) / math.sqrt(len(self.owner)))
+        flicker = np.zeros((len(S), len(S)))
+        for part, own in zip(self.output.observed.segments(), self.sigma, strict=True):
+            time = self.output.observed.time[part]
+            if len(S) and len(time) > 1:
+                step = float(np.median(np.diff(time)))
+                flicker += weighted_covariance(functionals[:, part] / own, step, step * len(time))
+        values_, vectors = np.linalg.eigh(flicker) if len(S) else (np.zeros(0), np.zeros((0, 0)))
+        root = vectors * np.sqrt(np.maximum(values_, 0.0))
+        finite = np.where(np.isfinite(size), size, 0.0)
+        return Contrasts(
+            (np.sqrt(S)[:, None] * V.T) * finite * unit,
+            functionals @ (self.centred(values) * weight) * unit,
+            np.full(len(S), unit),
+            root * unit,
+        )
+
+    def _colour(self, left: Array) -> float:
+        """How many times larger the variance of batch means is than that of white noise, 1 if not significantly. left: (N,), residuals less
+        their mean in each segment."""
+        from scipy.special import chdtrc
+
+        total, freedom = 0.0, 0
+        for part, own in zip(self.output.observed.segments(), self.sigma, strict=True):
+            length = (part.stop - part.start) // _BATCHES
+            if length < 4 or not own > 0:
+                continue
+            batches = left[part][: length * _BATCHES].reshape(_BATCHES, length).mean(axis=1)
+            variance = own**2 / length + self.output.flicker**2 * math.log(_BATCHES) / math.pi
+            total += float(np.sum((batches - batches.mean()) ** 2)) / variance
+            freedom += _BATCHES - 1
+        return total / freedom if freedom and chdtrc(freedom, total) < SIGNIFICANCE else 1.0
+
+
+def _solved(rows: Array, values: Array) -> Array:
+    """Least-squares coefficients (p,) of rows (p, N); of those that cannot be separated, the shortest."""
+    size = np.sqrt(np.einsum("pn,pn->p", rows, rows))
+    size = np.where(size > 0, size, 1.0)
+    scaled = rows / size[:, None]
+    normal = scaled @ scaled.T
+    if not np.isfinite(normal).all():
+        raise UnfitDataError("a value of the model is not a finite number: check the segments for missing data")
+    return np.asarray(np.linalg.pinv(normal, rcond=_RESOLVED, hermitian=True) @ (scaled @ values) / size)
+
+
+def _absent(output: SampledOutput, shape: Shape) -> str:
+    effect = shape.part.effect
+    return f"{output.errors.output} shows no {effect.id}: leave the effect out, or record what shows it ({shown_by(effect)})"
+
+
+def _shape_name(part: EffectPart) -> str:
+    assert isinstance(part.effect, HasShape)
+    return part.effect.shape_name
+
+
+def _shape_unit(part: EffectPart) -> str:
+    assert isinstance(part.effect, HasShape)
+    return part.effect.shape_unit

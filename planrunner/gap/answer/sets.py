@@ -1,0 +1,229 @@
+"""Sets of two and more effects: the likeliest are found by adding one effect at a time to the likeliest smaller sets, with a refit of all
+amplitudes, and of the shapes in the likeliest set (forward selection with a beam).
+
+A quick evaluation holds a set at its most probable amplitudes and evaluates every form of every other effect on the rest. The best sets are
+then evaluated in full: every effect with a separate strength, under every setting of the noise that matters, also with a random walk of the
+gyros.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.effects.interface import Shaped, Variant
+from planrunner.gap.evidence.bayes_factors import (
+    averaged,
+    best_scales,
+    from_eigen,
+    pair_log_bayes_factor,
+    set_log_bayes_factor,
+    set_log_evidence,
+)
+from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
+from planrunner.gap.hypotheses.forms import candidates_of
+
+Array = NDArray[np.float64]
+FIRST = 6  # number of effects from which pairs are formed: the likeliest
+WEIGHED = 10  # number of pairs evaluated in full, selected by a quick evaluation
+BEAM = 3  # number of sets that are extended
+EXTENDED = 4  # number of larger sets evaluated in full
+MOST = 5  # effects in a set
+WORTHWHILE = float(np.log(100.0))  # a set less likely than a smaller one by more than this is not extended
+MATTERS = 12.0  # nats below the likeliest setting of the noise at which a setting is left out
+PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
+
+
+@dataclass(frozen=True)
+class Member:
+    """An effect of a set in one form. candidate: with its forms, alone or beside the other effects; cost: log of the loss by averaging
+    over its shape; never positive."""
+
+    candidate: Candidate
+    form: Weighed
+    cost: float
+
+    @property
+    def id(self) -> str:
+        return self.candidate.id
+
+    @classmethod
+    def best(cls, candidate: Candidate) -> Member:
+        return cls(candidate, candidate.best, candidate.shape_cost)
+
+
+@dataclass(frozen=True)
+class EffectSet:
+    """members: in the order of the columns. weighed: all columns together. log_bayes: (G,). evidence: log evidence without a random
+    walk of the gyros; walking: with one, −∞ where it was not evaluated."""
+
+    members: tuple[Member, ...]
+    weighed: Weighed = field(repr=False)
+    log_bayes: Array = field(repr=False)
+    evidence: float
+    walking: float = -np.inf
+
+    @property
+    def key(self) -> str:
+        return key_of(member.id for member in self.members)
+
+    def columns(self, name: str) -> slice:
+        """The columns of one of its effects."""
+        at = [member.id for member in self.members].index(name)
+        ends = np.cumsum([len(member.form.variant.columns) for member in self.members])
+        return slice(int(ends[at]) - len(self.members[at].form.variant.columns), int(ends[at]))
+
+
+@dataclass(frozen=True)
+class Sets:
+    """quick: log evidence of pairs that were evaluated only at the declared noise. full: the sets evaluated in full, by key."""
+
+    quick: dict[str, float]
+    full: dict[str, EffectSet] = field(repr=False)
+
+
+def key_of(names: Sequence[str] | Iterator[str]) -> str:
+    return "+".join(sorted(names))
+
+
+def sets_of(
+    weighing: Weighing, candidates: Sequence[Candidate], prior: Callable[[int], float], walks: bool, refit: bool = True
+) -> Sets:
+    """Pairs and larger sets of effects with signatures. prior: log prior of one set of a given number of effects; walks: whether a random
+    walk is a hypothesis; refit: whether shapes are fitted again in the likeliest set."""
+    usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
+    quick, level = _pairs(weighing, usable)
+    full = {one.key: one for one in level}
+    best = max((weighing.evidence(c.log_bayes) for c in usable), default=-np.inf) + prior(1)
+    while level:
+        level = sorted(level, key=lambda one: -one.evidence)
+        count = len(level[0].members)
+        if level[0].evidence + prior(count) < best - WORTHWHILE:
+            break
+        likely = level[:BEAM]
+        if refit:
+            likely[0] = _refitted(weighing, likely[0])
+        if walks:
+            likely[0] = _walking(weighing, likely[0])
+        full |= {one.key: one for one in likely}
+        best = max(best, likely[0].evidence + prior(count))
+        if count == MOST:
+            break
+        level = _extended(weighing, likely, usable)
+        full |= {one.key: one for one in level}
+    return Sets(quick, full)
+
+
+def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, float], list[EffectSet]]:
+    """Log evidence of pairs of likely effects with all others, and the best of them evaluated in full. The others keep their evidence at
+    the declared noise."""
+    ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))[:FIRST]
+    quick: dict[str, tuple[float, tuple[Member, Member]]] = {}
+    for first in map(Member.best, ranked):
+        for second, value in _given(first.form, [other for other in usable if other.id != first.id]):
+            value += float(first.form.log_bayes[0]) + first.cost + second.cost
+            key = key_of([first.id, second.id])
+            if key not in quick or value > quick[key][0]:
+                quick[key] = (value, (first, second))
+    declared = float(weighing.base[0] + weighing.log_prior[0][0])
+    found = {key: declared + value for key, (value, _) in quick.items()}
+    chosen = sorted(quick, key=lambda key: -quick[key][0])[:WEIGHED]
+    return found, [_evaluated(weighing, quick[key][1]) for key in chosen]
+
+
+def _extended(weighing: Weighing, level: Sequence[EffectSet], usable: Sequence[Candidate]) -> list[EffectSet]:
+    """The likeliest sets with one more effect."""
+    quick: dict[str, tuple[float, tuple[Member, ...]]] = {}
+    for one in level:
+        inside = {member.id for member in one.members}
+        for more, value in _given(one.weighed, [other for other in usable if other.id not in inside]):
+            value += one.evidence + more.cost
+            key = key_of([*inside, more.id])
+            if key not in quick or value > quick[key][0]:
+                quick[key] = (value, (*one.members, more))
+    chosen = sorted(quick, key=lambda key: -quick[key][0])[:EXTENDED]
+    return [_evaluated(weighing, quick[key][1]) for key in chosen]
+
+
+def together(weighing: Weighing, members: Sequence[Member]) -> Weighed:
+    """The columns of several effects side by side."""
+    columns = [member.form.variant.columns for member in members]
+    raw = [np.hstack(blocks) for blocks in zip(*(member.form.raw for member in members), strict=True)]
+    whole = Variant(tuple(column for own in columns for column in own), widths=tuple(map(len, columns)))
+    (weighed,) = weighing.weigh([whole], raw)
+    return weighed
+
+
+def _evaluated(weighing: Weighing, members: tuple[Member, ...]) -> EffectSet:
+    weighed = together(weighing, members)
+    log_bayes = _log_bayes(weighing, weighed, members, weighing.log_prior[0])
+    return EffectSet(members, weighed, log_bayes, weighing.evidence(log_bayes))
+
+
+def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
+    """The same, evaluated with a random walk as well."""
+    if np.isfinite(one.walking) or not np.isfinite(weighing.log_prior[1]).any():
+        return one
+    log_bayes = _log_bayes(weighing, one.weighed, one.members, weighing.log_prior[1])
+    return EffectSet(one.members, one.weighed, one.log_bayes, one.evidence, weighing.evidence(log_bayes, walking=True))
+
+
+def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], log_prior: Array) -> Array:
+    """log BF (G,) at the settings of a prior that matter."""
+    widths = weighed.variant.widths
+    traces = [member.form.trace for member in members]
+    scales = best_scales(weighed.gram[0], weighed.score[0], widths)
+    rough = weighing.base + log_prior + set_log_evidence(weighed.gram, weighed.score, scales)
+    found = np.full(len(weighing.base), -np.inf)
+    for g in np.flatnonzero(rough > rough.max() - MATTERS):
+        gram, score = weighed.gram[g], weighed.score[g]
+        if len(members) == 2:
+            found[g] = pair_log_bayes_factor(gram, score, widths[0], (traces[0], traces[1]), PAIR_ENERGIES)
+        else:
+            found[g] = set_log_bayes_factor(gram, score, widths, traces, PAIR_ENERGIES, scales)
+    return found + sum(member.cost for member in members)
+
+
+def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
+    """The set with every shape fitted beside the other effects, if this explains more."""
+    for number, member in enumerate(one.members):
+        if not isinstance(member.candidate.effect, Shaped):
+            continue
+        others = [*one.members[:number], *one.members[number + 1 :]]
+        (again,) = candidates_of(weighing.beside(together(weighing, others)), [member.candidate.effect])
+        if not np.isfinite(again.log_bayes).any():
+            continue
+        (form,) = weighing.weigh([again.best.variant], again.best.raw)
+        if form.trace <= 0:
+            continue
+        changed = Member(again, form, again.shape_cost)
+        other = _evaluated(weighing, (*one.members[:number], changed, *one.members[number + 1 :]))
+        one = other if other.evidence > one.evidence else one
+    return one
+
+
+def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, float]]:
+    """The form of each effect that fits the data best in addition to `a` at its most probable size, and the log BF that it adds."""
+    if not others:
+        return
+    mean, covariance = a.amplitudes
+    forms = [len(other.variants) for other in others]
+    size = np.zeros((sum(forms), max((other.variants[0].gram.shape[1] for other in others), default=0)))
+    along, last = np.zeros_like(size), 0
+    for other, count in zip(others, forms, strict=True):
+        cross = other.across(a)
+        grams = np.array([item.gram[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
+        scores = np.array([item.score[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ mean
+        values, vectors = np.linalg.eigh(grams)
+        # the energies of each variant are in units of its trace
+        traces = np.array([item.trace for item in other.variants])[:, None]
+        part = slice(last, last := last + count), slice(values.shape[1])
+        size[part] = np.maximum(values, 0.0) / traces
+        along[part] = np.einsum("vji,vj->vi", vectors, scores) ** 2 / traces
+    added = averaged(from_eigen(size, along, 1.0))
+    for other, values in zip(others, np.split(added, np.cumsum(forms)[:-1]), strict=True):
+        best = int(np.argmax(values))
+        yield Member(other, other.variants[best], other.shape_cost), float(values[best])

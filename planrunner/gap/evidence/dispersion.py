@@ -1,0 +1,39 @@
+"""Dispersion: how much larger a rest is than the noise, where a test shows that noise alone does not explain it.
+
+If no explanation leaves only noise, differences of evidence are too large by the ratio χ²/ν of the rest: the data repeat the errors of the
+explanation like independent samples. Evidence is then compared with the noise enlarged by that ratio. This is the dispersion of
+quasi-likelihood (McCullagh and Nelder, Generalized Linear Models, 1989, section 4.5), in metrology the squared Birge ratio (Birge, Physical
+Review 40, 1932), and corresponds to a likelihood raised to the power ν/χ² (Miller and Dunson, Journal of the American Statistical
+Association 114, 2019). A ratio within chance is 1, so that evidence without misfit is unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+LEVEL = 0.001
+"""Significance of the test: one recording in a thousand without misfit fails it."""
+
+
+def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) -> float:
+    """The ratio of one channel, at least 1: the larger of the ratios of all coefficients and of the means, as far as they fail the test.
+
+    rest: (M,), whitened; degrees: of freedom; means: (S,), places of the coefficients of order 0, in which errors of the form of an effect
+    gather; tests: number of tests in all channels, for Bonferroni's correction.
+    """
+    from scipy.special import chdtrc
+
+    found = 1.0
+    lost = len(rest) - degrees
+    parts: Sequence[tuple[float, int]] = (
+        (float(rest @ rest), degrees),
+        (float(rest[means] @ rest[means]), max(len(means) - lost, 1)),
+    )
+    for squares, free in parts:
+        if tests * float(chdtrc(free, squares)) < LEVEL:
+            found = max(found, squares / free)
+    return found

@@ -1,0 +1,97 @@
+"""The amplitudes of one run: the nominal terms and the effects that are named anywhere in the fleet, fitted together.
+
+The fit is generalised least squares with the noise of the diagnosis and without priors, so that the estimates of different runs are
+independent, and a prior enters only once, in the attribution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.effects.interface import Column, Effect, PerOrientation, Shaped
+from planrunner.error_model.effects.nominal import PARTS
+from planrunner.error_model.observed import Observed, orientation_key
+from planrunner.gap.evidence.weighing import coefficients_of
+from planrunner.gap.hypotheses.candidates import Weighing
+
+Array = NDArray[np.float64]
+_DEPENDENT = 1e-8
+"""Singular value, relative to the largest, of columns of unit length, below which a direction is not determined."""
+_UNDETERMINED = 1e-6
+"""Share of an amplitude that may lie in directions that are not determined."""
+
+
+@dataclass(frozen=True, slots=True)
+class AmplitudeKey:
+    """What an amplitude is, so that those of different runs can be compared. orientations: for an effect with amplitudes of their own in
+    every orientation, the orientations in the order in which its amplitudes number them; else empty. shape: of the effect, in its unit;
+    None without one."""
+
+    effect: str
+    name: str
+    unit: str
+    shape: float | None = None
+    orientations: tuple[tuple[float, ...], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class AmplitudeEstimate:
+    """value, standard_uncertainty: in the unit of the key."""
+
+    key: AmplitudeKey
+    value: float
+    standard_uncertainty: float
+
+
+def amplitudes(
+    weighing: Weighing, nominal: Sequence[str], effects: Sequence[tuple[Effect, float | None]]
+) -> list[AmplitudeEstimate]:
+    """The amplitudes that a run determines. nominal: the terms of the nominal simulation; effects: in addition to them, each with its
+    shape, None for an effect without one."""
+    observed = weighing.observed
+    listed = [(key, column) for key, column in zip(_terms(observed, nominal), weighing.nominal_columns, strict=True)]
+    orientations = tuple(dict.fromkeys(map(orientation_key, observed.attitude)))
+    for effect, shape in effects:
+        own = orientations if isinstance(effect, PerOrientation) else ()
+        for column in _columns(effect, shape, observed):
+            listed.append((AmplitudeKey(effect.id, column.name, column.unit, shape, own), column))
+    columns = [column for _, column in listed]
+    raw = coefficients_of(observed, weighing.spectrum, columns)
+    weights = [settings[0] for settings in weighing.weights]
+    design = np.vstack([weight.whiten(block) for weight, block in zip(weights, raw, strict=True)])
+    readings = weighing.spectrum.values
+    data = np.concatenate([weight.whiten(readings[:, [k]])[:, 0] for k, weight in enumerate(weights)])
+    size = np.linalg.norm(design, axis=0) + 1e-300
+    left, values, right = np.linalg.svd(design / size, full_matrices=False)
+    told = values > _DEPENDENT * values.max(initial=0.0)
+    inverse = right[told].T / values[told]
+    fit, spread = inverse @ (left[:, told].T @ data), np.sqrt((inverse**2).sum(1))
+    known = (right[told] ** 2).sum(0) > 1 - _UNDETERMINED
+    scales = [column.magnitude / column.factor / own for column, own in zip(columns, size, strict=True)]
+    return [
+        AmplitudeEstimate(key, float(fit[k] * scales[k]), float(spread[k] * scales[k]))
+        for k, (key, column) in enumerate(listed)
+        if known[k] and not (column.whole and column.parts and size[k] < 1e-200)
+    ]
+
+
+def _terms(observed: Observed, nominal: Sequence[str]) -> list[AmplitudeKey]:
+    """The keys of the nominal columns, in the order of `candidates.nominal_columns`."""
+    return [
+        AmplitudeKey(f"{kind}_{part}", column.name, column.unit)
+        for kind in ("gyro", "accel")
+        for part, make in PARTS.items()
+        if f"{kind}_{part}" in nominal
+        for column in make(observed, kind)
+    ]
+
+
+def _columns(effect: Effect, shape: float | None, observed: Observed) -> Sequence[Column]:
+    """The columns of an effect with one shape; none if it cannot act in this run."""
+    if isinstance(effect, Shaped):
+        return effect.at(observed, shape).columns if shape is not None and len(effect.grid(observed)) else ()
+    return next((one.columns for one in effect.variants(observed) if one.shape == shape), ())

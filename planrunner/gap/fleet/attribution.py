@@ -1,0 +1,373 @@
+"""Attribution of one amplitude, estimated in several runs, to its sources: the device, the bench, the occasion (the switch-on), and what
+all runs have in common (the type of device, the plan, the site, the declarations).
+
+The estimate of run r is y_r = b[bench of r] + d[device of r] + o[occasion of r] + c + e_r, with e_r ~ N(0, s_r²) known from the fit of the
+run. The parts of a source are independent draws from N(0, σ²) of that source. This is a random-effects model; the common part c has a σ of
+its own instead of a flat prior, because an amplitude of zero means that the run is as simulated (Searle, Casella and McCulloch, Variance
+Components, 1992, chapters 3 and 9).
+
+The hypotheses are all subsets of the sources, the empty one included. For given σ the evidence is Gaussian:
+
+    log p(y | σ) = −½ (n·log 2π + log det V + yᵀ V⁻¹ y),    V = S + Z G Zᵀ
+
+Z holds the grouping and G the variances σ² of the parts. S is diagonal: the variances s², plus the σ² of a source that groups no two runs.
+With M = I + G^½ ZᵀS⁻¹Z G^½, log det V = log det S + log det M and yᵀV⁻¹y = yᵀS⁻¹y − cᵀG^½ M⁻¹ G^½c, where c = ZᵀS⁻¹y (matrix inversion
+lemma). Each σ has a log-uniform prior and is integrated out on a grid that is refined where the evidence is.
+
+Sources that group the runs in the same way (one device on one bench, devices with one run each) cannot be distinguished. They form one
+component.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Source(Enum):
+    """Where a part of an amplitude comes from. OCCASION: drawn anew at each switch-on. COMMON: the same in all runs."""
+
+    DEVICE = "device"
+    BENCH = "bench"
+    OCCASION = "occasion"
+    COMMON = "common"
+
+
+ALL_RUNS = "all runs"
+"""Label of the only group of `Source.COMMON`."""
+PRIOR = 0.5
+"""Prior probability that a component contributes, independently of the others: their causes are independent."""
+WEAKEST = 4.0
+"""Smallest expected energy σ²·Σ 1/s_r² of a component; a weaker component cannot be distinguished from none and counts as absent."""
+LARGEST = 10.0
+"""Largest σ of a component, relative to the weighted root mean square of the estimates."""
+SURE = 0.95
+"""Probability at and above which a source is named; below 1 − SURE it is excluded."""
+COVERAGE = 0.95
+_POINTS = (1, 33, 17, 11, 9)  # of the grid of one σ, for 0 to 4 components
+_ROUNDS = 5
+_REACH = 12.0  # nats below the maximum within which the grid is kept
+_SHRINKING = 0.7  # share of its width above which a further round would not make the grid finer
+_CONSIDERED = 1e-4  # smallest weight, relative to the largest, of a grid point that contributes to the parts
+_HELD = 0.999  # share of the posterior whose points are used for the parts
+_BISECTIONS = 22
+_NUMBERS = 2_000_000  # of the matrices M that are in memory at once
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """One amplitude in n runs. values, standard_uncertainties: (n,), in one unit, all finite and the latter positive. groups: the label of
+    every run (n) for each source except `COMMON`."""
+
+    values: Array
+    standard_uncertainties: Array
+    groups: Mapping[Source, Sequence[str]]
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.values).all() and (self.standard_uncertainties > 0).all()):
+            raise ValueError("values must be finite and standard uncertainties positive")
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """One or more sources that group the runs in the same way. labels: of the groups (m); members: (n,), the group of each run."""
+
+    sources: tuple[Source, ...]
+    labels: tuple[str, ...]
+    members: NDArray[np.int64] = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        """Such as `bench`, or `device or occasion`."""
+        return " or ".join(source.value for source in self.sources)
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertain:
+    """A value with the half-width of the interval about it that has the probability `COVERAGE`."""
+
+    value: float
+    expanded: float
+
+
+@dataclass(frozen=True, slots=True)
+class SourcePart:
+    """The part of one device, bench or occasion, if its source contributes. level: the part and what all runs have in common together,
+    which the data often determine better than either. difference: from the mean of the other parts of the source. Both are None if every
+    group has one run; the difference also for a single group. runs: number of runs that contain the part."""
+
+    label: str
+    part: Uncertain
+    level: Uncertain | None
+    difference: Uncertain | None
+    runs: int
+
+
+@dataclass(frozen=True, slots=True)
+class Contribution:
+    """What one component contributes. probability: that it contributes. share: of the mean square of the amplitude over the runs, noise
+    excluded; the shares of all components add up to 1, or are all 0. spread: posterior median of its σ, if it contributes, and
+    `spread_interval` the limits of its central 95 %. parts: of its groups, in the order of the labels."""
+
+    component: Component
+    probability: float
+    share: float
+    spread: float
+    spread_interval: tuple[float, float]
+    parts: tuple[SourcePart, ...]
+
+
+@dataclass(frozen=True)
+class Attribution:
+    """none: the probability that no component contributes. probability: of every subset of the components, by their names joined by '+'."""
+
+    none: float
+    probability: Mapping[str, float]
+    contributions: tuple[Contribution, ...]
+
+    def of(self, source: Source) -> Contribution:
+        """The contribution that a source shares with those that cannot be distinguished from it."""
+        return next(one for one in self.contributions if source in one.component.sources)
+
+    @property
+    def named(self) -> tuple[Contribution, ...]:
+        """Those that contribute with a probability of at least `SURE`."""
+        return tuple(one for one in self.contributions if one.probability >= SURE)
+
+    @property
+    def open(self) -> tuple[Contribution, ...]:
+        """Those that are neither named nor excluded."""
+        return tuple(one for one in self.contributions if 1 - SURE < one.probability < SURE)
+
+
+def components(groups: Mapping[Source, Sequence[str]]) -> tuple[Component, ...]:
+    """The sources, with those together that group the runs in the same way."""
+    found: dict[tuple[int, ...], tuple[list[Source], list[str]]] = {}
+    n = len(groups[Source.OCCASION])
+    for source in Source:
+        given = [ALL_RUNS] * n if source is Source.COMMON else groups[source]
+        labels = list(dict.fromkeys(given))
+        members = tuple(labels.index(label) for label in given)
+        found.setdefault(members, ([], labels))[0].append(source)
+    return tuple(
+        Component(tuple(sources), tuple(labels), np.array(members, dtype=np.int64))
+        for members, (sources, labels) in found.items()
+    )
+
+
+def log_evidence(given: Estimates, chosen: Sequence[Component], spreads: Array) -> Array:
+    """log p(y | σ), (P,), for standard deviations σ (P, C) of the chosen components, in the unit of the estimates."""
+    return _Model(given, chosen).log_evidence(spreads)
+
+
+def attribute(given: Estimates) -> Attribution:
+    """Attributes an amplitude to its sources."""
+    every = components(given.groups)
+    subsets = [chosen for size in range(len(every) + 1) for chosen in combinations(every, size)]
+    models = [_Model(given, chosen) for chosen in subsets]
+    prior = [len(chosen) * np.log(PRIOR) + (len(every) - len(chosen)) * np.log(1 - PRIOR) for chosen in subsets]
+    log = np.array([model.integrated for model in models]) + np.array(prior)
+    posterior = np.exp(log - np.logaddexp.reduce(log))
+    having = {
+        one: [(float(p), model) for p, model in zip(posterior, models, strict=True) if one in model.chosen]
+        for one in every
+    }
+    power = {one: sum(p * model.power(one) for p, model in having[one]) for one in every}
+    whole = sum(power.values()) or 1.0
+    common = next(one for one in every if Source.COMMON in one.sources)
+    contributions = tuple(
+        Contribution(
+            one,
+            min(1.0, sum(p for p, _ in having[one])),
+            power[one] / whole,
+            *_spread(one, having[one]),
+            _parts(one, having[one], None if one is common else common),
+        )
+        for one in every
+    )
+    names = ["+".join(one.name for one in chosen) or "none" for chosen in subsets]
+    return Attribution(float(posterior[0]), dict(zip(names, map(float, posterior), strict=True)), contributions)
+
+
+class _Model:
+    """One subset of the components, with σ of each of them at every point of the grid."""
+
+    def __init__(self, given: Estimates, chosen: Sequence[Component]):
+        self.chosen = tuple(chosen)
+        self._y, self._variance = given.values, given.standard_uncertainties**2
+        n = len(self._y)
+        self._alone = next((k for k, one in enumerate(self.chosen) if len(one.labels) == n), None)
+        self._grouping = [k for k in range(len(self.chosen)) if k != self._alone]
+        sizes = [len(self.chosen[k].labels) for k in self._grouping]
+        self._column = np.repeat(np.array(self._grouping, dtype=np.int64), sizes)
+        z = [self.chosen[k].members[:, None] == np.arange(len(self.chosen[k].labels)) for k in self._grouping]
+        self._z = np.hstack([np.zeros((n, 0)), *z])
+        energies = np.array([WEAKEST, LARGEST**2 * max(WEAKEST, float((self._y**2 / self._variance).sum()))])
+        self._limits = 0.5 * np.log(energies / float((1 / self._variance).sum()))
+
+    def _weighed(self, spreads: Array) -> tuple[Array, Array, Array, Array]:
+        """S (P, n), G^½ (P, m), M (P, m, m) and G^½c (P, m) for σ (P, C)."""
+        s = np.broadcast_to(self._variance, (len(spreads), len(self._y)))
+        if self._alone is not None:
+            s = s + spreads[:, [self._alone]] ** 2
+        n, m = self._z.shape
+        root = spreads[:, self._column]
+        products = (self._z[:, :, None] * self._z[:, None, :]).reshape(n, m * m)
+        gram = ((1 / s) @ products).reshape(len(spreads), m, m)
+        inner = np.eye(m) + root[:, :, None] * gram * root[:, None, :]
+        return s, root, inner, root * ((self._y / s) @ self._z)
+
+    def log_evidence(self, spreads: Array) -> Array:
+        """log p(y | σ), (P,), for σ (P, C)."""
+        at_once = max(1, _NUMBERS // (1 + self._z.shape[1] ** 2))
+        return np.concatenate(
+            [self._log_evidence(spreads[first : first + at_once]) for first in range(0, len(spreads), at_once)]
+        )
+
+    def _log_evidence(self, spreads: Array) -> Array:
+        s, _, inner, score = self._weighed(spreads)
+        m = score.shape[1]
+        whole = np.empty((len(spreads), m + 1, m + 1))  # its last pivot is yᵀV⁻¹y, plus 1 for readings of zero
+        whole[:, :m, :m], whole[:, m, :m], whole[:, :m, m] = inner, score, score
+        whole[:, m, m] = (self._y**2 / s).sum(1) + 1
+        pivots = np.diagonal(np.linalg.cholesky(whole), axis1=1, axis2=2)
+        log_det = np.log(s).sum(1) + 2 * np.log(pivots[:, :m]).sum(1)
+        return np.asarray(-0.5 * (s.shape[1] * np.log(2 * np.pi) + log_det + pivots[:, m] ** 2 - 1))
+
+    @cached_property
+    def _grid(self) -> tuple[Array, Array, float]:
+        """σ (P, C), their posterior weights (P,) of sum 1, and the log of the evidence averaged over the prior."""
+        lowest, highest = self._limits
+        low, high = (np.full(len(self.chosen), limit) for limit in (lowest, highest))
+        count = _POINTS[len(self.chosen)]
+        for _ in range(_ROUNDS):
+            axes = [np.linspace(a, b, count) for a, b in zip(low, high, strict=True)]
+            points = (
+                np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], 1) if axes else np.zeros((1, 0))
+            )
+            log, step = self.log_evidence(np.exp(points)), (high - low) / max(count - 1, 1)
+            at_ends = ((points < low + step / 2) | (points > high - step / 2)).sum(1)
+            near = points[log > log.max() - _REACH]
+            closer = np.maximum(near.min(0) - step, lowest), np.minimum(near.max(0) + step, highest)
+            if (closer[1] - closer[0] > _SHRINKING * (high - low)).all():
+                break
+            low, high = closer
+        log += np.log(step / (highest - lowest)).sum() - np.log(2.0) * at_ends  # trapezoidal rule
+        whole = float(np.logaddexp.reduce(log))
+        return np.exp(points), np.exp(log - whole), whole
+
+    @property
+    def integrated(self) -> float:
+        """log p(y), averaged over the prior of σ."""
+        return self._grid[2]
+
+    def spread(self, component: Component) -> tuple[Array, Array]:
+        """σ of a component at the points of the grid, and their weights."""
+        points, weights, _ = self._grid
+        return points[:, self.chosen.index(component)], weights
+
+    @cached_property
+    def _moments(self) -> tuple[Array, list[Array], list[Array], Array, Array]:
+        """Weights (Q,) of the points that matter; there, means (Q, m) and variances (Q, m) of the parts of each component, and the joint
+        mean (Q, M) and covariance (Q, M, M) of all that have groups of several runs."""
+        points, weights, _ = self._grid
+        kept = weights > _CONSIDERED * weights.max()
+        points, weights = points[kept], weights[kept] / weights[kept].sum()
+        s, root, inner, score = self._weighed(points)
+        inverse = np.linalg.inv(inner)
+        mean = root * (inverse @ score[:, :, None])[:, :, 0]
+        covariance = root[:, :, None] * inverse * root[:, None, :]
+        variance = np.diagonal(covariance, axis1=1, axis2=2)
+        means = [mean[:, self._column == k] for k in range(len(self.chosen))]
+        variances = [variance[:, self._column == k] for k in range(len(self.chosen))]
+        if self._alone is not None:  # given the other parts, each of these depends on its own run alone
+            share = 1 - self._variance / s
+            means[self._alone] = share * (self._y - mean @ self._z.T)
+            of_others = np.einsum("ni,qij,nj->qn", self._z, covariance, self._z)
+            variances[self._alone] = share**2 * of_others + share * self._variance
+        return weights, means, variances, mean, covariance
+
+    def parts(self, component: Component) -> tuple[Array, Array, Array]:
+        """Weights (Q,), means (Q, m) and variances (Q, m) of the parts of a component."""
+        weights, means, variances, _, _ = self._moments
+        place = self.chosen.index(component)
+        return weights, means[place], variances[place]
+
+    def combined(self, component: Component, combinations: Array, also: Component | None) -> tuple[Array, Array, Array]:
+        """Weights (Q,), means (Q, m) and variances (Q, m) of linear combinations (m, own groups) of the parts of a component, plus the only
+        part of `also`, if the model has it."""
+        weights, _, _, mean, covariance = self._moments
+        design = np.zeros((len(combinations), len(self._column)))
+        design[:, self._column == self.chosen.index(component)] = combinations
+        if also is not None and also in self.chosen:
+            design[:, self._column == self.chosen.index(also)] = 1
+        return weights, mean @ design.T, np.einsum("ai,qij,aj->qa", design, covariance, design)
+
+    def power(self, component: Component) -> float:
+        """Expected mean square over the runs of the part of a component."""
+        weights, means, variances = self.parts(component)
+        runs = np.bincount(component.members, minlength=len(component.labels))
+        return float(weights @ (means**2 + variances) @ runs / runs.sum())
+
+
+def _spread(component: Component, having: Sequence[tuple[float, _Model]]) -> tuple[float, tuple[float, float]]:
+    """Median and central 95 % of σ, over the models that contain the component."""
+    found = [(p * weights, values) for p, model in having for values, weights in [model.spread(component)]]
+    weights, values = np.concatenate([w for w, _ in found]), np.concatenate([v for _, v in found])
+    order = np.argsort(values)
+    share = np.cumsum(weights[order]) - weights[order] / 2
+    tail = (1 - COVERAGE) / 2
+    low, median, high = np.exp(np.interp([tail, 0.5, 1 - tail], share / weights.sum(), np.log(values[order])))
+    return float(median), (float(low), float(high))
+
+
+def _parts(
+    component: Component, having: Sequence[tuple[float, _Model]], common: Component | None
+) -> tuple[SourcePart, ...]:
+    """The parts, over the models that contain the component. common: the component of `Source.COMMON`, if it is another one."""
+    m = len(component.labels)
+    parts = _averaged([(p, *model.parts(component)) for p, model in having])
+    levels: list[Uncertain | None] = [None] * m
+    differences: list[Uncertain | None] = [None] * m
+    if m < len(component.members):
+        levels[:] = _averaged([(p, *model.combined(component, np.eye(m), common)) for p, model in having])
+        if m > 1:
+            others = (m * np.eye(m) - 1) / (m - 1)
+            differences[:] = _averaged([(p, *model.combined(component, others, None)) for p, model in having])
+    runs = np.bincount(component.members, minlength=m).tolist()
+    return tuple(map(SourcePart, component.labels, parts, levels, differences, runs))
+
+
+def _averaged(found: Sequence[tuple[float, Array, Array, Array]]) -> list[Uncertain]:
+    """Values with their intervals, from the probability, weights (Q,), means (Q, m) and variances (Q, m) of every model."""
+    weights = np.concatenate([p * w for p, w, _, _ in found])
+    means, variances = np.vstack([m for _, _, m, _ in found]), np.vstack([v for _, _, _, v in found])
+    order = np.argsort(-weights)
+    kept = order[: 1 + int(np.searchsorted(np.cumsum(weights[order]), _HELD * weights.sum()))]
+    weights, means, variances = weights[kept] / weights[kept].sum(), means[kept], variances[kept]
+    centre = weights @ means
+    half = _half_width(weights, means - centre, np.sqrt(np.maximum(variances, 0.0)))
+    return [Uncertain(float(value), float(width)) for value, width in zip(centre, half, strict=True)]
+
+
+def _half_width(weights: Array, offsets: Array, spreads: Array) -> Array:
+    """Half-widths (m,) of the intervals about 0 that hold `COVERAGE` of mixtures of Gaussians with these weights (Q,), means (Q, m) and
+    standard deviations (Q, m), by bisection."""
+    from scipy.special import ndtr
+
+    spreads = np.maximum(spreads, 1e-300)
+    low = np.zeros(offsets.shape[1])
+    high = (np.abs(offsets) + 10 * spreads).max(0)
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        inside = weights @ (ndtr((middle - offsets) / spreads) - ndtr((-middle - offsets) / spreads))
+        low, high = np.where(inside < COVERAGE, middle, low), np.where(inside < COVERAGE, high, middle)
+    return np.asarray((low + high) / 2)

@@ -1,0 +1,316 @@
+"""Wrong declarations, found before effects of the sensor are weighed: signs, axes, units, the sense of rotation, the mounting.
+
+The means of the segments are fitted by a free 3×3 matrix M and a bias for each triad. Scale factors and misalignments leave M near the
+identity. A wrong declaration makes it a signed permutation, times known factors between units. A declaration counts as wrong only if the
+corrected recording follows the plan. Directions of the stimulus that the plan does not vary are left open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.effects.declared import rearranged, turned_back
+from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence.recording_checks import MISFIT, STIRRED, segment_means
+
+Array = NDArray[np.float64]
+FITS = 0.1
+"""Residual of the fit of M, relative to the applied input, up to which M describes the channel."""
+NEAR = 0.2
+"""Distance between a row of M and a row of a signed permutation times a factor, relative to that factor, up to which they agree."""
+FACTOR = 0.03
+"""Relative deviation from a known factor: larger than usual scale-factor errors, smaller than half the distance between factors."""
+CLEARLY = 3.0
+"""Ratio of misfits, as root mean squares, from which the data distinguish two senses of rotation."""
+SEEN = 0.5
+"""Length of an axis in the directions that the plan varies from which its channel can be judged."""
+FACTORS: Mapping[str, tuple[tuple[float, str, str], ...]] = {
+    "gyro": (
+        (180 / np.pi, "degrees", "radians"),
+        (3600.0, "units per hour", "units per second"),
+        (60.0, "units per minute", "units per second"),
+        (3600 * 180 / np.pi, "degrees per hour", "radians per second"),
+        (1000.0, "thousandths", "whole units"),
+        (2.0, "half units", "whole units"),
+    ),
+    "accel": (
+        (9.80665, "m/s²", "g"),
+        (1000.0, "thousandths", "whole units"),
+        (9806.65, "mm/s²", "g"),
+        (100.0, "hundredths", "whole units"),
+        (2.0, "half units", "whole units"),
+    ),
+}
+"""Factors between units, each with the unit of the values and the declared unit; for the inverse factor the other way round."""
+
+
+@dataclass(frozen=True, slots=True)
+class WrongDeclaration:
+    """effect: of the catalogue. parameters: of the effect, with which a simulation shows the same mistake. message: what is wrong, for a
+    finding; where: the channels or axes, for the remedy. alternative: another declaration that the recording cannot distinguish, empty if
+    there is none."""
+
+    effect: str
+    parameters: Mapping[str, float]
+    message: str
+    where: str
+    alternative: str = ""
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """What a channel shows: the input of an axis (0, 1, 2), with a sign, times a factor."""
+
+    axis: int
+    sign: float
+    factor: float
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Free fit of the triads. readings: by channel, None where the plan does not determine it. sound: whether every determined channel
+    follows the plan up to a reading. misfit: sum over channels of squared residuals relative to the variance of the means."""
+
+    readings: tuple[_Reading | None, ...]
+    sound: bool
+    misfit: float
+
+
+def corrected(observed: Observed) -> tuple[Observed, list[WrongDeclaration]]:
+    """The recording with wrong declarations corrected, and these declarations; unchanged if none is found, or if a correction would not
+    make the recording follow the plan."""
+    if observed.along is not None or len(observed) < 2:
+        return observed, []
+    planned, found = _fit(observed), []
+    if observed.rate.any():
+        other = turned_back(observed)
+        opposite = _fit(other)
+        if _sense_is_reversed(observed, planned, opposite):
+            alternative = ""
+            if planned.sound and planned.misfit <= CLEARLY**2 * opposite.misfit:
+                alternative = "the signs of all gyros, which these segments cannot distinguish from it"
+            message = "the recording follows a table that turns in the opposite sense of rotation to the declared one"
+            found.append(
+                WrongDeclaration("table_sense_reversed", {"share": 1.0}, message, "rates and angles × -1", alternative)
+            )
+            observed, planned = other, opposite
+    if not planned.sound:
+        return (observed, found) if found else (observed, [])
+    wrong, sources, factors = _of_channels(observed, planned.readings)
+    if not wrong:
+        return observed, found
+    better = rearranged(observed, sources, factors)
+    again = _fit(better)
+    if not again.sound or _of_channels(better, again.readings)[0]:
+        return observed, found
+    return better, found + wrong
+
+
+def _fit(observed: Observed) -> _Fit:
+    readings: list[_Reading | None] = [None] * len(observed.channels)
+    sound, misfit = True, 0.0
+    for kind in ("gyro", "accel"):
+        channels = observed.of_kind(kind)
+        if not channels:
+            continue
+        stimulus = segment_means(observed, observed.omega if kind == "gyro" else observed.force)
+        stimulus = stimulus - stimulus.mean(axis=0)
+        left, size, directions = np.linalg.svd(stimulus, full_matrices=False)
+        used = size / np.sqrt(len(stimulus)) > STIRRED[kind]
+        if not used.any():
+            continue
+        seen = directions[used]
+        means = segment_means(observed, observed.values[:, channels])
+        means = means - means.mean(axis=0)
+        gains = (left[:, used].T @ means) / size[used][:, None]
+        rest = means - stimulus @ seen.T @ gains
+        misfit += float((rest**2).sum(axis=0) @ (1 / np.maximum((means**2).sum(axis=0), 1e-300)))
+        for place, index in enumerate(channels):
+            own = seen[:, observed.channels[index].axis]
+            if np.linalg.norm(own) < SEEN or _stuck(observed, index):
+                continue
+            if float(np.linalg.norm(rest[:, place])) > FITS * float(np.linalg.norm(means[:, place])):
+                sound = False
+                continue
+            readings[index] = _reading(gains[:, place], seen, observed.channels[index].axis, kind)
+            sound &= readings[index] is not None
+    return _Fit(tuple(readings), sound, misfit)
+
+
+def _stuck(observed: Observed, index: int) -> bool:
+    """Whether a channel that has noise in most segments has the same value throughout another: at a limit it shows a fraction of its
+    input. A channel with coarse counts is constant in most segments at rest."""
+    spread = np.array([np.ptp(observed.values[part, index]) for part in observed.segments()])
+    return bool(np.median(spread) > 0 and spread.min() == 0)
+
+
+def _reading(gain: Array, seen: Array, own: int, kind: str) -> _Reading | None:
+    """The axis, sign and factor that explain the gain (r,) of a channel along the directions (r, 3) that the plan varies; the declared ones
+    if they fit as well as scale factors and misalignments allow."""
+    if float(np.linalg.norm(gain - seen[:, own])) <= MISFIT * float(np.linalg.norm(seen[:, own])):
+        known = _factor(gain, seen[:, own], kind)
+        if known == 1.0 or known is None:
+            return _Reading(own, 1.0, 1.0)
+    best: tuple[float, _Reading] | None = None
+    for axis in sorted(range(3), key=lambda axis: axis != own):
+        direction = seen[:, axis]
+        if np.linalg.norm(direction) < SEEN:
+            continue
+        along = float(gain @ direction) / float(direction @ direction)
+        if along == 0.0:
+            continue
+        distance = float(np.linalg.norm(gain - along * direction)) / abs(along) / float(np.linalg.norm(direction))
+        known = _factor(np.sign(along) * gain, direction, kind)
+        if distance <= NEAR and known is not None and (best is None or distance < best[0] - NEAR / 2):
+            best = distance, _Reading(axis, float(np.sign(along)), known)
+    return None if best is None else best[1]
+
+
+def _factor(gain: Array, direction: Array, kind: str) -> float | None:
+    """The known factor between a gain and a direction; 1 for an ordinary scale factor, None for an unknown one."""
+    size = float(gain @ direction) / float(direction @ direction)
+    if size <= 0:
+        return None
+    known = [factor for one, *_ in FACTORS[kind] for factor in (one, 1 / one)]
+    nearest = min(known, key=lambda factor: abs(np.log(size / factor)))
+    if abs(size / nearest - 1) <= FACTOR:
+        return nearest
+    return 1.0 if abs(size - 1) <= NEAR else None
+
+
+def _sense_is_reversed(observed: Observed, planned: _Fit, opposite: _Fit) -> bool:
+    """Whether the opposite sense of rotation explains the recording: it fits clearly better; or equally well, where the planned sense needs
+    all gyros reversed."""
+    told = [index for index in observed.of_kind("gyro") if opposite.readings[index] is not None]
+    straight = [one is None or one.sign > 0 for one in opposite.readings]
+    if not told or not opposite.sound or not all(straight[index] for index in told):
+        return False
+    if planned.misfit > CLEARLY**2 * opposite.misfit:
+        return True
+    reversed_ = all((one := planned.readings[index]) is not None and one.sign < 0 for index in told)
+    return planned.sound and reversed_ and opposite.misfit <= CLEARLY**2 * planned.misfit
+
+
+def _of_channels(
+    observed: Observed, readings: Sequence[_Reading | None]
+) -> tuple[list[WrongDeclaration], list[int], list[float]]:
+    """Wrong declarations of channels; and for every channel the index of the channel that shows its axis, and the signed factor of that
+    one. Nothing if two channels show the same axis."""
+    sources, factors = list(range(len(readings))), [1.0] * len(readings)
+    shown: dict[str, dict[int, _Reading]] = {}
+    for kind in ("gyro", "accel"):
+        at = {observed.channels[index].axis: index for index in observed.of_kind(kind)}
+        own = {axis: readings[index] or _Reading(axis, 1.0, 1.0) for axis, index in at.items()}
+        if sorted(one.axis for one in own.values()) != sorted(at):
+            return [], sources, factors
+        for axis, one in own.items():
+            sources[at[one.axis]], factors[at[one.axis]] = at[axis], one.sign * one.factor
+        shown[kind] = own
+    found = _together(observed, shown) or [
+        one
+        for kind, own in shown.items()
+        for one in (*_exchanged(observed, kind, own), *_reversed(observed, kind, own))
+    ]
+    found += [one for kind, own in shown.items() for one in _units(observed, kind, own)]
+    return found, sources, factors
+
+
+def _together(observed: Observed, shown: Mapping[str, Mapping[int, _Reading]]) -> list[WrongDeclaration]:
+    """A mounting in another orientation, or a left-handed system, if both triads show the same wrong axes."""
+    matrices = []
+    for own in shown.values():
+        if len(own) < 3:
+            return []
+        matrix = np.zeros((3, 3))
+        for axis, one in own.items():
+            matrix[axis, one.axis] = one.sign
+        matrices.append(matrix)
+    if not np.array_equal(matrices[0], matrices[1]) or np.array_equal(matrices[0], np.eye(3)):
+        return []
+    matrix = matrices[0]
+    if np.linalg.det(matrix) > 0:
+        from scipy.spatial.transform import Rotation
+
+        turn = np.degrees(Rotation.from_matrix(matrix.T).as_rotvec())
+        axes = ", ".join(
+            f"{letter} measures along {'-' if sign < 0 else '+'}{'xyz'[axis]}"
+            for letter, axis, sign in _rows(matrix)
+            if (axis, sign) != ("xyz".index(letter), 1.0)
+        )
+        parameters = {f"about_{letter}": float(round(value, 6)) for letter, value in zip("xyz", turn, strict=True)}
+        message = f"gyros and accelerometers are turned together from the orientation in the plan: {axes}"
+        return [WrongDeclaration("mount_turned", parameters, message, axes)]
+    if np.count_nonzero(matrix - np.eye(3)) == 1:
+        letter = "xyz"[int(np.argmin(np.diag(matrix)))]
+        message = f"gyro and accelerometer both measure along -{letter}: the declared axes form a left-handed system"
+        return [WrongDeclaration("axes_mirrored", {f"mirrored_{letter}": 1.0}, message, f"the axis {letter}")]
+    return []
+
+
+def _rows(matrix: Array) -> list[tuple[str, int, float]]:
+    """Letter of each axis, the axis that it shows, and the sign."""
+    axes = np.abs(matrix).argmax(axis=1)
+    return [
+        (letter, int(axis), float(matrix[row, axis]))
+        for row, (letter, axis) in enumerate(zip("xyz", axes, strict=True))
+    ]
+
+
+def _exchanged(observed: Observed, kind: str, own: Mapping[int, _Reading]) -> list[WrongDeclaration]:
+    moved = {axis: one.axis for axis, one in own.items() if one.axis != axis}
+    if not moved:
+        return []
+    cycle = next(
+        "".join("xyz"[axis] for axis in order)
+        for order in permutations(moved)
+        if all(moved[a] == b for a, b in zip(order, (*order[1:], order[0]), strict=True))
+    )
+    names = {channel.axis: channel.name for channel in observed.channels if channel.kind == kind}
+    listed = " and ".join(f"'{names[axis]}'" for axis in sorted(moved))
+    if len(cycle) == 2:
+        cycle = {"yx": "xy", "zy": "yz", "xz": "zx"}.get(cycle, cycle)
+        message = f"{listed} are exchanged: each follows the input of the other axis"
+    else:
+        cycle = cycle[cycle.index("x") :] + cycle[: cycle.index("x")]
+        message = "; ".join(
+            f"'{names[axis]}' follows the input along {'xyz'[source]}" for axis, source in moved.items()
+        )
+    return [WrongDeclaration("axes_exchanged", {f"{kind}_{cycle}": 1.0}, message, listed)]
+
+
+def _reversed(observed: Observed, kind: str, own: Mapping[int, _Reading]) -> list[WrongDeclaration]:
+    names = {channel.axis: channel.name for channel in observed.channels if channel.kind == kind}
+    backward = [axis for axis, one in own.items() if one.sign < 0]
+    if not backward:
+        return []
+    listed = " and ".join(f"'{names[axis]}'" for axis in backward)
+    message = f"{listed} {'has' if len(backward) == 1 else 'have'} the opposite sign of the input"
+    return [WrongDeclaration("axis_reversed", {f"{kind}_{'xyz'[axis]}": 1.0 for axis in backward}, message, listed)]
+
+
+def _units(observed: Observed, kind: str, own: Mapping[int, _Reading]) -> list[WrongDeclaration]:
+    names = {channel.axis: channel.name for channel in observed.channels if channel.kind == kind}
+    by_factor: dict[float, list[int]] = {}
+    for axis, one in own.items():
+        if one.factor != 1.0:
+            by_factor.setdefault(one.factor, []).append(axis)
+    found = []
+    for factor, axes in by_factor.items():
+        given, declared = next(
+            (one, other) if factor == value else (other, one)
+            for value, one, other in FACTORS[kind]
+            if factor in (value, 1 / value)
+        )
+        listed = ", ".join(f"'{names[axis]}'" for axis in axes)
+        message = (
+            f"{listed}: {factor:.4g} times the input. This is the factor between {given} in the recording and {declared} "
+            "in the bench file"
+        )
+        parameters = {f"excess_{kind}_{'xyz'[axis]}": factor - 1 for axis in axes}
+        found.append(WrongDeclaration("unit_wrong", parameters, message, f"{listed}, divide by {factor:.7g}"))
+    return found

@@ -1,0 +1,264 @@
+"""Output of a diagnosis of several runs: sentences and tables for the terminal, and one page.
+
+The input is plain data according to `schemas/fleet.schema.json`. Only rounding is done here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from planrunner.base.documents import Json
+from planrunner.estimators.interface import Plot, Role, Table, TableColumn
+from planrunner.estimators.results import DataOrigin
+from planrunner.reporting.columns import alike
+from planrunner.reporting.diagnosis_page import probability
+from planrunner.reporting.rounding import format_pair
+from planrunner.reporting.templates import render
+from planrunner.reporting.view import named, stamped, table_view
+
+Data = Mapping[str, Json]
+MOST_PARTS = 5
+"""Parts of one source that sentences state; the JSON output contains all."""
+MOST_PLOTS = 12
+POSSIBLE = 0.2
+"""Probability from which the table of amplitudes mentions a source that is not named; the JSON output contains all."""
+PRIORS = (
+    "Each source contributes to an amplitude with a prior probability of 1/2, independently of the others. A source is named at a "
+    "probability of 0.95 or more, and excluded below 0.05. ± U is the half-width of a 95 % interval."
+)
+_SOURCES = ("device", "bench", "occasion", "common")
+_WORDS = {"device": "device", "bench": "bench", "occasion": "occasion", "common": "what all runs have in common"}
+_REMEDY = {
+    frozenset(("device", "bench")): "measure several devices on one bench, or one device on several benches",
+    frozenset(("device", "common")): "measure a second device",
+    frozenset(("bench", "common")): "measure on a second bench",
+    frozenset(("device", "occasion")): "measure each device again after it was switched off and on",
+    frozenset(("bench", "occasion")): "measure several times on each bench",
+}
+
+
+def sentences(found: Data) -> list[str]:
+    """What is attributed to which source, one sentence for each part or spread."""
+    return [text for amplitude in found["amplitudes"] for text in _of_amplitude(found, amplitude)]
+
+
+def _of_amplitude(found: Data, amplitude: Data) -> Iterator[str]:
+    label, unit = f"{amplitude['effect']} {amplitude['name']}", _unit(amplitude["unit"])
+    for one in amplitude["contributions"]:
+        sources = one["sources"]
+        if sources not in amplitude["named"] or (amplitude["effect"] in found["nominal"] and sources == ["common"]):
+            continue
+        chance = probability(one["probability"])
+        if "occasion" in sources and len(one["parts"]) > 1:
+            what = "changes at each switch-on" if sources == ["occasion"] else "differs from run to run"
+            low, high = (f"{limit:.2g}" for limit in one["interval_95"])
+            spread = f"{one['standard_deviation']:.2g}{unit} (1 σ, 95 % interval {low} to {high}; {chance})"
+            either = "" if len(sources) == 1 else f"; {_either(sources)}"
+            yield f"{label} {what}, {spread}{either}."
+            continue
+        clear = sorted((part for part in one["parts"] if _clear(part) > 1), key=lambda part: -_clear(part))
+        for part in clear[:MOST_PARTS]:
+            size = _with_u(part["level"] or part["part"], unit)
+            others = "the mean of the others" if len(one["parts"]) > 2 else "the other"
+            apart = f", {_with_u(part['difference'], unit)} from {others}" if part["difference"] else ""
+            yield f"{_who(found, sources, part)}: {label} {size}{apart} ({_count(found, sources, part)}{chance})."
+        if len(clear) > MOST_PARTS:
+            kind = _WORDS[sources[0]]
+            yield f"{label}: {len(clear) - MOST_PARTS} more values for a single {kind} are in the JSON output."
+
+
+def _clear(part: Data) -> float:
+    """How many times its expanded uncertainty the difference from the others is, or the part if there are no others."""
+    one = part["difference"] or part["part"]
+    return abs(float(one["value"])) / float(one["expanded_uncertainty"])
+
+
+def _with_u(one: Data, unit: str) -> str:
+    value, u = format_pair(one["value"], one["expanded_uncertainty"])
+    return f"{value} ± {u}{unit}"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"
+
+
+def _who(found: Data, sources: Sequence[str], part: Data) -> str:
+    """Such as `bench bench-2`, or `bench bench-2, or what all runs have in common`."""
+    if list(sources) == ["common"]:
+        return "all runs"
+    runs = [run for run in found["runs"] if part["label"] in (run[name] for name in sources if name != "common")]
+    words = [f"{_WORDS[name]} {runs[0][name]}" if name != "common" and runs else _WORDS[name] for name in sources]
+    return ", or ".join(words)
+
+
+def _count(found: Data, sources: Sequence[str], part: Data) -> str:
+    """The runs of a part, and for a bench the devices."""
+    runs = f"{part['runs']} run{'s' if part['runs'] != 1 else ''}, "
+    if list(sources) != ["bench"]:
+        return runs
+    devices = {run["device"] for run in found["runs"] if run["bench"] == part["label"]}
+    return f"{runs}{len(devices)} device{'s' if len(devices) != 1 else ''}, "
+
+
+def _either(sources: Sequence[str]) -> str:
+    return f"{_listed([_WORDS[name] for name in sources])} cannot be distinguished"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def limits(found: Data) -> list[str]:
+    """Sources that the runs cannot distinguish, with the amplitudes concerned and what to measure."""
+    concerned: dict[tuple[str, ...], list[str]] = {}
+    for amplitude in found["amplitudes"]:
+        for one in amplitude["contributions"]:
+            if len(one["sources"]) > 1:
+                concerned.setdefault(tuple(one["sources"]), []).append(f"{amplitude['effect']} {amplitude['name']}")
+    every = len(found["amplitudes"])
+    texts = []
+    for sources, labels in concerned.items():
+        which = "any amplitude" if len(labels) == every else ", ".join(labels[:MOST_PARTS])
+        more = f" and {len(labels) - MOST_PARTS} more" if which != "any amplitude" and len(labels) > MOST_PARTS else ""
+        remedies = [text for pair, text in _REMEDY.items() if pair <= set(sources)]
+        why = _alone(found, sources)
+        texts.append(f"{why}: {_either(sources)} for {which}{more}. To distinguish them, {'; '.join(remedies)}.")
+    texts += [f"{one['effect']} is not attributed: {one['reason']}." for one in found["not_attributed"]]
+    return texts
+
+
+def _alone(found: Data, sources: Sequence[str]) -> str:
+    """Why sources cannot be distinguished, such as `One bench only`."""
+    if "common" in sources:
+        return f"One {' and one '.join(name for name in sources if name != 'common')} only"
+    if "occasion" in sources:
+        return f"One run for each {' and '.join(name for name in sources if name != 'occasion')}"
+    return f"One {sources[0]} for each {sources[1]}"
+
+
+def tables(found: Data) -> dict[str, Table]:
+    """The attribution, and the runs."""
+    return {"attribution": _attribution(found), "runs": _runs(found)}
+
+
+def _attribution(found: Data) -> Table:
+    rows = tuple(
+        (
+            one["effect"],
+            one["name"],
+            str(len(one["estimates"])),
+            *(_share(one, source) for source in _SOURCES),
+            _verdict(one),
+        )
+        for one in found["amplitudes"]
+    )
+    return Table(
+        "Shares of the mean square of each amplitude over the runs",
+        (
+            *alike(Role.LABEL, "Effect", "amplitude"),
+            *alike(Role.VALUE, "runs", *_SOURCES),
+            *alike(Role.LABEL, "verdict"),
+        ),
+        rows,
+    )
+
+
+def _share(amplitude: Data, source: str) -> str:
+    """In percent; an upper bound if other sources group the runs in the same way."""
+    one = next(one for one in amplitude["contributions"] if source in one["sources"])
+    shown = f"{100 * one['share']:.0f} %"
+    return shown if len(one["sources"]) == 1 else f"≤ {shown}"
+
+
+def _verdict(amplitude: Data) -> str:
+    chances = {tuple(one["sources"]): one["probability"] for one in amplitude["contributions"]}
+    certain = [f"{' or '.join(one)} ({probability(chances[tuple(one)])})" for one in amplitude["named"]]
+    unsure = [
+        f"{' or '.join(one)} ({probability(chances[tuple(one)])})"
+        for one in amplitude["open"]
+        if chances[tuple(one)] >= POSSIBLE
+    ]
+    if not certain and not amplitude["open"]:
+        return f"as simulated ({probability(amplitude['none'])})"
+    said = " and ".join(certain) or f"no source named (as simulated: {probability(amplitude['none'])})"
+    return said + (f"; possible: {', '.join(unsure)}" if unsure else "")
+
+
+def _runs(found: Data) -> Table:
+    rows = tuple(
+        (
+            Path(str(one["run"])).name,
+            one["device"],
+            one["bench"],
+            one["occasion"],
+            ", ".join(one["effects"]) or one["verdict"],
+        )
+        for one in found["runs"]
+    )
+    return Table(
+        "Runs",
+        tuple(TableColumn(name) for name in ("Run", "device", "bench", "occasion", "diagnosis of this run")),
+        rows,
+    )
+
+
+def plots(found: Data) -> list[Plot]:
+    """The estimates of the effects beside the nominal terms, and of amplitudes that a device, bench or occasion changes."""
+    fitted = set(found["effects"])
+    chosen = [
+        one
+        for one in found["amplitudes"]
+        if one["effect"] in fitted or any(list(sources) != ["common"] for sources in one["named"])
+    ]
+    names = {run["run"]: f"{number}: {run['device']} on {run['bench']}" for number, run in enumerate(found["runs"], 1)}
+    return [
+        Plot(
+            f"{one['effect']} {one['name']}",
+            "run: device on bench",
+            one["unit"],
+            tuple(names[item["run"]] for item in one["estimates"]),
+            {"estimate": tuple(item["value"] for item in one["estimates"])},
+            {"estimate": tuple(item["standard_uncertainty"] for item in one["estimates"])},
+        )
+        for one in sorted(chosen, key=lambda one: one["effect"] not in fitted)[:MOST_PLOTS]
+    ]
+
+
+def facts(found: Data) -> dict[str, str]:
+    """Numbers of the fleet."""
+    counts = {name: len({run[name] for run in found["runs"]}) for name in ("device", "bench", "occasion")}
+    return {
+        "Runs": str(len(found["runs"])),
+        "Devices": str(counts["device"]),
+        "Benches": str(counts["bench"]),
+        "Occasions": str(counts["occasion"]),
+        "Plans": "; ".join(dict.fromkeys(str(run["plan"]) for run in found["runs"])),
+        "Fitted by the simulation": ", ".join(found["nominal"]) or "nothing",
+        "Effects fitted in every run": ", ".join(found["effects"]) or "none",
+    }
+
+
+def render_page(
+    found: Data, remarks: Sequence[str] = (), origin: DataOrigin | None = None, folder: Path | None = None
+) -> str:
+    """One self-contained HTML page. remarks: warnings on the recordings; origin: of the samples. Raises `ReportError`."""
+    from markupsafe import Markup
+
+    from planrunner.reporting.plots import plot_svg
+
+    given = {
+        "title": "Device, bench or occasion",
+        "facts": named(facts(found)),
+        "sentences": sentences(found),
+        "limits": limits(found),
+        "stamp": stamped(origin),
+        "remarks": list(remarks),
+        "tables": [table_view(table) for table in tables(found).values()],
+        "plots": [
+            {"title": plot.title, "svg": Markup(plot_svg(plot, f"plot-{number}"))}
+            for number, plot in enumerate(plots(found), start=1)
+        ],
+        "footer": PRIORS,
+    }
+    return render("fleet.html", given, folder)

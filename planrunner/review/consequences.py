@@ -1,0 +1,209 @@
+"""What a change of a plan means before anything runs: time, predicted uncertainties, terms that can be determined, use of the bench,
+limits, findings.
+
+Everything comes from two checks, one of each plan on its bench; nothing is estimated a second time here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field
+
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Finding
+from planrunner.design.identifiability import Identifiability
+from planrunner.estimators.interface import Design
+from planrunner.instruments.models import ChamberModel, TableModel
+from planrunner.plan.schedule import Cycle, Rock, Schedule, Spin
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What a check says about one plan on its bench. findings: those that are shown. schedule: None if the plan has errors."""
+
+    schedule: Schedule | None = None
+    designs: Mapping[str, Design] = field(default_factory=dict)
+    judged: Mapping[str, Sequence[Identifiability]] = field(default_factory=dict)
+    table: TableModel | None = None
+    chamber: ChamberModel | None = None
+    findings: Sequence[Finding] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedChange:
+    """The predicted standard uncertainty of one coefficient, in `unit`, in both plans; None where it is not predicted."""
+
+    estimate: str
+    coefficient: str
+    unit: str
+    before: float | None
+    after: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Undetermined:
+    """Terms that the planned segments cannot determine for one output of an estimate."""
+
+    estimate: str
+    output: str
+    terms: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """How much a plan asks of the bench. before, after: the extreme value that each plan commands; limits: what each bench can do; all in
+    `unit`, None if there is none. lowest: whether a limit is a lower one."""
+
+    name: str
+    unit: str
+    before: float | None
+    after: float | None
+    limits: tuple[float | None, float | None]
+    lowest: bool = False
+
+    @property
+    def newly_reached(self) -> bool:
+        """Whether the second plan reaches the limit of its bench, and the first did not."""
+        return self._reached(self.after, self.limits[1]) and not self._reached(self.before, self.limits[0])
+
+    def _reached(self, value: float | None, limit: float | None) -> bool:
+        if value is None or limit is None:
+            return False
+        beyond = limit - value if self.lowest else value - limit
+        return beyond >= -1e-9 * max(1.0, abs(limit))
+
+
+@dataclass(frozen=True, slots=True)
+class Consequences:
+    """What a change leads to.
+
+    total: planned time of both plans, s, None if there is no schedule. predicted: coefficients whose prediction differs. lost, won: terms
+    that can no longer be determined, or now can. demands: those that differ. new, gone: findings, without regard to their places.
+    """
+
+    total: tuple[float | None, float | None]
+    predicted: tuple[PredictedChange, ...]
+    lost: tuple[Undetermined, ...]
+    won: tuple[Undetermined, ...]
+    demands: tuple[Demand, ...]
+    new: tuple[Finding, ...]
+    gone: tuple[Finding, ...]
+
+
+def consequences(before: Forecast, after: Forecast) -> Consequences:
+    new, gone = _findings(before.findings, after.findings)
+    lost = tuple(_undetermined(after, known=_sound_terms(before)))
+    won = tuple(_undetermined(before, known=_sound_terms(after)))
+    totals = tuple(None if one.schedule is None else one.schedule.total for one in (before, after))
+    demands = tuple(
+        demand for demand in _demands(before, after) if demand.before != demand.after or demand.newly_reached
+    )
+    return Consequences((totals[0], totals[1]), tuple(_predicted(before, after)), lost, won, demands, new, gone)
+
+
+SAME = 1e-6
+"""Relative difference below which two predictions are the same."""
+
+
+def _predicted(before: Forecast, after: Forecast) -> Iterator[PredictedChange]:
+    old, new = _uncertainties(before), _uncertainties(after)
+    for key in dict.fromkeys([*old, *new]):
+        u, v = old.get(key), new.get(key)
+        if u is None or v is None or not math.isclose(u, v, rel_tol=SAME):
+            yield PredictedChange(*key, u, v)
+
+
+def _uncertainties(forecast: Forecast) -> dict[tuple[str, str, str], float]:
+    return {
+        (name, item.name, item.unit): item.standard_uncertainty
+        for name, design in forecast.designs.items()
+        for item in design.predicted
+        if math.isfinite(item.standard_uncertainty)
+    }
+
+
+def _sound_terms(forecast: Forecast) -> dict[tuple[str, str], frozenset[str]]:
+    """(estimate, output) → the terms that cannot be determined."""
+    return {
+        (name, one.output): frozenset(one.unidentifiable) for name, judged in forecast.judged.items() for one in judged
+    }
+
+
+def _undetermined(forecast: Forecast, known: Mapping[tuple[str, str], frozenset[str]]) -> Iterator[Undetermined]:
+    """Terms that cannot be determined here, of outputs that the other plan estimates too and determines there."""
+    for name, judged in forecast.judged.items():
+        for one in judged:
+            other = known.get((name, one.output))
+            terms = () if other is None else tuple(term for term in one.unidentifiable if term not in other)
+            if terms:
+                yield Undetermined(name, one.output, terms)
+
+
+def _demands(before: Forecast, after: Forecast) -> Iterator[Demand]:
+    def both(of: str) -> tuple[float | None, float | None]:
+        return _EXTREMES[of](before.schedule), _EXTREMES[of](after.schedule)
+
+    rate = both("rate")
+    if rate != (None, None):
+        fastest = tuple(_fastest(one.table) for one in (before, after))
+        yield Demand("highest rate", "rad/s", *rate, (fastest[0], fastest[1]))
+    chambers = before.chamber, after.chamber
+    hot, cold = both("hottest"), both("coldest")
+    if hot != (None, None):
+        highest = tuple(None if one is None else one.highest for one in chambers)
+        lowest = tuple(None if one is None else one.lowest for one in chambers)
+        yield Demand("highest temperature", "K", *hot, (highest[0], highest[1]))
+        yield Demand("lowest temperature", "K", *cold, (lowest[0], lowest[1]), lowest=True)
+
+
+def _fastest(table: TableModel | None) -> float | None:
+    return None if table is None else max((axis.max_rate for axis in table.axes), default=None)
+
+
+def _rate(schedule: Schedule | None) -> float | None:
+    found = []
+    for segment in schedule.segments if schedule else ():
+        match segment.motion:
+            case Spin(rate=rate):
+                found.append(abs(rate))
+            case Cycle(rate=rate):
+                found.append(rate)
+            case Rock(amplitude=amplitude, frequency=frequency):
+                found.append(2 * math.pi * frequency * amplitude)
+    return max(found, default=None)
+
+
+def _temperatures(schedule: Schedule | None) -> list[float]:
+    segments = schedule.segments if schedule else ()
+    return [kelvin for item in segments for kelvin in (item.temperature, item.ramp_to) if kelvin is not None]
+
+
+def _hottest(schedule: Schedule | None) -> float | None:
+    return max(_temperatures(schedule), default=None)
+
+
+def _coldest(schedule: Schedule | None) -> float | None:
+    return min(_temperatures(schedule), default=None)
+
+
+_EXTREMES = {"rate": _rate, "hottest": _hottest, "coldest": _coldest}
+
+
+def _findings(before: Sequence[Finding], after: Sequence[Finding]) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
+    """Findings only in the second list, and only in the first, by severity, code and message: places in the files move."""
+    old, new = (
+        Counter[tuple[str, str, str]]((one.severity, one.code, one.message) for one in findings)
+        for findings in (before, after)
+    )
+    return tuple(_only(after, new - old)), tuple(_only(before, old - new))
+
+
+def _only(findings: Sequence[Finding], more: Counter[tuple[str, str, str]]) -> Iterator[Finding]:
+    left = Counter(more)
+    for one in findings:
+        key = (one.severity, one.code, one.message)
+        if left[key] > 0:
+            left[key] -= 1
+            yield one

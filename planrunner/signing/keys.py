@@ -1,0 +1,187 @@
+"""Ed25519 keys (RFC 8032): private keys in files with a passphrase, public keys as lines of OpenSSH.
+
+Ed25519 is the only algorithm, so that nobody can choose a weaker one for a signature. A public key is written as in `~/.ssh/id_ed25519.pub`
+and named by its fingerprint, as `ssh-keygen -l` shows it.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.regular_files import RefusedFileError, read_regular
+from planrunner.plan.source import refused_input
+
+ALGORITHM = "ssh-ed25519"
+MOST_BYTES = 2**14
+"""Maximum size in bytes of a file with a key."""
+FEWEST_LETTERS = 8
+"""Minimum length of a passphrase."""
+
+
+@dataclass(frozen=True, slots=True)
+class PublicKey:
+    """raw: the 32 bytes of the key (RFC 8032, 5.1.5)."""
+
+    raw: bytes
+
+    @property
+    def blob(self) -> bytes:
+        """The key as SSH transmits it (RFC 8709, 4)."""
+        return _text(ALGORITHM.encode()) + _text(self.raw)
+
+    @property
+    def fingerprint(self) -> str:
+        """As `ssh-keygen -l` shows it: SHA-256 of the blob in base64 without padding."""
+        return "SHA256:" + base64.b64encode(hashlib.sha256(self.blob).digest()).decode().rstrip("=")
+
+    @property
+    def line(self) -> str:
+        """The key as a line of OpenSSH, without a comment."""
+        return f"{ALGORITHM} {base64.b64encode(self.blob).decode()}"
+
+    def signed(self, signature: bytes, message: bytes) -> bool:
+        """Whether this key made the signature of the message."""
+        try:
+            Ed25519PublicKey.from_public_bytes(self.raw).verify(signature, message)
+        except (InvalidSignature, ValueError):
+            return False
+        return True
+
+
+class Signer(Protocol):
+    """Makes signatures with one private key."""
+
+    @property
+    def public(self) -> PublicKey: ...
+
+    def sign(self, message: bytes) -> bytes:
+        """The 64 bytes of the Ed25519 signature."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class PrivateKey:
+    """A private key in memory."""
+
+    _key: Ed25519PrivateKey = field(repr=False)
+
+    @property
+    def public(self) -> PublicKey:
+        raw = self._key.public_key().public_bytes(serialization.Encoding.Raw, serialization.PublicFormat.Raw)
+        return PublicKey(raw)
+
+    def sign(self, message: bytes) -> bytes:
+        return self._key.sign(message)
+
+    def pem(self, passphrase: bytes) -> bytes:
+        """PKCS #8 PEM, encrypted with the passphrase."""
+        return self._key.private_bytes(
+            serialization.Encoding.PEM,
+            serialization.PrivateFormat.PKCS8,
+            serialization.BestAvailableEncryption(passphrase),
+        )
+
+
+def generate() -> PrivateKey:
+    """A new key from the random numbers of the operating system."""
+    return PrivateKey(Ed25519PrivateKey.generate())
+
+
+def write_private(path: Path, key: PrivateKey, passphrase: bytes) -> None:
+    """Writes a new file that only its owner may read. Raises `InputError` if the file exists or cannot be written."""
+    if len(passphrase) < FEWEST_LETTERS:
+        message = f"the passphrase has fewer than {FEWEST_LETTERS} characters"
+        raise InputError.at(Mark(str(path)), "key-passphrase", message, "choose a longer passphrase")
+    data = key.pem(passphrase)
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+    except FileExistsError:
+        hint = "choose another name: a key is never overwritten"
+        raise InputError.at(Mark(str(path)), "key-exists", "this file exists already", hint) from None
+    except OSError as error:
+        message = f"the key cannot be written: {error.strerror or error}"
+        raise InputError.at(Mark(str(path)), "file-unwritable", message, "choose another folder") from None
+
+
+def is_encrypted(path: Path) -> bool:
+    """Whether the file holds a private key that needs a passphrase. Raises `InputError` if it cannot be read."""
+    data = _read(path)
+    return b"ENCRYPTED" in data.partition(b"\n")[0] or b"OPENSSH PRIVATE KEY" in data.partition(b"\n")[0]
+
+
+def read_private(path: Path, passphrase: bytes | None) -> PrivateKey:
+    """A private key in PEM (PKCS #8) or in the format of OpenSSH. Raises `InputError`."""
+    data = _read(path)
+    load = (
+        serialization.load_ssh_private_key
+        if data.startswith(b"-----BEGIN OPENSSH PRIVATE KEY-----")
+        else serialization.load_pem_private_key
+    )
+    try:
+        key = load(data, passphrase or None)
+    except TypeError:
+        needs = "this key needs a passphrase" if not passphrase else "this key has no passphrase"
+        hint = "keep private keys encrypted; `planrunner key new` makes one"
+        raise InputError.at(Mark(str(path)), "key-passphrase", needs, hint) from None
+    except (ValueError, UnsupportedAlgorithm):
+        message = "this private key cannot be read, or the passphrase is wrong"
+        raise InputError.at(Mark(str(path)), "key-unreadable", message, "check the file and the passphrase") from None
+    if not isinstance(key, Ed25519PrivateKey):
+        message = "this is not an Ed25519 key"
+        raise InputError.at(Mark(str(path)), "key-algorithm", message, "make one with `planrunner key new`")
+    return PrivateKey(key)
+
+
+def read_public(path: Path) -> PublicKey:
+    """The public key in a file of OpenSSH. Raises `InputError`."""
+    data = _read(path)
+    try:
+        return parse_public(data.decode("ascii"))
+    except ValueError as error:
+        hint = "give a file such as id_ed25519.pub, or one that `planrunner key show` printed"
+        raise InputError.at(Mark(str(path)), "key-unreadable", str(error), hint) from None
+
+
+def parse_public(line: str) -> PublicKey:
+    """The public key in a line `ssh-ed25519 AAAA… comment`. Raises ValueError."""
+    words = line.split(None, 2)
+    if len(words) < 2 or words[0] != ALGORITHM or "\n" in line.strip():
+        raise ValueError(f"this is not a public key of the form `{ALGORITHM} AAAA…`")
+    try:
+        blob = base64.b64decode(words[1], validate=True)
+    except ValueError:
+        raise ValueError("the public key is not in base64") from None
+    key = PublicKey(blob[-32:])
+    if blob != key.blob:
+        raise ValueError("this is not an Ed25519 public key")
+    return key
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return read_regular(path, MOST_BYTES)
+    except RefusedFileError as refused:
+        raise refused_input(refused, str(path)) from None
+
+
+def _text(data: bytes) -> bytes:
+    """A `string` of SSH (RFC 4251, 5)."""
+    return len(data).to_bytes(4, "big") + data

@@ -1,0 +1,61 @@
+"""Signing with an Ed25519 key of a running ssh-agent (draft-ietf-sshm-ssh-agent, sections 3.5 and 3.6). The private key stays in it."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+from dataclasses import dataclass
+
+from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.signing.keys import ALGORITHM, PublicKey
+
+SIGN_REQUEST, SIGN_RESPONSE = 13, 14
+MOST_BYTES = 2**18
+PATIENCE = 120.0
+"""Maximum time in seconds for a reply; the user may have to confirm the use of the key."""
+
+
+@dataclass(frozen=True, slots=True)
+class AgentKey:
+    """A key that the agent at SSH_AUTH_SOCK holds."""
+
+    public: PublicKey
+
+    def sign(self, message: bytes) -> bytes:
+        """The 64 bytes of the signature. Raises `InputError` if the agent cannot be reached or refuses."""
+        path = os.environ.get("SSH_AUTH_SOCK", "")
+        if not path or sys.platform == "win32":
+            hint = "start ssh-agent and add the key with ssh-add"
+            raise InputError.at(COMMAND_LINE, "key-agent", "no ssh-agent is running (SSH_AUTH_SOCK)", hint)
+        request = bytes([SIGN_REQUEST]) + _string(self.public.blob) + _string(message) + bytes(4)
+        try:
+            with socket.socket(socket.AF_UNIX) as agent:
+                agent.settimeout(PATIENCE)
+                agent.connect(path)
+                agent.sendall(_string(request))
+                size = int.from_bytes(_exactly(agent, 4), "big")
+                reply = _exactly(agent, size) if 0 < size <= MOST_BYTES else b""
+        except OSError as error:
+            message_ = f"the ssh-agent does not answer: {error.strerror or error}"
+            raise InputError.at(COMMAND_LINE, "key-agent", message_, "check SSH_AUTH_SOCK") from None
+        expected = bytes([SIGN_RESPONSE]) + _string(_string(ALGORITHM.encode()) + _string(bytes(64)))
+        signature = reply[-64:]
+        if len(reply) != len(expected) or reply[:-64] != expected[:-64] or not self.public.signed(signature, message):
+            hint = "add the key with ssh-add; `ssh-add -l` lists the keys"
+            raise InputError.at(COMMAND_LINE, "key-agent", "the ssh-agent did not sign with this key", hint)
+        return signature
+
+
+def _exactly(agent: socket.socket, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        more = agent.recv(size - len(data))
+        if not more:
+            raise OSError("it closed the connection")
+        data += more
+    return data
+
+
+def _string(data: bytes) -> bytes:
+    return len(data).to_bytes(4, "big") + data

@@ -1,0 +1,91 @@
+"""Another evaluation of a run by a named person, for a stated reason. It is stored as a new analysis that names the one it amends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from planrunner.archive.analyses import StoredAnalysis
+from planrunner.archive.run_reader import RunReader
+from planrunner.base.documents import JsonObject
+from planrunner.base.findings import COMMAND_LINE, MISLEADING, InputError, Mark
+from planrunner.plan.model import Plan
+from planrunner.review.meaning import meaning_of_plan, plain
+from planrunner.tasks.check import Document, Sound
+
+AMENDMENT = "amendment.json"
+EVALUATED_PLAN = "plan.yaml"
+"""The plan whose estimates and limits an amendment uses, stored in its analysis."""
+FORMAT = 1
+MOST_TEXT = 500
+MAY_DIFFER = ("estimates", "limits", "report", "diagnosis")
+"""Keys of a plan that belong to the evaluation; all others describe what was done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Amendment:
+    """by: who makes it; why: the reason; plan: a plan with other estimates or limits, or None for those of the run. amends: the analysis,
+    by default the newest."""
+
+    by: str
+    why: str
+    plan: Document | None = None
+    amends: int | None = None
+
+    def to_json(self, amended: StoredAnalysis) -> JsonObject:
+        """See schemas/amendment.schema.json."""
+        return {
+            "planrunner_amendment": FORMAT,
+            "amends": amended.number,
+            "amended_digests": amended.digest,
+            "by": self.by,
+            "why": self.why,
+            "at": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
+
+
+def checked_amendment(amendment: Amendment) -> Amendment:
+    """The amendment without surrounding spaces. Raises `InputError` if who or why is missing or not one plain line."""
+    told = {"--by": amendment.by.strip(), "--why": amendment.why.strip()}
+    for option, text in told.items():
+        if not text or len(text) > MOST_TEXT or not text.isprintable() or MISLEADING.search(text):
+            message = f"{option} needs one line of 1 to {MOST_TEXT} characters"
+            raise InputError.at(COMMAND_LINE, "amendment-text", message, "write who amends the run, and the reason")
+    return Amendment(told["--by"], told["--why"], amendment.plan, amendment.amends)
+
+
+def amended_analysis(reader: RunReader, amendment: Amendment) -> StoredAnalysis:
+    """The analysis that an amendment refers to. Raises `InputError` if the run does not have it."""
+    known = {one.number: one for one in reader.analyses}
+    number = max(known, default=0) if amendment.amends is None else amendment.amends
+    if number not in known:
+        message = f"this run has no analysis {number}" if known else "this run has no analysis to amend"
+        hint = f"known here: {', '.join(map(str, known))}" if known else "make one with `planrunner estimate`"
+        raise InputError.at(Mark(str(reader.path)), "analysis-missing", message, hint)
+    return known[number]
+
+
+def require_same_measurement(run: Sound, evaluated: Sound) -> None:
+    """Raises `InputError` if another plan differs in more than its evaluation: the samples were recorded under the plan of the run."""
+    differ = [name for name, meaning in _measured(evaluated.plan).items() if meaning != _measured(run.plan).get(name)]
+    if differ:
+        message = f"this plan differs from that of the run in: {', '.join(differ)}"
+        hint = f"copy plan.yaml from the run folder and change only {', '.join(MAY_DIFFER)}"
+        raise InputError.at(Mark(evaluated.file), "amendment-other-measurement", message, hint)
+
+
+def _measured(plan: Plan) -> JsonObject:
+    return {name: plain(part) for name, part in meaning_of_plan(plan).content.items() if name not in MAY_DIFFER}
+
+
+def stored_amendment(analysis: StoredAnalysis) -> JsonObject | None:
+    """The amendment that an analysis contains; None for an ordinary one. Raises `IntegrityError`."""
+    if AMENDMENT not in analysis.files:
+        return None
+    return analysis.read_json(AMENDMENT, "amendment", "planrunner_amendment", FORMAT)
+
+
+def in_words(amendment: Mapping[str, object]) -> str:
+    """One line for reports and the terminal."""
+    return f"amends analysis {amendment['amends']}, by {amendment['by']}: {amendment['why']}"

@@ -1,0 +1,443 @@
+"""Diagnosing several runs together: each run alone, then all effects that any of them names fitted in every run, then the attribution of
+every amplitude to device, bench or occasion.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planrunner.archive.run_reader import RunReader
+from planrunner.base import plugins
+from planrunner.base.documents import JsonObject
+from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
+from planrunner.base.processes import processors, shared_out
+from planrunner.base.progress import Announce, Pace
+from planrunner.gap.fleet.amplitudes import AmplitudeEstimate, AmplitudeKey, amplitudes
+from planrunner.gap.fleet.attribution import Attribution, Contribution, Estimates, Source, Uncertain, attribute
+from planrunner.instruments.models import DataOrigin
+from planrunner.plan.model import NOMINAL_TERMS
+from planrunner.plan.source import read_text
+from planrunner.tasks.diagnose import observe, recorded_run
+
+if TYPE_CHECKING:
+    from planrunner.gap.answer.diagnosis import Diagnosis
+
+FLEET_FORMAT = 1
+DEVICE = "device_serial"
+"""Item of the run information that names the device."""
+STATED = (Source.DEVICE, Source.BENCH, Source.OCCASION)
+"""The sources whose labels a table can state."""
+_COLUMNS = ("run", *(source.value for source in STATED))
+_LEAST = 1e-12  # probability with which a run counts that gives an effect none
+
+
+@dataclass(frozen=True, slots=True)
+class RunOrigin:
+    """A run with the labels of its device, bench and occasion."""
+
+    run: Path
+    labels: Mapping[Source, str]
+
+
+@dataclass(frozen=True, slots=True)
+class RunVerdict:
+    """Diagnosis of one run. plan: its title; sensor: its kind. effects: those that the verdict names; members: those that the plan
+    cannot distinguish, sets as 'a+b'. probability: of every set of effects. shapes: effect → its best shape in its unit, and the evidence
+    for it in nats. origin: of the samples."""
+
+    plan: str
+    sensor: str
+    nominal: tuple[str, ...]
+    kind: str
+    effects: tuple[str, ...]
+    members: tuple[str, ...]
+    probability: Mapping[str, float]
+    shapes: Mapping[str, tuple[float, float]]
+    origin: DataOrigin
+    findings: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Attributed:
+    """One amplitude. runs: indices of the runs that determine it (n); values, standard_uncertainties: (n,), in the unit of the key."""
+
+    key: AmplitudeKey
+    runs: tuple[int, ...]
+    values: tuple[float, ...]
+    standard_uncertainties: tuple[float, ...]
+    attribution: Attribution
+
+
+@dataclass(frozen=True)
+class FleetDiagnosis:
+    """effects: those that were fitted in every run, beside the nominal terms; not_attributed: effects that a run names, with the reason."""
+
+    origins: tuple[RunOrigin, ...]
+    verdicts: tuple[RunVerdict, ...]
+    effects: tuple[str, ...]
+    attributed: tuple[Attributed, ...]
+    not_attributed: Mapping[str, str]
+    findings: Findings = field(default_factory=Findings)
+
+    @property
+    def origin(self) -> DataOrigin:
+        """Origin of the samples: simulated if those of any run are."""
+        found = {one.origin for one in self.verdicts}
+        return next(one for one in ("simulated", "replayed", "measured") if one in found)
+
+    def to_json(self) -> JsonObject:
+        """According to `schemas/fleet.schema.json`."""
+        return {
+            "planrunner_fleet": FLEET_FORMAT,
+            "runs": [
+                {
+                    "run": str(origin.run),
+                    **{source.value: label for source, label in origin.labels.items()},
+                    "plan": verdict.plan,
+                    "verdict": verdict.kind,
+                    "effects": list(verdict.effects),
+                }
+                for origin, verdict in zip(self.origins, self.verdicts, strict=True)
+            ],
+            "nominal": list(self.verdicts[0].nominal),
+            "effects": list(self.effects),
+            "amplitudes": [self._amplitude(one) for one in self.attributed],
+            "not_attributed": [{"effect": name, "reason": why} for name, why in self.not_attributed.items()],
+        }
+
+    def _amplitude(self, one: Attributed) -> JsonObject:
+        estimates = zip(one.runs, one.values, one.standard_uncertainties, strict=True)
+        return {
+            "effect": one.key.effect,
+            "name": one.key.name,
+            "unit": one.key.unit,
+            "shape": one.key.shape,
+            "none": one.attribution.none,
+            "probability": dict(one.attribution.probability),
+            "contributions": [_plain(item) for item in one.attribution.contributions],
+            "named": [list(_words(item)) for item in one.attribution.named],
+            "open": [list(_words(item)) for item in one.attribution.open],
+            "estimates": [
+                {"run": str(self.origins[index].run), "value": value, "standard_uncertainty": u}
+                for index, value, u in estimates
+            ],
+        }
+
+
+def _words(one: Contribution) -> tuple[str, ...]:
+    return tuple(source.value for source in one.component.sources)
+
+
+def _plain(one: Contribution) -> JsonObject:
+    return {
+        "sources": list(_words(one)),
+        "probability": one.probability,
+        "share": one.share,
+        "standard_deviation": one.spread,
+        "interval_95": list(one.spread_interval),
+        "parts": [
+            {
+                "label": part.label,
+                "runs": part.runs,
+                "part": _uncertain(part.part),
+                "level": _uncertain(part.level),
+                "difference": _uncertain(part.difference),
+            }
+            for part in one.parts
+        ],
+    }
+
+
+def _uncertain(one: Uncertain | None) -> JsonObject | None:
+    return None if one is None else {"value": one.value, "expanded_uncertainty": one.expanded}
+
+
+def diagnose_fleet(
+    runs: Sequence[Path],
+    nominal: Sequence[str] | None = None,
+    origins: Path | None = None,
+    jobs: int | None = None,
+    notice: Announce | None = None,
+) -> FleetDiagnosis:
+    """Diagnoses runs together. nominal: terms that the simulations fit, by default those of the plans; origins: a CSV table that states
+    device, bench or occasion of runs; jobs: processes, by default one per processor. notice: receives the progress.
+
+    Raises `InputError` with all obstacles, and `IntegrityError`.
+    """
+    known = _origins(runs, origins)
+    jobs = processors() if jobs is None else jobs
+    given = None if nominal is None else tuple(nominal)
+    found = shared_out(partial(_verdict, given), runs, jobs, Pace("diagnosing the runs", 1.0, notice).reached)
+    verdicts = tuple(one for one in found if isinstance(one, RunVerdict))
+    _require_all(one for one in found if not isinstance(one, RunVerdict))
+    findings = Findings()
+    for verdict in verdicts:
+        findings.extend(verdict.findings)
+    _compare(runs, verdicts, findings)
+    named = _named(verdicts)
+    effects, left = _with_amplitudes(named)
+    chosen = tuple((name, _shape(name, verdicts)) for name in effects)
+    fitting = Pace("fitting the named effects in every run", 1.0, notice).reached
+    fits = shared_out(partial(_fitted, verdicts[0].nominal, chosen), runs, jobs, fitting)
+    attributed = _attributed(fits, known, jobs)
+    if not attributed:
+        message = "no amplitude is determined by two or more of the runs"
+        raise InputError.at(
+            Mark(str(runs[0])), "fleet-nothing-common", message, "give runs of the same or similar plans"
+        )
+    for name in effects:
+        if not any(one.key.effect == name for one in attributed):
+            left[name] = "fewer than two runs determine its amplitudes beside the other terms"
+    return FleetDiagnosis(known, verdicts, effects, attributed, left, findings)
+
+
+# -- which device, bench and occasion ----------------------------------------------------------------------------------
+
+
+def _origins(runs: Sequence[Path], table: Path | None) -> tuple[RunOrigin, ...]:
+    """The runs with their labels, from the run folders and from the table, which takes precedence. Raises `InputError`."""
+    log = Findings()
+    resolved = [run.resolve() for run in runs]
+    for index, run in enumerate(runs):
+        if resolved[index] in resolved[:index]:
+            log.error("fleet-run-twice", Mark(str(run)), "this run is given twice", "give every run once")
+    stated = {} if table is None else _stated(table, runs, log)
+    readers = []
+    for run in dict.fromkeys(runs):
+        try:
+            readers.append(RunReader.open(run))
+        except InputError as error:
+            log.extend(error.findings)
+    if log.errors:
+        raise InputError(log)
+    benches = _benches(readers)
+    origins = []
+    for run, reader, bench in zip(runs, readers, benches, strict=True):
+        own = stated.get(run, {})
+        labels = {
+            Source.DEVICE: own.get(Source.DEVICE) or str(reader.run.get("info", {}).get(DEVICE, "")),
+            Source.BENCH: own.get(Source.BENCH) or bench,
+            Source.OCCASION: own.get(Source.OCCASION) or run.resolve().name,
+        }
+        if not labels[Source.DEVICE]:
+            hint = f"state the device in a table for --origins, with the columns {', '.join(_COLUMNS)}"
+            message = f"run.json does not say which device was measured: it has no '{DEVICE}'"
+            log.error("fleet-no-device", Mark(str(run)), message, hint)
+        origins.append(RunOrigin(run, labels))
+    if log.errors:
+        raise InputError(log)
+    return tuple(origins)
+
+
+def _benches(readers: Sequence[RunReader]) -> list[str]:
+    """The name of the bench of every run; with the serial number or asset of its table, if tables of several have the same name."""
+    from planrunner.tasks.run import sound_run
+
+    names, tables = [], []
+    for reader in readers:
+        bench = sound_run(reader).bench
+        names.append(bench.name)
+        identity = next((reader.instruments.get(name, {}) for name in ("table",) if name in bench.instruments), {})
+        asset = bench.instruments["table"].asset if "table" in bench.instruments else None
+        tables.append(asset or identity.get("serial", ""))
+    several = {name for name in names if len({t for n, t in zip(names, tables, strict=True) if n == name}) > 1}
+    return [
+        f"{name} (table {table or 'without a number'})" if name in several else name
+        for name, table in zip(names, tables, strict=True)
+    ]
+
+
+def _stated(path: Path, runs: Sequence[Path], log: Findings) -> dict[Path, dict[Source, str]]:
+    """Labels from a table with the columns run, device, bench, occasion; the last three are optional, and so are their entries."""
+    text = read_text(path)
+    reader = csv.DictReader(text.splitlines(), strict=True)
+    by_name = {run.resolve().name: run for run in runs}
+    found: dict[Path, dict[Source, str]] = {}
+    try:
+        fields = [name or "" for name in reader.fieldnames or ()]
+        for name in fields:
+            if name not in _COLUMNS:
+                log.error(
+                    "fleet-origins",
+                    Mark(str(path), 1, 1, text=text),
+                    f"unknown column '{name[:40]}'",
+                    closest(name, _COLUMNS),
+                )
+        if "run" not in fields:
+            hint = f"the first line names the columns: {', '.join(_COLUMNS)}"
+            log.error("fleet-origins", Mark(str(path), 1, 1, text=text), "the table has no column 'run'", hint)
+            return found
+        for row in reader:
+            mark = Mark(str(path), reader.line_num, 1, text=text)
+            name = Path((row["run"] or "").strip()).name
+            if name not in by_name:
+                log.error("fleet-origins", mark, f"'{name[:80]}' is not one of the runs given", closest(name, by_name))
+            elif by_name[name] in found:
+                log.error("fleet-origins", mark, f"'{name[:80]}' is listed twice", "keep one of the lines")
+            else:
+                cells = {source: (row.get(source.value) or "").strip() for source in STATED}
+                found[by_name[name]] = {source: cell for source, cell in cells.items() if cell}
+    except csv.Error as error:
+        mark = Mark(str(path), max(1, reader.line_num), 1, text=text)
+        log.error("fleet-origins", mark, f"the table is not readable as CSV: {error}", "save it as CSV with commas")
+    return found
+
+
+# -- each run ----------------------------------------------------------------------------------------------------------
+
+
+def _verdict(nominal: tuple[str, ...] | None, run: Path) -> RunVerdict | tuple[Finding, ...]:
+    """The diagnosis of a run, or the obstacles to it."""
+    from threadpoolctl import threadpool_limits
+
+    from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
+    from planrunner.observation.refusals import ObservationError
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        try:
+            recorded = recorded_run(run)
+            plan = recorded.sound.plan
+            terms = nominal or (DiagnosisOptions().nominal if plan.diagnosis is None else plan.diagnosis.nominal)
+            observed, findings = observe(recorded, terms)
+            made = diagnose(observed, DiagnosisOptions(nominal=tuple(terms)))
+        except InputError as error:
+            return tuple(error.findings)
+        except ObservationError as error:
+            return tuple(InputError.at(Mark(str(run)), "gap-unfit", str(error), error.hint).findings)
+    said = made.verdict
+    return RunVerdict(
+        plan.title,
+        plan.sensor.kind,
+        tuple(terms),
+        said.kind,
+        said.effects,
+        said.members,
+        dict(made.posterior.of_effects()),
+        _shapes(made),
+        recorded.sound.models.origin,
+        tuple(findings),
+    )
+
+
+def _shapes(made: Diagnosis) -> dict[str, tuple[float, float]]:
+    found = {}
+    for candidate in made.grounds.candidates:
+        if candidate.variants and candidate.best.variant.shape is not None:
+            found[candidate.id] = candidate.best.variant.shape, float(candidate.log_bayes.max())
+    return found
+
+
+def _fitted(
+    nominal: tuple[str, ...], effects: tuple[tuple[str, float | None], ...], run: Path
+) -> list[AmplitudeEstimate]:
+    """The amplitudes of the nominal terms and of effects in a run that was diagnosed before."""
+    from threadpoolctl import threadpool_limits
+
+    from planrunner.gap.hypotheses.candidates import Weighing
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        observed, _ = observe(recorded_run(run), nominal)
+        loaded = [(plugins.load(plugins.EFFECTS, name)(), shape) for name, shape in effects]
+        return amplitudes(Weighing(observed, nominal), nominal, loaded)
+
+
+# -- together ----------------------------------------------------------------------------------------------------------
+
+
+def _require_all(obstacles: object) -> None:
+    found = [finding for one in obstacles for finding in one]  # type: ignore[attr-defined]
+    if found:
+        raise InputError(found)
+
+
+def _compare(runs: Sequence[Path], verdicts: Sequence[RunVerdict], log: Findings) -> None:
+    """Raises `InputError` for runs that cannot be compared; the log names different plans."""
+    first, wrong = verdicts[0], Findings()
+    for run, one in zip(runs, verdicts, strict=True):
+        if one.sensor != first.sensor:
+            message = f"its sensor is of the kind '{one.sensor}', that of the first run is of the kind '{first.sensor}'"
+            wrong.error("fleet-other-sensor", Mark(str(run)), message, "give only runs of one kind of sensor")
+        elif set(one.nominal) != set(first.nominal):
+            message = (
+                f"its simulation fits {', '.join(one.nominal) or 'nothing'}; that of the first run fits "
+                f"{', '.join(first.nominal) or 'nothing'}"
+            )
+            wrong.error("fleet-other-terms", Mark(str(run)), message, "give the same terms for all runs with --nominal")
+    if wrong.errors:
+        raise InputError(wrong)
+    plans = list(dict.fromkeys(one.plan for one in verdicts))
+    if len(plans) > 1:
+        message = f"the runs have {len(plans)} plans: {'; '.join(plans)}"
+        hint = "each amplitude is compared among the runs whose plan determines it"
+        log.note("fleet-plans", Mark(str(runs[0])), message, hint)
+
+
+def _named(verdicts: Sequence[RunVerdict]) -> tuple[str, ...]:
+    """The effects named in any run. Of effects that the plan of a run cannot distinguish, one that another run names for certain, or else
+    the one that all runs together make likeliest."""
+    certain = {name for one in verdicts if not one.members for name in one.effects}
+    chosen = set(certain)
+    for one in verdicts:
+        members = [name for name in one.members if name != "unknown"]
+        if not members or any(set(name.split("+")) <= certain for name in members):
+            continue
+        total = {
+            name: sum(np.log(max(other.probability.get(name, 0.0), _LEAST)) for other in verdicts) for name in members
+        }
+        chosen |= set(max(members, key=lambda name: total[name]).split("+"))
+    return tuple(sorted(chosen))
+
+
+def _with_amplitudes(names: Sequence[str]) -> tuple[tuple[str, ...], dict[str, str]]:
+    """The effects that have amplitudes, and the others with the reason why they are not attributed."""
+    from planrunner.error_model.effects.interface import ActsOnNoise
+
+    kept, left = [], {}
+    for name in names:
+        if name == "unknown":
+            continue
+        if isinstance(plugins.load(plugins.EFFECTS, name)(), ActsOnNoise):
+            left[name] = "it acts on the noise and has no amplitude"
+        else:
+            kept.append(name)
+    return tuple(kept), left
+
+
+def _shape(name: str, verdicts: Sequence[RunVerdict]) -> float | None:
+    """The shape of an effect in the run with the most evidence for it; None for an effect without one."""
+    found = [one.shapes[name] for one in verdicts if name in one.shapes]
+    return max(found, key=lambda item: item[1])[0] if found else None
+
+
+def _attributed(
+    fits: Sequence[Sequence[AmplitudeEstimate]], origins: Sequence[RunOrigin], jobs: int
+) -> tuple[Attributed, ...]:
+    """All amplitudes that two or more runs determine."""
+    by_key: dict[AmplitudeKey, list[tuple[int, float, float]]] = {}
+    for index, fit in enumerate(fits):
+        for one in fit:
+            if np.isfinite(one.value) and np.isfinite(one.standard_uncertainty) and one.standard_uncertainty > 0:
+                by_key.setdefault(one.key, []).append((index, one.value, one.standard_uncertainty))
+    listed = [item for item in by_key.items() if len(item[1]) > 1]
+    listed.sort(key=lambda item: item[0].effect in NOMINAL_TERMS)  # the named effects first
+    return tuple(shared_out(partial(_one_attributed, tuple(origins)), listed, jobs))
+
+
+def _one_attributed(
+    origins: Sequence[RunOrigin], given: tuple[AmplitudeKey, Sequence[tuple[int, float, float]]]
+) -> Attributed:
+    from threadpoolctl import threadpool_limits
+
+    key, listed = given
+    indices, values, spreads = zip(*listed, strict=True)
+    groups = {source: [origins[index].labels[source] for index in indices] for source in STATED}
+    with threadpool_limits(limits=1, user_api="blas"):
+        made = attribute(Estimates(np.array(values), np.array(spreads), groups))
+    return Attributed(key, indices, values, spreads, made)

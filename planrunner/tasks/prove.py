@@ -1,0 +1,108 @@
+"""Recomputes the results of a stored analysis from the samples and compares them with the stored ones, bit by bit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from planrunner.archive.formats import to_bytes
+from planrunner.archive.provenance import computed_with
+from planrunner.archive.run_reader import RunReader
+from planrunner.base.documents import Json, JsonObject
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.progress import Announce
+from planrunner.estimators.results import Results, comparable
+from planrunner.tasks.run import computed_by, recompute, stored_results
+
+Reproduced = Literal["identical", "within tolerance", "different"]
+
+TOLERANCE = 1e-3
+"""Largest accepted change, as a fraction of the standard uncertainty of a coefficient, if other versions computed it. Results are shown to
+two digits of the uncertainty, so that a hundredth of the last digit remains."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """Comparison of recomputed results with those of an analysis.
+
+    verdict: `identical` if every number has the same bits; `within tolerance` only if other versions computed the results. largest: largest
+    change of a value, and of a standard uncertainty, as a fraction of the stored standard uncertainty (∞ if something is missing), with the
+    name of the coefficient. changed: versions that differ, as (stored, now); stored None if the analysis does not contain them.
+    """
+
+    analysis: int
+    verdict: Reproduced
+    largest: float
+    largest_of: str
+    changed: Mapping[str, tuple[str | None, str | None]]
+
+    def to_json(self) -> JsonObject:
+        return {
+            "analysis": self.analysis,
+            "verdict": self.verdict,
+            "largest_change": self.largest if math.isfinite(self.largest) else None,
+            "largest_change_of": self.largest_of,
+            "tolerance": TOLERANCE,
+            "versions_changed": {name: list(pair) for name, pair in self.changed.items()},
+        }
+
+
+def prove(run: Path, number: int | None = None, notice: Announce | None = None) -> Proof:
+    """Recompute an analysis of a run with its own settings, by default the newest; nothing is written.
+
+    Raises `InputError` if the run does not have it, and `IntegrityError`.
+    """
+    reader = RunReader.open(run)
+    known = {one.number: one for one in reader.analyses}
+    number = max(known, default=0) if number is None else number
+    if number not in known:
+        message = f"this run has no analysis {number}" if known else "this run has no analysis yet"
+        hint = f"known here: {', '.join(map(str, known))}" if known else "make one with `planrunner estimate`"
+        raise InputError.at(Mark(str(run)), "analysis-missing", message, hint)
+    analysis = known[number]
+    stored, text, then = stored_results(analysis), *computed_by(analysis)
+    results = recompute(reader, analysis, notice)
+    now = computed_with()
+    changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
+    if to_bytes(comparable(text)) == to_bytes(comparable(results.to_json())):
+        return Proof(number, "identical", 0.0, "", changed)
+    largest, name = max(_changes(stored, results), default=(math.inf, ""))
+    same_rest = _outline(stored) == _outline(results)
+    tolerated = bool(changed) and same_rest and largest <= TOLERANCE
+    return Proof(number, "within tolerance" if tolerated else "different", largest, name, changed)
+
+
+def _changes(stored: Results, now: Results) -> Iterator[tuple[float, str]]:
+    """For each coefficient: the larger change of its value and of its standard uncertainty, in stored standard uncertainties."""
+    for name, estimate in stored.estimates.items():
+        again = {} if name not in now.estimates else {one.name: one for one in now.estimates[name].coefficients}
+        for one in estimate.coefficients:
+            other = again.get(one.name)
+            yield (
+                math.inf
+                if other is None
+                else max(
+                    _change(one.value, other.value, one.standard_uncertainty),
+                    _change(one.standard_uncertainty, other.standard_uncertainty, one.standard_uncertainty),
+                ),
+                f"{name}.{one.name}",
+            )
+
+
+def _change(stored: float, now: float, uncertainty: float) -> float:
+    if stored == now or (math.isnan(stored) and math.isnan(now)):
+        return 0.0
+    size = abs(now - stored) / uncertainty if uncertainty > 0 else math.inf
+    return size if math.isfinite(size) else math.inf
+
+
+def _outline(results: Results) -> Json:
+    """What must be equal although numbers may change in their last digits: names and verdicts."""
+    return [
+        [[name, [one.name for one in item.coefficients]] for name, item in results.estimates.items()],
+        [[limit.quantity, limit.verdict] for limit in results.limits],
+        sorted(results.failures),
+    ]

@@ -1,0 +1,141 @@
+"""Collects everything that a reviewer must judge before a run is released."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from datetime import date, datetime
+from pathlib import Path
+
+from planrunner.archive.analyses import StoredAnalysis
+from planrunner.archive.journal import JournalScan
+from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.run_reader import RunReader
+from planrunner.archive.verifying import examine, open_run
+from planrunner.base.documents import Json
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.progress import Announce
+from planrunner.estimators.results import Results
+from planrunner.observation.screening import watch_of
+from planrunner.reporting.certificate_requirements import references
+from planrunner.reporting.review_page import DigestedFile, ReviewContext, RunDeviation
+from planrunner.tasks.amendment import in_words, stored_amendment
+from planrunner.tasks.check import Sound
+from planrunner.tasks.report import report_context
+from planrunner.tasks.run import evaluated_as, stored_results
+from planrunner.tasks.verify import verification
+
+UNUSUAL = ("noticed", "paused", "rescued", "failed", "stopped", "reopened")
+"""Kinds of events that a reviewer reads."""
+
+
+def review_of(run: Path, number: int | None = None, notice: Announce | None = None) -> ReviewContext:
+    """Data of the review page of a run and one of its analyses, by default the newest.
+
+    Raises `InputError` if the run has no such analysis, and `IntegrityError` if the folder was changed: then `planrunner verify` says how.
+    """
+    found = examine(open_run(run), samples="digests")
+    reader = RunReader.of(found)
+    known = {one.number: one for one in reader.analyses}
+    number = max(known, default=0) if number is None else number
+    if number not in known:
+        message = f"this run has no analysis {number}" if known else "this run has no analysis yet"
+        hint = f"known here: {', '.join(map(str, known))}" if known else "make one with `planrunner estimate`"
+        raise InputError.at(Mark(str(run)), "analysis-missing", message, hint)
+    analysis = known[number]
+    sound = evaluated_as(reader, analysis)
+    recording = reader.recording(sound.schedule, watch_of(sound.sensor), notice)
+    results = stored_results(analysis)
+    report = report_context(
+        reader, sound, recording, results, analysis=str(number), analysed=str(analysis.digests["made"])
+    )
+    changes = [RunDeviation(change, item.message, grave=True) for change, item in verification(found).changes]
+    parts = {part.file: item.label for item in reader.rejected() for part in item.parts}
+    parts |= {part.file: kept.label for kept in reader.acknowledged() for part in kept.parts}
+    files = [DigestedFile(name, str(value)) for name, value in reader.state.created["files"].items()]
+    if reader.basis.seal is not None:
+        files.append(DigestedFile("seal.json", reader.basis.seal))
+    files += [
+        DigestedFile(part.file, part.sha256, parts.get(part.file, ""), part.bytes) for part in found.files.values()
+    ]
+    files += [
+        DigestedFile(f"analyses/{number}/{name}", str(value)) for name, value in analysis.digests["files"].items()
+    ]
+    deviations = (*changes, *_deviations(reader, sound, recording, results, analysis))
+    return ReviewContext(report, deviations, tuple(files), tuple(_events(reader)))
+
+
+def _deviations(
+    reader: RunReader,
+    sound: Sound,
+    recording: tuple[RecordedSegment, ...],
+    results: Results,
+    analysis: StoredAnalysis,
+) -> Iterator[RunDeviation]:
+    if not reader.sealed:
+        yield RunDeviation("not sealed", "the run is not finished and sealed: more data may follow", grave=True)
+    for text in reader.state.failures:
+        yield RunDeviation("fault", text)
+    for name, why in results.failures.items():
+        yield RunDeviation("no result", f"{name}: {why}", estimate=name, grave=True)
+    held = {item.index for item in reader.acknowledged()}
+    for segment in sound.schedule.segments:
+        if segment.index not in held:
+            yield RunDeviation("not recorded", "planned, but not recorded", segment.label, grave=True)
+    if sound.models.origin == "simulated":
+        yield RunDeviation("simulated", "at least one instrument is simulated: no item was measured", grave=True)
+    for item in reader.rejected():
+        yield RunDeviation(
+            "recorded again", f"attempt {item.attempt} is not used: {item.reason or 'no reason given'}", item.label
+        )
+    for kept in reader.acknowledged():
+        if kept.truncated:
+            yield RunDeviation("shortened", kept.reason or "shorter than planned", kept.label)
+    for recorded in recording:
+        bad = [one for one in recorded.finds or () if one.bad]
+        if bad:
+            kinds = ", ".join(sorted({one.kind.value for one in bad}))
+            rows = sum(one.rows for one in bad)
+            yield RunDeviation("left out", f"{rows} samples were left out ({kinds})", recorded.label)
+        if recorded.statistics.rejected:
+            yield RunDeviation(
+                "left out", f"{int(recorded.statistics.rejected)} samples have no valid value", recorded.label
+            )
+    yield from _calibrations(sound, datetime.fromisoformat(str(reader.run["created"])).date())
+    for finding in sound.findings:
+        if finding.severity == "warning":
+            yield RunDeviation("warning of the check", f"{finding.message} ({finding.code})")
+    for estimate in results.estimates.values():
+        for warning in estimate.warnings:
+            yield RunDeviation("warning", str(warning), estimate=estimate.name)
+    for one in reader.analyses:
+        amendment = stored_amendment(one)
+        if amendment is not None:
+            yield RunDeviation("amendment", f"analysis {one.number} {in_words(amendment)}")
+    newest = reader.analyses[-1].number
+    if analysis.number != newest:
+        yield RunDeviation("newer analysis", f"this page shows analysis {analysis.number}; the newest is {newest}")
+
+
+def _calibrations(sound: Sound, performed: date) -> Iterator[RunDeviation]:
+    """Calibrations of instruments that were no longer valid on the day of the run."""
+    for item in references(sound.bench):
+        due = "" if item.calibration is None else item.calibration.due or ""
+        try:
+            expired = bool(due) and date.fromisoformat(due) < performed
+        except ValueError:
+            continue  # reported by the check
+        if expired:
+            yield RunDeviation("calibration expired", f"{item.name}: due on {due}, the run was on {performed}")
+
+
+def _events(reader: RunReader) -> Iterator[tuple[str, str, str]]:
+    for event in JournalScan(reader.folder):
+        if event["event"] in UNUSUAL:
+            yield str(event["at"])[:19].replace("T", " "), str(event["event"]), _told(event)
+
+
+def _told(event: Mapping[str, Json]) -> str:
+    known = ("seq", "at", "event", "previous", "clock", "seal")
+    return ", ".join(
+        f"{name}: {value}" for name, value in event.items() if name not in known and value not in ("", None)
+    )

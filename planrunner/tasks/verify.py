@@ -1,0 +1,128 @@
+"""Verifying runs: what was changed since they were written, for an auditor who has only the folders."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from planrunner.archive.formats import IntegrityError
+from planrunner.archive.verifying import CHANGES, SIGNATURES, SIGNS, Change, Examined, examine, open_run
+from planrunner.base.documents import JsonObject
+from planrunner.base.findings import Finding, InputError, Mark
+from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.signing.key_ring import KeyRing
+from planrunner.signing.run_signatures import RunSignature, signature_faults, signatures_of
+from planrunner.tasks.amendment import in_words, stored_amendment
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """Result of the verification of a run folder. changes: each change with the finding that describes it; remarks: findings that are not
+    changes, such as that the run is not sealed; amendments: number of an analysis → who amended which analysis, and why;
+    signatures: all electronic signatures; an invalid one is a change too."""
+
+    found: Examined
+    changes: tuple[tuple[Change, Finding], ...]
+    remarks: tuple[Finding, ...]
+    amendments: Mapping[int, str] = field(default_factory=dict)
+    signatures: tuple[RunSignature, ...] = ()
+
+    @property
+    def sealed(self) -> bool:
+        """Whether the run is finished and has a seal."""
+        return self.found.seal is not None and self.found.state is not None and self.found.state.finished
+
+    def to_json(self) -> JsonObject:
+        """See schemas/verification.schema.json."""
+        found = self.found
+        parts = found.files.values()
+        return {
+            "planrunner_verification": FORMAT,
+            "changes": [{"change": change, **finding.to_json()} for change, finding in self.changes],
+            "remarks": [finding.to_json() for finding in self.remarks],
+            "sealed": self.sealed,
+            "sealed_at": None if found.seal is None else found.seal["sealed"],
+            "seal": found.seal_digest,
+            "events": None if found.scan is None else found.scan.count,
+            "sample_files": len(parts),
+            "sample_bytes": sum(part.bytes for part in parts),
+            "analyses": [
+                {
+                    "number": one.number,
+                    "made": one.digests["made"],
+                    "digests": one.digest,
+                    **({"amendment": self.amendments[one.number]} if one.number in self.amendments else {}),
+                }
+                for one in found.analyses
+            ],
+            "signatures": [one.to_json() for one in self.signatures],
+        }
+
+
+def verify_run(run: Path, ring: KeyRing | None = None) -> Verification:
+    """Verifies a run folder with all samples and signatures. ring: the known keys. Raises `InputError` if it is not a run folder."""
+    found = examine(open_run(run), samples="digests")
+    return verification(found, _signatures(found, ring))
+
+
+def _signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignature, ...]:
+    """The signatures; what is wrong with them becomes findings."""
+    path = found.folder.path / SIGNATURES
+    try:
+        for fault in signature_faults(found.folder):
+            found.error("run-signature", fault)
+        signatures = signatures_of(found.folder, ring)
+    except OSError as error:
+        found.error("run-signature", f"{path}: {error.strerror}")
+        return ()
+    for one in signatures:
+        if one.standing == "invalid":
+            found.error("run-signature", f"{path / one.file}: this signature is not valid: {one.why}")
+    return signatures
+
+
+def verification(found: Examined, signatures: tuple[RunSignature, ...] = ()) -> Verification:
+    """The changes that an examination found. An error without a kind of its own counts as an alteration."""
+    changes, remarks = [], []
+    for finding in found.findings:
+        change = CHANGES.get(finding.code, "altered" if finding.severity == "error" else None)
+        unsealed = finding.code == "run-unknown-file" and finding.severity != "error"
+        if change is None or unsealed:
+            remarks.append(finding)
+        else:
+            changes.append((change, finding))
+    amendments = {}
+    for analysis in found.analyses:
+        with contextlib.suppress(IntegrityError):  # already among the changes
+            amendment = stored_amendment(analysis)
+            if amendment is not None:
+                amendments[analysis.number] = in_words(amendment)
+    return Verification(found, tuple(changes), tuple(remarks), amendments, signatures)
+
+
+def runs_beneath(archive: Path) -> list[Path]:
+    """All run folders in a folder and its subfolders, by name; links are not followed. Raises `InputError` if there is none."""
+    found = sorted(_runs(archive))
+    if not found:
+        message, hint = "there is no run folder in this folder", "give the folder that contains the runs, such as runs/"
+        raise InputError.at(Mark(str(archive)), "verify-no-runs", message, hint)
+    return found
+
+
+def _runs(folder: Path) -> Iterator[Path]:
+    try:
+        entries = GuardedFolder.open(folder).entries()
+    except OSError as error:
+        message = f"this folder cannot be read: {error.strerror}"
+        raise InputError.at(Mark(str(folder)), "verify-no-runs", message, "check its name and permissions") from None
+    if not entries.keys().isdisjoint(SIGNS):
+        yield folder
+        return
+    for name, entry in entries.items():
+        if entry.kind == "folder":
+            yield from _runs(Path(os.path.join(folder, name)))

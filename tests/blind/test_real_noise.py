@@ -1,0 +1,59 @@
+"""Cases with real noise: what of the recordings remains in them, and that the campaign makes and diagnoses them like the others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.blind import campaign, folder, generator, real
+from tests.blind.plans import PLANS
+
+pytestmark = pytest.mark.skipif(not real.DATA.is_dir(), reason="no recordings in ../shared/data")
+
+
+def test_allan_deviations_worked_by_hand() -> None:
+    values = np.array([[0.0], [2.0], [4.0], [0.0]])
+    assert real.allan_deviation(values, 1)[0] ** 2 == pytest.approx((4 + 4 + 16) / 3 / 2)
+    assert real.allan_deviation(values, 2)[0] ** 2 == pytest.approx((2 - 1) ** 2 / 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mpu6050", "ring_laser", "beside_a_turning_one"])
+def test_a_cut_keeps_the_noise_of_the_recording(name: str) -> None:
+    """One level a triad, no drift; the ring laser's rounding stays anti-correlated."""
+    found = real.background(name)
+    whole = found.values
+    assert whole.std(axis=0).reshape(-1, 3) == pytest.approx(np.repeat(whole.std(axis=0)[::3, None], 3, 1))
+    piece = found.cut(20_000, np.random.default_rng(1))
+    assert piece.std(axis=0) == pytest.approx(np.hypot(whole.std(axis=0), found.steps / np.sqrt(12)), rel=0.15)
+    following = [np.corrcoef(column[1:], column[:-1])[0, 1] for column in piece.T]
+    if name == "ring_laser":
+        assert following[0] == pytest.approx(-0.75, abs=0.05)  # as its data's description has it
+    with pytest.raises(ValueError, match="are wanted of a recording of"):
+        found.cut(len(whole) + 1, np.random.default_rng(1))
+
+
+@pytest.mark.slow
+def test_every_plan_is_no_longer_than_its_recording() -> None:
+    for plan, name in real.SETUPS:
+        sensor = real.sensor_called(name)
+        assert sum(round(s.duration * sensor.sampling) for s in PLANS[plan]) <= len(real.background(name).values)
+
+
+@pytest.mark.slow
+def test_cases_are_made_and_answered(tmp_path: Path) -> None:
+    folder.write_setups(tmp_path, real_noise=True)
+    for number in (1, 2):
+        case = generator.draw(f"case-{number}", "poor", "mpu6050", "single", np.random.default_rng(number))
+        folder.write_case(tmp_path, case, 3)
+    folder.commit(tmp_path)
+    campaign.answer_all(tmp_path, "planrunner")
+    for name, answer in folder.answers(tmp_path, "planrunner").items():
+        assert "verdict" in answer, answer.get("error")
+        label = folder.verified_labels(tmp_path)[name]
+        assert label["noise_factors"] == list(real.true_factors("mpu6050"))
+    shown = folder.shown(tmp_path, "case-1")
+    steps = np.diff(np.unique(shown.columns["gyro_x_deg_per_s"]))
+    assert steps.min() == pytest.approx(shown.bench["channels"]["gyro_x"]["resolution"])

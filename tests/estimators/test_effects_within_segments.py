@@ -1,0 +1,84 @@
+"""Effects within segments from samples: what one recording gives, what is predicted, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from effects_within import GYRO, World, rates, rocks, single, statics, timed
+
+from planrunner.estimators.error_model.estimator import ErrorModelEstimator
+from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.method import designed
+
+SECONDS = 4.3  # of rocking
+ROCKED = timed([*statics(6.0), *rates(50, seconds=3.6), *rocks((8, 0.5), (2, 4), seconds=SECONDS)])
+LAG = World(
+    ROCKED,
+    single("gyro_bandwidth", 8e-3),
+    {"gyro_x": (*GYRO, "gyro_bandwidth")},
+    {"gyro_bandwidth": {"tau": "8 ms"}},
+    basis="within_segment",
+)
+
+
+def test_a_lag_is_found_within_its_uncertainty_which_is_predicted() -> None:
+    found = LAG.estimate(1)
+    lag = found["gyro_bandwidth_tau_x"]
+    assert lag.unit == "s" and abs(lag.value - 8e-3) < 3.5 * lag.standard_uncertainty
+    # One rate signal of amplitude A at pulsation p, N samples of noise σ: its part behind by τ is τ·A·p in quadrature.
+    ways = [(math.radians(8), 0.5), (math.radians(2), 4.0)]
+    information = (
+        sum(SECONDS * 50 / 2 * (math.degrees(a) * (2 * math.pi * f) ** 2) ** 2 for a, f in ways) / 0.01**2
+    )  # the sensor's x is rocked once at each frequency
+    assert lag.standard_uncertainty == pytest.approx(information**-0.5, rel=0.05)
+    design = designed(ErrorModelEstimator(), LAG.design())
+    planned = {one.name: one.standard_uncertainty for one in design.predicted}
+    assert not design.remarks
+    assert planned["gyro_bandwidth_tau_x"] == pytest.approx(information**-0.5, rel=0.05)
+    assert set(planned) == {one.name for one in found.coefficients}
+    effects = found.extra["effects"]
+    assert isinstance(effects, dict) and effects["gyro_bandwidth"] == {"tau": f"{lag.value:.9g} s"}
+
+
+def test_a_lag_is_not_shown_by_segments_that_do_not_rock() -> None:
+    world = World(timed([*statics(), *rates(50)]), {}, LAG.outputs)
+    with pytest.raises(EstimationError, match=r"does not act on gyro_x.*in these segments") as refused:
+        designed(ErrorModelEstimator(), world.design())
+    assert "rocking segments" in refused.value.hint and refused.value.key == "outputs.gyro_x"
+
+
+def test_without_an_expected_shape_no_uncertainty_is_predicted() -> None:
+    design = designed(ErrorModelEstimator(), World(ROCKED, {}, LAG.outputs).design())
+    assert not design.predicted and {one.name for one in design.unpredicted} >= {"gyro_bandwidth_tau_x"}
+    assert "expected of gyro_bandwidth" in design.unpredicted[0].why
+
+
+@pytest.mark.slow
+def test_a_delay_and_a_lag_about_one_frequency_are_not_separable() -> None:
+    outputs = {"gyro_x": (*GYRO, "gyro_bandwidth", "time_latency")}
+    expected = {"gyro_bandwidth": {"tau": "1 ms"}, "time_latency": {"delay": "1 ms"}}
+    design = designed(ErrorModelEstimator(), World(ROCKED, {}, outputs, expected).design())
+    u = {one.name: one.standard_uncertainty for one in design.predicted}
+    alone = {one.name: one.standard_uncertainty for one in designed(ErrorModelEstimator(), LAG.design()).predicted}
+    assert u["time_latency_delay"] > 20 * alone["gyro_bandwidth_tau_x"]
+
+
+@pytest.mark.slow
+def test_noise_that_is_slower_than_white_is_said() -> None:
+    assert not any("coloured" in str(text) for text in LAG.estimate(2).warnings)
+    slow = World(ROCKED, {**LAG.faults, **single("slow_sine_bias", 0.01, 0.01, 0.01, shape=(5.0, 0.3))}, LAG.outputs)
+    assert any("coloured" in str(text) for text in slow.estimate(2).warnings)
+    assert np.isfinite(slow.estimate(2).covariance).all()
+
+
+def test_the_example_of_the_page_is_predicted() -> None:
+    page = (Path(__file__).parents[2] / "docs/error-models.md").read_text(encoding="utf-8")
+    text = page.partition("## Effects within segments")[2].partition("```yaml\n")[2].partition("```")[0]
+    listed = yaml.safe_load(text)["estimates"]["model"]
+    world = World(ROCKED, {}, listed["outputs"], listed["expected"])
+    predicted = {one.name for one in designed(ErrorModelEstimator(), world.design()).predicted}
+    assert predicted >= {"gyro_bandwidth_tau_x", "gyro_warm_up_tau_x", "lever_arm_r_y_accel_x"}

@@ -1,0 +1,131 @@
+"""Whole fleets: runs on simulated benches with known errors, diagnosed together."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from planrunner.base.findings import InputError
+from planrunner.cli import main
+from planrunner.tasks.diagnose_fleet import diagnose_fleet
+from tests.conftest import ROOT
+from tests.tasks.test_simulate import PLAN
+
+BENCH = ROOT / "plans" / "benches" / "virtual_imu_nominal.yaml"
+BIASES = (0.004, -0.003, 0.001, -0.005)
+"""Added to the bias of gyro x at each switch-on, deg/s."""
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Devices 17 and 18 on two benches: bench 2 is tilted by 60 arcsec about east, the gyros of device 17 are off by 210 ppm, and gyro x
+    has another bias at each switch-on. The first run does not record its device."""
+    folder = tmp_path_factory.mktemp("fleet")
+    plan = folder / "six.yaml"
+    made = []
+    for number, bias in enumerate(BIASES):
+        bench, device = 1 + number // 2, 17 + number % 2
+        plan.write_text(PLAN.replace("bench:", "record: {device_serial: optional}\nbench:", 1), encoding="utf-8")
+        place = folder / f"bench-{bench}.yaml"
+        text = BENCH.read_text(encoding="utf-8")
+        place.write_text(text.replace("name: virtual_imu_nominal", f"name: bench-{bench}"), encoding="utf-8")
+        effects = [f"gyro_bias=bias_x:{bias} deg/s"]
+        effects += ["table_tilt=about_east:60 arcsec"] if bench == 2 else []
+        effects += ["gyro_scale_factor=210 ppm"] if device == 17 else []
+        words = [word for effect in effects for word in ("--with", effect)]
+        words += ["--set", f"device_serial={device}"] if number else []
+        where = folder / f"runs-{number}"
+        main(
+            [
+                "simulate",
+                str(plan),
+                "--bench",
+                str(place),
+                *words,
+                "--seed",
+                str(number + 1),
+                "--quiet",
+                "--runs",
+                str(where),
+            ]
+        )
+        made += list(where.iterdir())
+    return made
+
+
+def _table(runs: list[Path], folder: Path, row: str = "{run},17,,") -> Path:
+    table = folder / "origins.csv"
+    table.write_text("run,device,bench,occasion\n" + row.format(run=runs[0].name) + "\n", encoding="utf-8")
+    return table
+
+
+@pytest.mark.slow
+def test_bench_device_and_occasion_are_told_as_they_were_simulated(
+    runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = _table(runs, tmp_path)
+    page = tmp_path / "fleet.html"
+    capsys.readouterr()
+    assert (
+        main(["diagnose", *map(str, runs), "--origins", str(table), "--jobs", "2", "--json", "--html", str(page)]) == 0
+    )
+    found = json.loads(capsys.readouterr().out)
+    schema = json.loads((ROOT / "schemas" / "fleet.schema.json").read_text(encoding="utf-8"))
+    Draft202012Validator(schema).validate(found)
+    assert [run["device"] for run in found["runs"]] == ["17", "18", "17", "18"]
+    assert [run["bench"] for run in found["runs"]] == ["bench-1", "bench-1", "bench-2", "bench-2"]
+    assert found["effects"] == ["table_tilt"]
+    by_name = {(one["effect"], one["name"]): one for one in found["amplitudes"]}
+
+    def part(key: tuple[str, str], source: str, label: str) -> dict:
+        one = next(one for one in by_name[key]["contributions"] if one["sources"] == [source])
+        return next(item for item in one["parts"] if item["label"] == label)
+
+    assert ["bench"] in by_name["table_tilt", "about_east"]["named"]
+    tilt = part(("table_tilt", "about_east"), "bench", "bench-2")["level"]
+    assert abs(tilt["value"] - 60) < 1.5 * tilt["expanded_uncertainty"] < 5
+    assert ["device"] in by_name["gyro_scale_factor", "k_y"]["named"]
+    scale = part(("gyro_scale_factor", "k_y"), "device", "17")["difference"]
+    assert abs(scale["value"] - 210) < 1.5 * scale["expanded_uncertainty"] < 60
+    assert ["occasion"] in by_name["gyro_bias", "bias_x"]["named"]
+    assert ["occasion"] not in by_name["accel_bias", "bias_x"]["named"]
+    assert "What is attributed" in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("", "run.json does not say which device was measured"),
+        ("other,17,,", "origins.csv:2:1: error[fleet-origins]: 'other' is not one of the runs given"),
+        ("{run},17,,\n{run},18,,", "origins.csv:3:1: error[fleet-origins]"),
+    ],
+)
+def test_what_is_missing_or_wrong_in_the_origins_is_refused(
+    runs: list[Path], tmp_path: Path, row: str, said: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        diagnose_fleet(runs, origins=_table(runs, tmp_path, row))
+    assert said in str(caught.value)
+
+
+@pytest.mark.slow
+def test_a_run_with_another_kind_of_sensor_is_refused(runs: list[Path], tmp_path: Path) -> None:
+    """Its error model may not be the same."""
+    plan = tmp_path / "other.yaml"
+    text = PLAN.replace("bench: virtual_imu_nominal", "bench: other-bench.yaml").replace(
+        "kind: imu", "kind: navigation-unit"
+    )
+    plan.write_text(text, encoding="utf-8")
+    bench = BENCH.read_text(encoding="utf-8").replace("kind: imu", "kind: navigation-unit")
+    (tmp_path / "other-bench.yaml").write_text(bench, encoding="utf-8")
+    assert main(["simulate", str(plan), "--quiet", "--runs", str(tmp_path / "runs")]) == 0
+    other = next((tmp_path / "runs").iterdir())
+    table = tmp_path / "origins.csv"
+    table.write_text(f"run,device\n{other.name},19\n", encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        diagnose_fleet([runs[1], other], origins=table, jobs=1)
+    assert "fleet-other-sensor" in str(caught.value)
