@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.gap.fleet.attribution import Estimates, Source, attribute
+from tests.blind.product import attributed
 
 SURE = 0.95
 _CHANCE = 0.4  # that a source contributes
@@ -84,10 +84,8 @@ def _streams(count: int, seed: int) -> Iterator[np.random.Generator]:
 
 
 def _add(score: Score, drawn: DrawnFleet) -> None:
-    groups = {source: [str(number) for number in drawn.of[source.value]] for source in Source}
-    found = attribute(Estimates(drawn.values, drawn.noise, groups))
     score.fleets += 1
-    for one in found.contributions:
+    for one in attributed(drawn.values, drawn.noise, drawn.of):
         names = [source.value for source in one.component.sources]
         present = any(bool(drawn.parts[name].any()) for name in names)
         if one.probability >= SURE or one.probability <= 1 - SURE:

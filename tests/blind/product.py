@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
@@ -20,6 +21,7 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import FoldChoice, predictions
 from planrunner.gap.answer.diagnosis import Diagnosis
 from planrunner.gap.answer.diagnosis import diagnose as diagnosed
+from planrunner.gap.fleet.attribution import Contribution, Estimates, Source, attribute
 from planrunner.gap.hypotheses.forms import shape_alone, whole_forms
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import ChamberModel, NoiseModel, OutputModel, SensorModel, TableAxis, TableModel
@@ -47,6 +49,12 @@ TABLE = TableModel(
 CHAMBER = ChamberModel(ZERO_CELSIUS - 20.0, ZERO_CELSIUS + 70.0, 2.0 / 60)
 """What a laboratory has that can do all plans here: a three-axis table and a chamber."""
 _WORD: dict[tuple[float, ...], str] = {direction: word for word, direction in WORDS.items()}
+
+
+def attributed(values: Array, noise: Array, members: Mapping[str, NDArray[np.int64]]) -> Sequence[Contribution]:
+    """What the product says of the estimates of one amplitude in several runs. members: the number of every run's group, by source."""
+    groups = {source: [str(number) for number in members[source.value]] for source in Source}
+    return attribute(Estimates(values, noise, groups)).contributions
 
 
 def motion(row: Row) -> Motion:
