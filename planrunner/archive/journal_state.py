@@ -57,7 +57,8 @@ class Rejected:
 class JournalState:
     """clock, states: values at the last acknowledged segment, to resume from. open: the segment in which the process ended.
     sealed_before: whether the run had a seal when it was reopened, according to the journal. turning_times: number and time of the first
-    and the last event, and of the two events at each place where the time goes back."""
+    and the last event, and of the two events at each place where the time goes back. planned: number of segments of the schedule, 0 if the
+    run never started."""
 
     created: JsonObject = field(default_factory=dict)
     acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
@@ -71,6 +72,7 @@ class JournalState:
     sealed_before: bool = False
     failures: list[str] = field(default_factory=list)
     turning_times: list[tuple[int, str]] = field(default_factory=list)
+    planned: int = 0
 
     def files(self) -> Iterator[Part]:
         """Every file of samples listed in the journal, whether it counts or not."""
@@ -102,6 +104,9 @@ class JournalState:
 
     def _instruments(self, event: Mapping[str, Json]) -> None:
         self.instruments = {name: dict(identity) for name, identity in event["instruments"].items()}
+
+    def _started(self, event: Mapping[str, Json]) -> None:
+        self.planned = event["segments"]
 
     def _begun(self, event: Mapping[str, Json]) -> None:
         index = event["segment"]

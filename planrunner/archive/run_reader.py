@@ -98,6 +98,25 @@ class RunReader:
         """Data that were kept but do not count, with the reason."""
         return tuple(self.state.rejected)
 
+    def warnings(self, planned: int | None = None) -> list[str]:
+        """Unusual events of the run that a reader must know. planned: number of segments, by default that of the journal."""
+        planned = self.state.planned if planned is None else planned
+        warnings = [f"Fault during the run: {text}" for text in self.state.failures]
+        held = len(self.acknowledged())
+        if held < planned:
+            warnings.append(f"{planned - held} of {planned} planned segments were not recorded.")
+        if not self.sealed:
+            warnings.append("The run is not finished and not sealed: more data may follow.")
+        for item in self.acknowledged():
+            if item.truncated:
+                warnings.append(f"Segment {item.label} is shorter than planned: {item.reason or 'cut short'}.")
+        for other in self.rejected():
+            reason = other.reason or "no reason given"
+            warnings.append(
+                f"Segment {other.label}, attempt {other.attempt}, was recorded, but it is not used: {reason}."
+            )
+        return warnings
+
     # -- samples -------------------------------------------------------------------------------------------------------
 
     def recording(

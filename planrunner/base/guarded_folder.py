@@ -18,7 +18,7 @@ import shutil
 import stat
 import time
 import weakref
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from io import BufferedReader, FileIO
 from pathlib import Path
@@ -51,11 +51,13 @@ class NotOrdinaryError(OSError):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """The entry at a name: its kind and, for a file, its size in bytes. `other` is a link, a pipe, a device, or a file with two names."""
+    """The entry at a name: its kind and, for a file, its size in bytes. `other` is a link, a pipe, a device, or a file with two names.
+    modified: when its content last changed, in ns since 1970 by the clock of the file system."""
 
     kind: EntryKind
     size: int
     what: str
+    modified: int = field(default=0, compare=False)
 
 
 class GuardedFolder:
@@ -272,7 +274,7 @@ def _identity(status: os.stat_result) -> tuple[int, int]:
 def _entry(status: os.stat_result) -> Entry:
     what = _what(status)
     kind: EntryKind = "folder" if what == "a folder" else "file" if what == "a file" else "other"
-    return Entry(kind, status.st_size, what)
+    return Entry(kind, status.st_size, what, status.st_mtime_ns)
 
 
 def _what(status: os.stat_result) -> str:

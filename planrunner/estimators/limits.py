@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from planrunner.base.dataclass import dataclass
@@ -45,6 +45,21 @@ class LimitVerdict:
     false_decision: float = math.nan
     consumer_risk: float = math.nan
     producer_risk: float = math.nan
+
+
+VerdictKind = Literal["pass", "warned", "fail", "none"]
+"""Verdict on all limits of a plan. `warned` means passed with warnings; `none` means that the plan sets no limits."""
+
+
+def verdict_kind(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnings: int) -> VerdictKind:
+    """The verdict on all limits. failures: what could not be estimated or judged; warnings: number of those that may invalidate it."""
+    if failures:
+        return "fail"
+    if not limits:
+        return "none"
+    if any(limit.verdict != "pass" for limit in limits):
+        return "fail"
+    return "warned" if warnings else "pass"
 
 
 def hold(limit: Limit, estimates: Mapping[str, Estimate]) -> LimitVerdict:

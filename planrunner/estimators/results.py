@@ -22,8 +22,10 @@ from planrunner.estimators.limits import LimitVerdict
 from planrunner.instruments.models import DataOrigin
 from planrunner.uncertainty.influences import Budget, BudgetLine
 
-__all__ = ["FORMAT", "DataOrigin", "Results", "comparable", "segment_statistics"]
+__all__ = ["FORMAT", "NAME", "DataOrigin", "Results", "comparable", "segment_statistics"]
 
+NAME = "results.json"
+"""File of an analysis that has its results."""
 FORMAT = 3
 """In format 3 descriptions, notes and warnings have template and values beside the text, so that they can be translated; texts of earlier
 formats stay in English. Format 1 has only titles for the columns of a table."""

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
-from planrunner.estimators.limits import LimitVerdict
+from planrunner.estimators.limits import LimitVerdict, VerdictKind, verdict_kind
 from planrunner.estimators.results import DataOrigin
-
-VerdictKind = Literal["pass", "warned", "fail", "none"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,24 +20,25 @@ class Headline:
 
 def headline(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnings: int) -> Headline:
     """Whether the limits are met, with the number of warnings that may invalidate the verdict."""
+    kind = verdict_kind(limits, failures, warnings)
     failed = [limit.quantity for limit in limits if limit.verdict != "pass"]
     total = len(limits)
     beside = "" if not warnings else f"with {warnings} warning{'' if warnings == 1 else 's'}"
     if failures:
         whys = "; ".join(f"{name}: {why}" for name, why in failures.items())
-        return Headline("fail", _and("Incomplete", beside, "not everything could be estimated"), whys)
+        return Headline(kind, _and("Incomplete", beside, "not everything could be estimated"), whys)
     if not total:
         text = f"No limits were set{f', {beside}' if beside else ''}"
-        return Headline("none", text, "The plan requires values, not a verdict.")
+        return Headline(kind, text, "The plan requires values, not a verdict.")
     if failed:
         are = "limit is" if total == 1 else f"of {total} limits are" if len(failed) > 1 else f"of {total} limits is"
         text = _and("Failed", beside, f"{len(failed)} {are} not met")
-        return Headline("fail", text, f"Not met: {', '.join(failed)}.")
+        return Headline(kind, text, f"Not met: {', '.join(failed)}.")
     met = "the limit is met" if total == 1 else f"all {total} limits are met"
     if not beside:
-        return Headline("pass", f"Passed: {met}")
+        return Headline(kind, f"Passed: {met}")
     return Headline(
-        "warned", _and("Passed", beside, met), "Read the warnings: they state the limits of validity of the values."
+        kind, _and("Passed", beside, met), "Read the warnings: they state the limits of validity of the values."
     )
 
 

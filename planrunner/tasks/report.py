@@ -52,7 +52,7 @@ def report_context(
         estimates=tuple(results.estimates.values()),
         limits=tuple(results.limits),
         failures=results.failures,
-        warnings=tuple(_of_the_run(reader, len(sound.schedule.segments))),
+        warnings=tuple(reader.warnings(len(sound.schedule.segments))),
         provenance=provenance(reader, analysis, moment, seeded=_seeded(sound)),
         on_top=dict(_on_top(reader, segments, analysis)) | ({"amendment": amendment} if amendment else {}),
         origin=sound.models.origin,
@@ -124,23 +124,6 @@ def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool 
         first, second = ran.get(name, "none"), now.get(name, "none")
         facts[name] = first if first == second else f"{first} when run, {second} when analysed"
     return facts
-
-
-def _of_the_run(reader: RunReader, planned: int) -> list[str]:
-    """Unusual events of the run that a reader must know."""
-    warnings = [f"Fault during the run: {text}" for text in reader.state.failures]
-    held = len(reader.acknowledged())
-    if held < planned:
-        warnings.append(f"{planned - held} of {planned} planned segments were not recorded.")
-    if not reader.sealed:
-        warnings.append("The run is not finished and not sealed: more data may follow.")
-    for item in reader.acknowledged():
-        if item.truncated:
-            warnings.append(f"Segment {item.label} is shorter than planned: {item.reason or 'cut short'}.")
-    for other in reader.rejected():
-        reason = other.reason or "no reason given"
-        warnings.append(f"Segment {other.label}, attempt {other.attempt}, was recorded, but it is not used: {reason}.")
-    return warnings
 
 
 def _text(value: Json) -> str:

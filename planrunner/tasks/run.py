@@ -31,7 +31,7 @@ from planrunner.bench.model import locate, runs_on_virtual_clock
 from planrunner.bench.opening import NotSafeError, OpenBench, guarded_bench
 from planrunner.bench.replacing import REACHED_BY, addresses, other_than_reached
 from planrunner.estimators.analysis import Results, analyse
-from planrunner.estimators.results import comparable
+from planrunner.estimators.results import NAME, comparable
 from planrunner.execution.executor import execute
 from planrunner.execution.operator import Operator
 from planrunner.execution.outcome import Outcome
@@ -58,7 +58,7 @@ from planrunner.tasks.certify import ISSUED, facts, issued_as, not_before, obsta
 from planrunner.tasks.check import Document, Sound, check_plan
 from planrunner.tasks.report import report_context
 
-RESULTS = "results.json"
+RESULTS = NAME
 
 
 @dataclass(frozen=True, slots=True)

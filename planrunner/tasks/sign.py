@@ -8,7 +8,7 @@ from planrunner.archive.formats import IntegrityError
 from planrunner.archive.lock import FolderLock
 from planrunner.archive.verifying import examine, open_run
 from planrunner.base.findings import InputError, Mark
-from planrunner.reporting.verdict import VerdictKind, headline
+from planrunner.estimators.limits import VerdictKind, verdict_kind
 from planrunner.signing.keys import Signer
 from planrunner.signing.run_signatures import (
     RunSignature,
@@ -50,7 +50,7 @@ def sign(run: Path, signer: Signer, meaning: SignatureMeaning, name: str, commen
             raise InputError.at(Mark(str(run)), "analysis-missing", "this run has no analysis yet", hint)
         results = stored_results(found.analyses[-1])
         warnings = sum(len(estimate.warnings) for estimate in results.estimates.values())
-        result = _RESULTS[headline(results.limits, results.failures, warnings).kind]
+        result = _RESULTS[verdict_kind(results.limits, results.failures, warnings)]
         try:
             file = sign_run(folder, found.run["run"], signer, result, meaning, name, comment)
         except OSError as error:

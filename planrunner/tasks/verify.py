@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from planrunner.archive.finding_runs import find_runs
 from planrunner.archive.formats import IntegrityError
-from planrunner.archive.verifying import CHANGES, SIGNATURES, SIGNS, Change, Examined, examine, open_run
+from planrunner.archive.verifying import CHANGES, SIGNATURES, Change, Examined, examine, open_run
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, InputError, Mark
-from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.signing.key_ring import KeyRing
 from planrunner.signing.run_signatures import RunSignature, signature_faults, signatures_of
 from planrunner.tasks.amendment import in_words, stored_amendment
@@ -107,22 +106,19 @@ def verification(found: Examined, signatures: tuple[RunSignature, ...] = ()) -> 
 
 def runs_beneath(archive: Path) -> list[Path]:
     """All run folders in a folder and its subfolders, by name; links are not followed. Raises `InputError` if there is none."""
-    found = sorted(_runs(archive))
+    try:
+        found = list(find_runs(archive))
+    except OSError as error:
+        raise _unreadable(archive, f"it cannot be read: {error.strerror}") from None
+    for one in found:
+        if one.fault:
+            raise _unreadable(one.path, one.fault)
     if not found:
         message, hint = "there is no run folder in this folder", "give the folder that contains the runs, such as runs/"
         raise InputError.at(Mark(str(archive)), "verify-no-runs", message, hint)
-    return found
+    return sorted(one.path for one in found)
 
 
-def _runs(folder: Path) -> Iterator[Path]:
-    try:
-        entries = GuardedFolder.open(folder).entries()
-    except OSError as error:
-        message = f"this folder cannot be read: {error.strerror}"
-        raise InputError.at(Mark(str(folder)), "verify-no-runs", message, "check its name and permissions") from None
-    if not entries.keys().isdisjoint(SIGNS):
-        yield folder
-        return
-    for name, entry in entries.items():
-        if entry.kind == "folder":
-            yield from _runs(Path(os.path.join(folder, name)))
+def _unreadable(folder: Path, fault: str) -> InputError:
+    message = f"this folder cannot be searched: {fault}"
+    return InputError.at(Mark(str(folder)), "verify-no-runs", message, "check its name and permissions")

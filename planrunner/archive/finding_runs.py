@@ -1,0 +1,49 @@
+"""Finding the run folders in an archive: a folder with run folders in it, at any depth. Links are not followed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from planrunner.archive.verifying import SIGNS
+from planrunner.base.guarded_folder import Entry, GuardedFolder
+
+DEEPEST = 32
+"""Number of levels below the archive that are searched."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundFolder:
+    """A run folder, or a folder that cannot be searched. place: relative to the archive, with slashes. entries: of the run folder. fault:
+    why the folder cannot be searched, else empty."""
+
+    place: str
+    path: Path
+    entries: Mapping[str, Entry] = field(default_factory=dict)
+    fault: str = ""
+
+
+def find_runs(archive: Path) -> Iterator[FoundFolder]:
+    """The run folders in an archive by name, and the folders that cannot be searched. Raises `OSError` if the archive cannot be read."""
+    yield from _search(GuardedFolder.open(archive), "")
+
+
+def _search(folder: GuardedFolder, place: str) -> Iterator[FoundFolder]:
+    entries = folder.entries()
+    if not entries.keys().isdisjoint(SIGNS):
+        yield FoundFolder(place or ".", folder.path, entries)
+        return
+    for name, entry in entries.items():
+        if entry.kind != "folder":
+            continue
+        inner = f"{place}/{name}" if place else name
+        if inner.count("/") >= DEEPEST:
+            yield FoundFolder(inner, folder.path / name, fault=f"more than {DEEPEST} folders inside one another")
+            continue
+        try:
+            yield from _search(folder.folder(name), inner)
+        except FileNotFoundError:  # removed meanwhile
+            continue
+        except OSError as error:
+            yield FoundFolder(inner, folder.path / name, fault=f"it cannot be read: {error.strerror or error}")

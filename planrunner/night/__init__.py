@@ -1,0 +1,1 @@
+"""Many runs on many devices and benches: what happened to an archive of runs over time."""

@@ -1,0 +1,229 @@
+"""The databases that hold an index: SQLite in a file of this user, or PostgreSQL by its URL.
+
+Both speak the SQL of `planrunner.night.history.index`. Here stand only their differences: how they are opened, how a transaction waits for
+other writers, and what their errors mean to a user.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+import sqlite3
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+from urllib.parse import urlsplit
+
+from planrunner.archive.origin import OriginUnknownError, state_folder
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.trusted_folders import UntrustedFolderError, make_private, trusted
+
+if TYPE_CHECKING:
+    import psycopg
+
+SqlValue = str | int | float | None
+SqlRow = tuple[SqlValue, ...]
+INDEX = "PLANRUNNER_INDEX"
+"""Environment variable with the file or URL of the index, where no option gives it."""
+_WAIT = 60.0
+"""Longest time [s] to wait for another writer."""
+_CONNECT = 10
+"""Longest time [s] to wait for the answer of a server."""
+
+
+class Database(Protocol):
+    """An open database. Parameters in statements are `?`."""
+
+    name: str
+    """For messages; without a password."""
+
+    identity: str
+    """SQL type of a number that the database assigns to new rows."""
+
+    def query(self, statement: str, values: Sequence[SqlValue] = ()) -> list[SqlRow]: ...
+
+    def write_many(self, statement: str, rows: Iterable[Sequence[SqlValue]]) -> None: ...
+
+    def transaction(self) -> contextlib.AbstractContextManager[None]:
+        """All statements within take effect together or not at all. One writer at a time."""
+        ...
+
+    def close(self) -> None: ...
+
+
+def open_database(index: str | None, archive: Path) -> Database:
+    """The database of an archive's index. index: a file, or the URL of a PostgreSQL database; None: as the environment says, by default a
+    file in this user's state folder. Raises `InputError`."""
+    named = index or os.environ.get(INDEX) or ""
+    if re.match(r"postgres(ql)?://", named):
+        return Postgres(named)
+    if "://" in named:
+        message = f"'{named.partition('://')[0]}://' is not a kind of index"
+        raise InputError.at(
+            Mark("--index"), "index-kind", message, "give a file, or a URL that begins with postgresql://"
+        )
+    return Sqlite(Path(named)) if named else Sqlite(_own_file(archive), own=True)
+
+
+def _own_file(archive: Path) -> Path:
+    """A file beside the user's key, not in the archive: what an archive brings along is never trusted, and SQLite must not be shared over a
+    network file system."""
+    try:
+        folder = state_folder() / "index"
+        make_private(folder)
+        folder = trusted(folder)
+    except (OriginUnknownError, UntrustedFolderError, OSError) as error:
+        message = f"there is no place for the index: {error}"
+        raise InputError.at(Mark(str(archive)), "index-place", message, "name a file with --index") from None
+    whole = os.path.abspath(archive)
+    name = re.sub(r"[^A-Za-z0-9_-]+", "-", Path(whole).name)[:40].strip("-") or "archive"
+    return folder / f"{name}-{hashlib.sha256(whole.encode('utf-8', 'surrogateescape')).hexdigest()[:12]}.sqlite"
+
+
+_APPLICATION = int.from_bytes(b"plnr", "big")
+"""Mark of planrunner in the header of an SQLite file."""
+
+
+class Sqlite:
+    """A file in write-ahead mode: readers never wait, and writers wait for one another.
+
+    own: the file was named by planrunner. If it is not a database, it is set aside as `….unreadable`, because an index can always be made
+    again. A file that the user named is never replaced, nor is the database of another program used.
+    """
+
+    identity = "INTEGER PRIMARY KEY"
+
+    def __init__(self, path: Path, *, own: bool = False):
+        self.name = str(path)
+        try:
+            try:
+                self._connection = self._open(path)
+            except sqlite3.DatabaseError as error:
+                if not own or isinstance(error, sqlite3.OperationalError):
+                    raise
+                self._set_aside(path)
+                self._connection = self._open(path)
+        except (sqlite3.Error, OSError) as error:
+            raise self._refused(error) from None
+
+    @staticmethod
+    def _open(path: Path) -> sqlite3.Connection:
+        connection = sqlite3.connect(path, timeout=_WAIT, isolation_level=None, check_same_thread=False)
+        try:
+            (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            (made_by,) = connection.execute("PRAGMA application_id").fetchone()
+            if made_by != _APPLICATION:
+                if tables:
+                    raise sqlite3.DatabaseError("it is the database of another program")
+                connection.execute(f"PRAGMA application_id={_APPLICATION}")
+            connection.execute("PRAGMA journal_mode=WAL").fetchall()
+            connection.execute(
+                "PRAGMA synchronous=NORMAL"
+            )  # a power failure may lose the last refresh, never the whole
+            connection.execute("PRAGMA trusted_schema=OFF")
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    @staticmethod
+    def _set_aside(path: Path) -> None:
+        for end in ("-wal", "-shm"):
+            Path(f"{path}{end}").unlink(missing_ok=True)
+        with contextlib.suppress(FileNotFoundError):  # another process was first
+            path.replace(f"{path}.unreadable")
+
+    def query(self, statement: str, values: Sequence[SqlValue] = ()) -> list[SqlRow]:
+        try:
+            return self._connection.execute(statement, values).fetchall()
+        except sqlite3.Error as error:
+            raise self._refused(error) from None
+
+    def write_many(self, statement: str, rows: Iterable[Sequence[SqlValue]]) -> None:
+        try:
+            self._connection.executemany(statement, rows)
+        except sqlite3.Error as error:
+            raise self._refused(error) from None
+
+    @contextlib.contextmanager
+    def transaction(self) -> Iterator[None]:
+        self.query("BEGIN IMMEDIATE")
+        try:
+            yield
+            self.query("COMMIT")
+        except BaseException:
+            with contextlib.suppress(sqlite3.Error):
+                self._connection.execute("ROLLBACK")
+            raise
+
+    def close(self) -> None:
+        self._connection.close()
+
+    def _refused(self, error: Exception) -> InputError:
+        return _refusal(self.name, str(error), "check the place and its permissions; name another file with --index")
+
+
+class Postgres:
+    """A database on a server, for several computers. Needs the extra `postgresql`."""
+
+    identity = "BIGINT GENERATED BY DEFAULT AS IDENTITY PRIMARY KEY"
+
+    def __init__(self, url: str):
+        parts = urlsplit(url)
+        self.name = f"postgresql://{parts.hostname or ''}{parts.path}"
+        try:
+            import psycopg
+        except ImportError:
+            hint = "install planrunner with the extra: pip install 'planrunner[postgresql]'"
+            raise InputError.at(Mark(self.name), "index-kind", "the driver of PostgreSQL is missing", hint) from None
+        self._error = psycopg.Error
+        try:
+            self._connection: psycopg.Connection = psycopg.connect(url, autocommit=True, connect_timeout=_CONNECT)
+            self._connection.execute(f"SET lock_timeout = {int(_WAIT * 1000)}")
+        except psycopg.Error as error:
+            raise self._refused(error) from None
+
+    def query(self, statement: str, values: Sequence[SqlValue] = ()) -> list[SqlRow]:
+        try:
+            found = self._connection.execute(_marked(statement), values)
+            return found.fetchall() if found.description is not None else []
+        except self._error as error:
+            raise self._refused(error) from None
+
+    def write_many(self, statement: str, rows: Iterable[Sequence[SqlValue]]) -> None:
+        try:
+            with self._connection.cursor() as cursor:
+                cursor.executemany(_marked(statement), rows)
+        except self._error as error:
+            raise self._refused(error) from None
+
+    @contextlib.contextmanager
+    def transaction(self) -> Iterator[None]:
+        try:
+            with self._connection.transaction():
+                self._connection.execute("SELECT pg_advisory_xact_lock(%s)", (_LOCK,))
+                yield
+        except self._error as error:
+            raise self._refused(error) from None
+
+    def close(self) -> None:
+        self._connection.close()
+
+    def _refused(self, error: Exception) -> InputError:
+        first = next(iter(str(error).strip().splitlines()), type(error).__name__)
+        return _refusal(self.name, first, "check that the server runs and the URL is right, then repeat the command")
+
+
+_LOCK = int.from_bytes(b"planrunr", "big") >> 1
+"""Key of the lock that makes writers wait for one another."""
+
+
+def _marked(statement: str) -> bytes:
+    return statement.replace("?", "%s").encode()
+
+
+def _refusal(name: str, why: str, hint: str) -> InputError:
+    message = f"the index cannot be used: {why}; the run folders are not affected"
+    return InputError.at(Mark(name), "index-unavailable", message, hint)

@@ -1,0 +1,426 @@
+"""The index over the run folders of an archive: which runs there are, with their coefficients and verdicts.
+
+The run folders are the record; the index is a copy for quick answers. It can be made again from the folders at any time. Each run is
+replaced in one transaction, so that a reader sees every run as it was read once, also while the index is refreshed or rebuilt. Several
+processes may do that at the same time: each writes what it read, and a folder that changed meanwhile is read again by the next refresh.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from datetime import UTC, datetime, timedelta
+from functools import lru_cache, partial
+from pathlib import Path
+from types import TracebackType
+from typing import cast
+
+from planrunner.archive.finding_runs import find_runs
+from planrunner.base.findings import COMMAND_LINE, InputError, Mark
+from planrunner.base.processes import shared_out
+from planrunner.base.progress import Announce, Pace
+from planrunner.estimators.interface import CoefficientRole
+from planrunner.night.history.databases import Database, SqlRow, SqlValue, open_database
+from planrunner.night.history.reading import fingerprint, read_run
+from planrunner.night.history.rows import (
+    Circumstance,
+    CircumstanceKind,
+    CoefficientRow,
+    FaultRow,
+    HistoryPoint,
+    IndexedRun,
+    IndexedVerdict,
+    LimitRow,
+    RunFilter,
+    RunRow,
+    RunState,
+)
+
+FORMAT = 1
+"""Version of the tables; an index of another version is made again."""
+_BATCH = 500
+"""Runs that are read before they are written together."""
+_TABLES = ("faults", "limits", "coefficients", "runs", "formats")
+_RUN = (
+    "folder, run, created, plan, title, device, bench, laboratory, operator, origin, state, verdict, analysis, warnings, "
+    "circumstances, info"
+)
+_COEFFICIENT = "quantity, value, unit, standard_uncertainty, degrees_of_freedom, role, period"
+_LIMIT = "quantity, requirement, verdict, unit, lower, upper, probability"
+_SCHEMA = (
+    "CREATE TABLE IF NOT EXISTS formats (format INTEGER PRIMARY KEY)",
+    """CREATE TABLE IF NOT EXISTS runs (id {identity}, archive TEXT NOT NULL, fingerprint TEXT NOT NULL, folder TEXT NOT NULL,
+       run TEXT NOT NULL, created TEXT NOT NULL, plan TEXT NOT NULL, title TEXT NOT NULL, device TEXT NOT NULL, bench TEXT NOT NULL,
+       laboratory TEXT NOT NULL, operator TEXT NOT NULL, origin TEXT NOT NULL, state TEXT NOT NULL, verdict TEXT NOT NULL,
+       analysis INTEGER NOT NULL, warnings INTEGER NOT NULL, circumstances TEXT NOT NULL, info TEXT NOT NULL, UNIQUE (archive, folder))""",
+    "CREATE INDEX IF NOT EXISTS runs_of_device ON runs (archive, device, created)",
+    "CREATE INDEX IF NOT EXISTS runs_in_time ON runs (archive, created)",
+    """CREATE TABLE IF NOT EXISTS coefficients (run_id BIGINT NOT NULL, quantity TEXT NOT NULL, value DOUBLE PRECISION, unit TEXT NOT NULL,
+       standard_uncertainty DOUBLE PRECISION, degrees_of_freedom DOUBLE PRECISION, role TEXT NOT NULL, period DOUBLE PRECISION,
+       PRIMARY KEY (run_id, quantity))""",
+    """CREATE TABLE IF NOT EXISTS limits (run_id BIGINT NOT NULL, quantity TEXT NOT NULL, requirement TEXT NOT NULL, verdict TEXT NOT NULL,
+       unit TEXT NOT NULL, lower DOUBLE PRECISION, upper DOUBLE PRECISION, probability DOUBLE PRECISION)""",
+    "CREATE INDEX IF NOT EXISTS limits_of_run ON limits (run_id, quantity)",
+    """CREATE TABLE IF NOT EXISTS faults (archive TEXT NOT NULL, folder TEXT NOT NULL, message TEXT NOT NULL,
+       PRIMARY KEY (archive, folder))""",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Refreshed:
+    """read: runs that were read again; removed: runs that no longer exist; faults: folders that are not in the index."""
+
+    read: int
+    removed: int
+    faults: tuple[FaultRow, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSummary:
+    """runs: their number; last: when the newest was made."""
+
+    device: str
+    runs: int
+    last: str
+
+
+class Index:
+    """An open index. Close it, or use it as a context manager.
+
+    All methods raise `InputError` if the database cannot be used: a server that stopped, a full disk, a lock that another process keeps.
+    What was written before stays, and the next refresh goes on from there.
+    """
+
+    def __init__(self, archive: Path, database: Database):
+        self.archive = archive
+        self._database = database
+        self._name = str(archive.absolute())
+        self._make_tables()
+
+    @classmethod
+    def open(cls, archive: Path, index: str | None = None) -> Index:
+        """The index of an archive. index: a file or a URL, by default a file of this user. Raises `InputError`."""
+        if not archive.is_dir():
+            hint = "give the folder that contains the runs, such as runs/"
+            raise InputError.at(Mark(str(archive)), "index-no-archive", "there is no such folder", hint)
+        return cls(archive, open_database(index, archive))
+
+    def close(self) -> None:
+        self._database.close()
+
+    def __enter__(self) -> Index:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def database(self) -> str:
+        """Name of the database, without a password."""
+        return self._database.name
+
+    def _make_tables(self) -> None:
+        with self._database.transaction():
+            self._database.query(_SCHEMA[0])
+            known = self._database.query("SELECT format FROM formats")
+            if known == [(FORMAT,)]:
+                return
+            for table in _TABLES:
+                self._database.query(f"DROP TABLE IF EXISTS {table}")
+            for statement in _SCHEMA:
+                self._database.query(statement.replace("{identity}", self._database.identity))
+            self._database.query("INSERT INTO formats VALUES (?)", (FORMAT,))
+
+    # -- keeping it up to date ---------------------------------------------------------------------------------------
+
+    def refresh(self, *, rebuild: bool = False, notice: Announce | None = None, jobs: int | None = None) -> Refreshed:
+        """Reads the runs that are new or changed, and forgets those that no longer exist. rebuild: reads all runs again. notice: receives
+        the progress; jobs: processes that read."""
+        query = self._database.query
+        rows = query("SELECT folder, fingerprint FROM runs WHERE archive = ?", (self._name,))
+        known = {str(place): mark for place, mark in rows}
+        faulty = {str(folder) for (folder,) in query("SELECT folder FROM faults WHERE archive = ?", (self._name,))}
+        unread: list[IndexedRun] = []
+        changed: list[str] = []
+        there: set[str] = set()
+        try:
+            for one in find_runs(self.archive):
+                there.add(one.place)
+                if one.fault:
+                    unread.append(IndexedRun(one.place, "", None, fault=one.fault))
+                elif rebuild or not (mark := fingerprint(one.entries)) or known.get(one.place) != mark:
+                    changed.append(one.place)
+        except OSError as error:
+            message = f"the archive cannot be read: {error.strerror or error}"
+            raise InputError.at(Mark(str(self.archive)), "index-no-archive", message, "check its permissions") from None
+        self._write(unread)
+        pace = Pace("reading runs", len(changed), notice)
+        for first in range(0, len(changed), _BATCH):
+            self._write(shared_out(partial(read_run, self.archive), changed[first : first + _BATCH], jobs))
+            pace.reached(first + _BATCH)
+        # Only what was known before the search: another process may have added runs since.
+        gone = sorted(place for place in {*known, *faulty} - there if not (self.archive / place).is_dir())
+        self._forget(gone)
+        return Refreshed(len(changed), len(gone), tuple(self.faults()))
+
+    def _write(self, runs: Sequence[IndexedRun]) -> None:
+        if not runs:
+            return
+        database = self._database
+        columns = f"archive, fingerprint, {_RUN}"
+        marks = ", ".join("?" * len(columns.split(",")))
+        changes = ", ".join(f"{name.strip()} = excluded.{name.strip()}" for name in columns.split(","))
+        upsert = f"INSERT INTO runs ({columns}) VALUES ({marks}) ON CONFLICT (archive, folder) DO UPDATE SET {changes} RETURNING id"
+        with database.transaction():
+            self._remove([one.folder for one in runs if one.run is None])
+            faults = [(self._name, one.folder, one.fault) for one in runs if one.run is None]
+            database.write_many(
+                "DELETE FROM faults WHERE archive = ? AND folder = ?", [(self._name, one.folder) for one in runs]
+            )
+            database.write_many("INSERT INTO faults (archive, folder, message) VALUES (?, ?, ?)", faults)
+            ids: list[tuple[SqlValue]] = []
+            coefficients: list[SqlRow] = []
+            limits: list[SqlRow] = []
+            for one in runs:
+                if one.run is None:
+                    continue
+                ((number,),) = database.query(upsert, (self._name, one.fingerprint, *_run_values(one.run)))
+                ids.append((number,))
+                coefficients += [(number, *_values(row)) for row in one.coefficients]
+                limits += [(number, *_values(row)) for row in one.limits]
+            for table in ("coefficients", "limits"):
+                database.write_many(f"DELETE FROM {table} WHERE run_id = ?", ids)
+            database.write_many(
+                f"INSERT INTO coefficients (run_id, {_COEFFICIENT}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)", coefficients
+            )
+            database.write_many(f"INSERT INTO limits (run_id, {_LIMIT}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)", limits)
+
+    def _forget(self, folders: Sequence[str]) -> None:
+        if folders:
+            with self._database.transaction():
+                self._remove(folders)
+                self._database.write_many(
+                    "DELETE FROM faults WHERE archive = ? AND folder = ?", [(self._name, folder) for folder in folders]
+                )
+
+    def _remove(self, folders: Sequence[str]) -> None:
+        """Within a transaction."""
+        keys = [(self._name, folder) for folder in folders]
+        for table in ("coefficients", "limits"):
+            self._database.write_many(
+                f"DELETE FROM {table} WHERE run_id IN (SELECT id FROM runs WHERE archive = ? AND folder = ?)", keys
+            )
+        self._database.write_many("DELETE FROM runs WHERE archive = ? AND folder = ?", keys)
+
+    # -- asking ------------------------------------------------------------------------------------------------------
+
+    def runs(self, wanted: RunFilter = RunFilter()) -> list[RunRow]:  # noqa: B008 - frozen
+        """The runs that pass the filter, the newest first."""
+        where, values = self._where(wanted)
+        most = "" if wanted.limit is None else f" LIMIT {int(wanted.limit)}"
+        found = self._database.query(
+            f"SELECT {_named(_RUN, 'runs')} FROM runs WHERE {where} ORDER BY created DESC, folder DESC{most}", values
+        )
+        return [_run_row(row) for row in found]
+
+    def count(self, wanted: RunFilter = RunFilter()) -> int:  # noqa: B008 - frozen
+        """Number of runs that pass the filter; its limit does not count."""
+        where, values = self._where(wanted)
+        return cast(int, self._database.query(f"SELECT count(*) FROM runs WHERE {where}", values)[0][0])
+
+    def run(self, folder: str) -> RunRow | None:
+        """The run in a folder of the archive, named with slashes."""
+        found = self._database.query(f"SELECT {_RUN} FROM runs WHERE archive = ? AND folder = ?", (self._name, folder))
+        return _run_row(found[0]) if found else None
+
+    def coefficients(self, folder: str) -> tuple[CoefficientRow, ...]:
+        """The coefficients of the run in a folder, by name."""
+        found = self._database.query(
+            f"SELECT {_named(_COEFFICIENT, 'c')} FROM runs JOIN coefficients c ON c.run_id = runs.id "
+            "WHERE archive = ? AND folder = ? ORDER BY quantity",
+            (self._name, folder),
+        )
+        return tuple(map(_coefficient_row, found))
+
+    def limits(self, folder: str) -> tuple[LimitRow, ...]:
+        """The verdicts on the limits of the run in a folder."""
+        found = self._database.query(
+            f"SELECT {_named(_LIMIT, 'l')} FROM runs JOIN limits l ON l.run_id = runs.id "
+            "WHERE archive = ? AND folder = ? ORDER BY quantity, requirement",
+            (self._name, folder),
+        )
+        return tuple(map(_limit_row, found))
+
+    def devices(self) -> list[DeviceSummary]:
+        """The devices by serial number; runs that state none have an empty one."""
+        found = self._database.query(
+            "SELECT device, count(*), max(created) FROM runs WHERE archive = ? GROUP BY device ORDER BY device",
+            (self._name,),
+        )
+        return [DeviceSummary(str(device), cast(int, runs), str(last)) for device, runs, last in found]
+
+    def quantities(self, device: str) -> list[str]:
+        """The coefficients that any run of a device has, `estimate.coefficient`."""
+        found = self._database.query(
+            "SELECT DISTINCT quantity FROM runs JOIN coefficients c ON c.run_id = runs.id "
+            "WHERE archive = ? AND device = ? ORDER BY quantity",
+            (self._name, device),
+        )
+        return [str(quantity) for (quantity,) in found]
+
+    def points(self, quantity: str, wanted: RunFilter = RunFilter()) -> list[HistoryPoint]:  # noqa: B008 - frozen
+        """A coefficient in all runs that pass the filter and have it, the oldest first."""
+        where, values = self._where(wanted)
+        tail = f"WHERE {where} AND quantity = ? ORDER BY created, folder"
+        found = self._database.query(
+            f"SELECT {_named(_RUN, 'runs')}, {_named(_COEFFICIENT, 'c')} FROM runs JOIN coefficients c ON c.run_id = runs.id {tail}",
+            (*values, quantity),
+        )
+        held = self._database.query(
+            f"SELECT folder, {_named(_LIMIT, 'l')} FROM runs JOIN limits l ON l.run_id = runs.id {tail}",
+            (*values, quantity),
+        )
+        limits: dict[str, list[LimitRow]] = {}
+        for folder, *row in held:
+            limits.setdefault(str(folder), []).append(_limit_row(tuple(row)))
+        points = []
+        for one in found[-wanted.limit :] if wanted.limit is not None else found:
+            run = _run_row(one[:_RUN_COLUMNS])
+            points.append(HistoryPoint(run, _coefficient_row(one[_RUN_COLUMNS:]), tuple(limits.get(run.folder, ()))))
+        return points
+
+    def history(self, device: str, quantity: str) -> list[HistoryPoint]:
+        """A coefficient of a device over time, the oldest first."""
+        return self.points(quantity, RunFilter(device=_literal(device)))
+
+    def faults(self) -> list[FaultRow]:
+        """Folders that are not in the index, by name."""
+        found = self._database.query(
+            "SELECT folder, message FROM faults WHERE archive = ? ORDER BY folder", (self._name,)
+        )
+        return [FaultRow(str(folder), str(message)) for folder, message in found]
+
+    def _where(self, wanted: RunFilter) -> tuple[str, tuple[SqlValue, ...]]:
+        terms, values = ["runs.archive = ?"], [self._name]
+        for name in ("device", "plan", "bench", "operator", "verdict"):
+            text = str(getattr(wanted, name))
+            if not text:
+                continue
+            plain, like = _pattern(text)
+            terms.append(f"runs.{name} = ?" if like is None else f"LOWER(runs.{name}) LIKE ? ESCAPE '!'")
+            values.append(plain if like is None else like)
+        if wanted.since:
+            terms.append("runs.created >= ?")
+            values.append(_moment(wanted.since).isoformat(timespec="microseconds"))
+        if wanted.until:
+            whole = timedelta(days=1) if len(wanted.until) == len("2026-01-01") else timedelta(microseconds=1)
+            terms.append("runs.created < ?")
+            values.append((_moment(wanted.until) + whole).isoformat(timespec="microseconds"))
+        return " AND ".join(terms), tuple(values)
+
+
+def _pattern(text: str) -> tuple[str, str | None]:
+    """The text without escapes, and the pattern for LIKE if it has `*` or `?`. A backslash makes the next character plain."""
+    plain, like, wild = [], [], False
+    letters: Iterator[str] = iter(text)
+    for letter in letters:
+        escaped = letter == "\\"
+        letter = next(letters, letter) if escaped else letter
+        plain.append(letter)
+        if letter in "*?" and not escaped:
+            wild = True
+            like.append("%" if letter == "*" else "_")
+        else:
+            like.append(f"!{letter}" if letter in "!%_" else letter.lower())
+    return "".join(plain), "".join(like) if wild else None
+
+
+def _literal(text: str) -> str:
+    return "".join(f"\\{letter}" if letter in "*?\\" else letter for letter in text)
+
+
+def _moment(text: str) -> datetime:
+    try:
+        moment = datetime.fromisoformat(text)
+        return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    except (ValueError, OverflowError):
+        message = f"'{text[:40]}' is not a date"
+        raise InputError.at(COMMAND_LINE, "command-usage", message, "write for example 2026-03-01") from None
+
+
+def _named(columns: str, table: str) -> str:
+    return ", ".join(f"{table}.{name.strip()}" for name in columns.split(","))
+
+
+_RUN_COLUMNS = len(_RUN.split(","))
+
+
+def _values(row: CoefficientRow | LimitRow) -> SqlRow:
+    """nan becomes NULL, which SQLite would make of it anyway."""
+    found = []
+    for item in fields(row):
+        value = getattr(row, item.name)
+        value = value.value if isinstance(value, CoefficientRole) else value
+        found.append(None if isinstance(value, float) and math.isnan(value) else value)
+    return tuple(found)
+
+
+def _run_values(run: RunRow) -> SqlRow:
+    circumstances = json.dumps([(one.kind.value, one.name, one.value) for one in run.circumstances], ensure_ascii=False)
+    info = json.dumps(dict(run.info), ensure_ascii=False)
+    return (*(cast(SqlValue, getattr(run, name.strip())) for name in _RUN.split(",")[:-2]), circumstances, info)
+
+
+def _run_row(row: SqlRow) -> RunRow:
+    *texts, state, verdict, analysis, warnings, circumstances, info = row
+    folder, run, created, plan, title, device, bench, laboratory, operator, origin = map(str, texts)
+    return RunRow(
+        folder,
+        run,
+        created,
+        plan,
+        title,
+        device,
+        bench,
+        laboratory,
+        operator,
+        origin,
+        cast(RunState, state),
+        cast(IndexedVerdict, verdict),
+        cast(int, analysis),
+        cast(int, warnings),
+        _circumstances(str(circumstances)),
+        json.loads(str(info)),
+    )
+
+
+@lru_cache(maxsize=4096)  # the runs of a device mostly share them
+def _circumstances(text: str) -> tuple[Circumstance, ...]:
+    return tuple(Circumstance(CircumstanceKind(kind), name, value) for kind, name, value in json.loads(text))
+
+
+def _coefficient_row(row: SqlRow) -> CoefficientRow:
+    quantity, value, unit, u, freedom, role, period = row
+    return CoefficientRow(
+        str(quantity),
+        _number(value),
+        str(unit),
+        _number(u),
+        _number(freedom),
+        CoefficientRole(str(role)),
+        _number(period),
+    )
+
+
+def _limit_row(row: SqlRow) -> LimitRow:
+    quantity, requirement, verdict, unit, lower, upper, probability = row
+    numbers = (_number(lower), _number(upper), _number(probability))
+    return LimitRow(str(quantity), str(requirement), str(verdict), str(unit), *numbers)
+
+
+def _number(value: SqlValue) -> float:
+    return math.nan if value is None else float(value)

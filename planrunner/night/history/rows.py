@@ -1,0 +1,159 @@
+"""Rows of the index: a run, its coefficients and verdicts, and a folder that could not be read. All times are UTC, ISO 8601."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import field
+from enum import Enum
+from typing import Literal
+
+from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import JsonObject
+from planrunner.estimators.interface import CoefficientRole
+from planrunner.estimators.limits import VerdictKind
+
+RunState = Literal["sealed", "open"]
+IndexedVerdict = VerdictKind | Literal["not analysed"]
+VERDICTS: tuple[IndexedVerdict, ...] = ("pass", "warned", "fail", "none", "not analysed")
+
+
+class CircumstanceKind(Enum):
+    """What may have changed from one run to the next, and may therefore be the cause of a change of results."""
+
+    BENCH = "bench"
+    LABORATORY = "laboratory"
+    OPERATOR = "operator"
+    FIRMWARE = "firmware"
+    INSTRUMENT = "instrument"
+    MOUNTING = "mounting"
+    PLAN = "plan"
+    SOFTWARE = "software"
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstance:
+    """One circumstance of a run. name: which one of its kind, such as `table.serial`; empty if there is only one."""
+
+    kind: CircumstanceKind
+    name: str
+    value: str
+
+    @property
+    def words(self) -> str:
+        return f"{self.kind.value} {self.name}".strip()
+
+
+@dataclass(frozen=True, slots=True)
+class RunRow:
+    """A run in the index. folder: relative to the archive, with slashes. device: serial number of the device, empty if not stated.
+    analysis: number of the newest analysis, 0 without one; the verdict and the coefficients are of this analysis. warnings: number of
+    warnings of the run and of its estimates."""
+
+    folder: str
+    run: str
+    created: str
+    plan: str
+    title: str
+    device: str
+    bench: str
+    laboratory: str
+    operator: str
+    origin: str
+    state: RunState
+    verdict: IndexedVerdict
+    analysis: int
+    warnings: int
+    circumstances: tuple[Circumstance, ...] = ()
+    info: Mapping[str, str] = field(default_factory=dict)
+
+    def to_json(self) -> JsonObject:
+        """One entry of `runs` in schemas/runs.schema.json."""
+        return {
+            "folder": self.folder,
+            "run": self.run,
+            "created": self.created,
+            "plan": self.plan,
+            "title": self.title,
+            "device": self.device,
+            "bench": self.bench,
+            "laboratory": self.laboratory,
+            "operator": self.operator,
+            "origin": self.origin,
+            "state": self.state,
+            "verdict": self.verdict,
+            "analysis": self.analysis,
+            "warnings": self.warnings,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class CoefficientRow:
+    """A coefficient of the newest analysis of a run. quantity: `estimate.coefficient`. value, standard_uncertainty, period: in `unit`. nan
+    for numbers that could not be computed."""
+
+    quantity: str
+    value: float
+    unit: str
+    standard_uncertainty: float
+    degrees_of_freedom: float
+    role: CoefficientRole = CoefficientRole.LOCATION
+    period: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class LimitRow:
+    """A limit of the plan with its verdict. lower, upper: in `unit`."""
+
+    quantity: str
+    requirement: str
+    verdict: str
+    unit: str
+    lower: float
+    upper: float
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
+class FaultRow:
+    """A folder of the archive that is not in the index, with the reason."""
+
+    folder: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class IndexedRun:
+    """A run folder as it was read: the run with its coefficients and limits, or the fault. fingerprint: of the folder; empty if it must be
+    read again the next time."""
+
+    folder: str
+    fingerprint: str
+    run: RunRow | None
+    coefficients: tuple[CoefficientRow, ...] = ()
+    limits: tuple[LimitRow, ...] = ()
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RunFilter:
+    """Which runs to list; an empty value admits all. Texts admit equal values and, with `*` and `?`, patterns. since, until: first and last
+    moment, ISO 8601 in UTC; until a day means its end."""
+
+    device: str = ""
+    plan: str = ""
+    bench: str = ""
+    operator: str = ""
+    verdict: str = ""
+    since: str = ""
+    until: str = ""
+    limit: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class HistoryPoint:
+    """A coefficient of one run of a device, with the limits that the plan of that run had."""
+
+    run: RunRow
+    coefficient: CoefficientRow
+    limits: tuple[LimitRow, ...] = ()
