@@ -1,4 +1,4 @@
-"""`planrunner check`: all findings of one or more plans, then the expected results of each sound plan."""
+"""`planrunner check`: all findings of one or more plans or suites, then the expected results of each sound plan."""
 
 from __future__ import annotations
 
@@ -17,13 +17,15 @@ from planrunner.cli.jobs import number_of_jobs
 from planrunner.cli.operator import add_attendance
 from planrunner.cli.printing import columns, print_findings, print_json
 from planrunner.cli.progress import reading_progress
+from planrunner.cli.suites import add_suite_arguments, checked_suite, require_usable, suite_summary
 from planrunner.reporting.budgets import shown_unit
 from planrunner.reporting.words import duration
 from planrunner.tasks.check import Checked, Sound, check_plan
+from planrunner.tasks.check_suite import is_suite
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("plans", nargs="+", metavar="PLAN", help="plan files")
+    parser.add_argument("plans", nargs="+", metavar="PLAN", help="plan files, or suite files for `planrunner night`")
     parser.add_argument("--bench", metavar="BENCH", help="check the plans with this bench: a shipped name or a file")
     parser.add_argument(
         "--data",
@@ -37,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=number_of_jobs,
         help="processes that share several plans (default: as many as pay, at most one per processor; 1 with --data)",
     )
+    add_suite_arguments(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print a list of findings as JSON")
     add_attendance(parser)
@@ -45,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     # Recordings are read one after the other, with progress, and none has to share the memory.
     jobs = 1 if args.data is not None else args.jobs
+    require_usable(args)
     answers = shared_out(partial(_answer, args), args.plans, jobs)
     if args.json:
         print_json([finding.to_json() for answer in answers for finding in answer.findings])
@@ -65,6 +69,9 @@ class _Answer:
 
 
 def _answer(args: argparse.Namespace, plan: str) -> _Answer:
+    if is_suite(Path(plan)):
+        suite = checked_suite(args, Path(plan))
+        return _Answer(tuple(suite.findings), suite.ok, "" if args.json else suite_summary(suite))
     checked = check_plan(Path(plan), bench=args.bench)
     if args.unattended and checked.bench is not None and checked.schedule is not None:
         check_unattended(checked.bench, checked.schedule, checked.findings)

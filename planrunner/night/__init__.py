@@ -1,1 +1,1 @@
-"""Many runs on many devices and benches: what happened to an archive of runs over time."""
+"""Unattended nights: suites of plans, their timetable and record; and what happened to an archive of runs over time."""

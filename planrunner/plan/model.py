@@ -374,6 +374,10 @@ def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan |
     if root.get("planrunner") is None and root.get("planrunner_bench") is not None:
         log.error("form-bench", root.mark, "this is a bench file, not a plan", "give it with --bench")
         return None, log
+    if root.get("planrunner") is None and root.get("planrunner_suite") is not None:
+        hint = "use `planrunner check` and `planrunner night`"
+        log.error("form-suite", root.mark, "this is a suite of plans, not a plan", hint)
+        return None, log
     return RecordOf(Plan).read(root, log), log
 
 

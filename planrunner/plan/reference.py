@@ -73,17 +73,18 @@ def keys_reference() -> str:
         fields = keys_of(record)
         if record is model.SegmentSpec:
             fields = {name: item for name, item in fields.items() if name not in state}
-        parts.append(_section(title, about or _first_line(record), fields))
+        parts.append(section(title, about or first_line(record), fields))
     parts.append(_quantity_section())
     for name in plugins.names(plugins.ESTIMATORS):
         plugin = plugins.load(plugins.ESTIMATORS, name)
         fields = keys_of(plugin.Parameters)
         about = str(plugin.summary).rstrip(".") + "."
-        parts.append(_section(f"Estimator `{name}`", about if fields else f"{about} It has no further keys.", fields))
+        parts.append(section(f"Estimator `{name}`", about if fields else f"{about} It has no further keys.", fields))
     return "\n".join(parts)
 
 
-def _section(title: str, about: str, fields: Mapping[str, dataclasses.Field[object]]) -> str:
+def section(title: str, about: str, fields: Mapping[str, dataclasses.Field[object]]) -> str:
+    """One record: its title, a text, and a table of its keys."""
     if not fields:
         return f"## {title}\n\n{about}\n"
     lines = [f"## {title}", "", about, "", "| key | value | meaning | example |", "|---|---|---|---|"]
@@ -190,7 +191,7 @@ def _bounds(kind: Number) -> str:
     return f", {kind.maximum:.12g} or less" if math.isfinite(kind.maximum) else ""
 
 
-def _first_line(record: type) -> str:
+def first_line(record: type) -> str:
     return (record.__doc__ or "").split("\n")[0]
 
 

@@ -161,7 +161,7 @@ def check_plan(
     return checked
 
 
-_OTHER_PAGES = ("show", "design", "diagnosis", "difference")
+_OTHER_PAGES = ("show", "design", "diagnosis", "difference", "timetable")
 """Templates of pages that are no reports of a run."""
 
 

@@ -1,4 +1,4 @@
-"""JSON Schemas (draft 2020-12) of plans and benches, generated from the records that also read them.
+"""JSON Schemas (draft 2020-12) of plans, benches and suites, generated from the records that also read them.
 
 `python -m planrunner.tasks.write_schemas schemas` writes them; a test checks that the files are up to date.
 """
@@ -33,6 +33,13 @@ def bench_schema() -> Schema:
     from planrunner.bench.model import Bench
 
     return _document("planrunner bench", object_schema(keys_of(Bench)), {})
+
+
+def suite_schema() -> Schema:
+    """The schema of suite files."""
+    from planrunner.night.suite import Suite
+
+    return _document("planrunner suite", object_schema(keys_of(Suite)), {})
 
 
 def _document(title: str, schema: Schema, definitions: dict[str, Schema]) -> Schema:
@@ -86,7 +93,7 @@ def text(schema: JsonObject) -> str:
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 
 
-SCHEMAS = {"plan.schema.json": plan_schema, "bench.schema.json": bench_schema}
+SCHEMAS = {"plan.schema.json": plan_schema, "bench.schema.json": bench_schema, "suite.schema.json": suite_schema}
 
 
 def main(folder: str) -> None:

@@ -1,7 +1,7 @@
 """Every `console` example of the docs: its commands run, and what it shows of their output appears.
 
 In a ```console block a line that begins with `$` is a command; the lines after it must appear in its output in that order, `…` standing for
-anything. The blocks of one page run one after the other in one folder, which holds copies of the shipped plans. A plain `planrunner`
+anything. The blocks of one page run one after the other in one folder, which holds copies of the shipped plans and suites. A plain `planrunner`
 command is called in this process, anything that needs a shell in one.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -63,6 +64,7 @@ def test_examples_run_as_shown(page: Path, tmp_path: Path, request: pytest.Fixtu
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     for plan in (ROOT / "plans").glob("*.yaml"):
         (tmp_path / plan.name).write_bytes(plan.read_bytes())
+    shutil.copytree(ROOT / "plans" / "suites", tmp_path / "suites")
     for command, shown in examples(page):
         if DATA in command:
             command = command.replace(DATA, str(request.getfixturevalue("data_root")))

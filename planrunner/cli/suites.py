@@ -1,0 +1,93 @@
+"""What `check` and `night` share for suites: the arguments, and the printed timetable."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from datetime import datetime
+from pathlib import Path
+
+from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.cli.printing import columns, write_file
+from planrunner.reporting.night_timetable import Timetable, timetable_lines, timetable_page
+from planrunner.tasks.check_suite import CheckedSuite, check_suite, is_suite
+
+
+def add_suite_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `check` that apply to suites only."""
+    parser.add_argument("--html", metavar="FILE", type=Path, help="of a suite: write its timetable as a page")
+    add_at(parser)
+
+
+def add_at(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--at",
+        metavar="TIME",
+        type=local_time,
+        help="of a suite: local time at which the night begins, such as 2026-03-28T22:00 (default: now)",
+    )
+
+
+def local_time(text: str) -> str:
+    """A local time of the form YYYY-MM-DDTHH:MM, as written. Its time zone is that of the suite."""
+    try:
+        if re.fullmatch(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?", text):
+            datetime.fromisoformat(text)
+            return text
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"write a time such as 2026-03-28T22:00, not {text!r}")
+
+
+def require_usable(args: argparse.Namespace) -> None:
+    """Raises `InputError` if arguments for suites are given without one, or the reverse."""
+    suites = [plan for plan in args.plans if is_suite(Path(plan))]
+    if args.html is not None and (len(args.plans) != 1 or not suites):
+        raise InputError.at(
+            COMMAND_LINE, "command-usage", "--html needs exactly one suite", "use `planrunner show` for a plan"
+        )
+    if args.at is not None and not suites:
+        raise InputError.at(COMMAND_LINE, "command-usage", "--at applies to a suite", "leave it out")
+    if suites and args.bench is not None:
+        message = "a suite names its benches itself"
+        raise InputError.at(COMMAND_LINE, "command-usage", message, "leave --bench out, or change the suite")
+
+
+def checked_suite(args: argparse.Namespace, file: Path) -> CheckedSuite:
+    """The suite, checked; the page is written on request."""
+    checked = check_suite(file, at=args.at, jobs=args.jobs)
+    table = timetable_of(checked)
+    if args.html is not None and table is not None:
+        left = {finding.mark for finding in checked.findings if finding.code == "suite-does-not-fit"}
+        warnings = [
+            finding.message
+            for finding in checked.findings
+            if finding.severity == "warning" and finding.mark not in left
+        ]
+        write_file(args.html, timetable_page(table, warnings))
+    return checked
+
+
+def timetable_of(checked: CheckedSuite) -> Timetable | None:
+    """None for a suite with errors."""
+    if checked.suite is None or checked.forecast is None:
+        return None
+    return Timetable(
+        checked.suite,
+        checked.file,
+        checked.tests,
+        checked.durations,
+        checked.forecast,
+        checked.zone,
+        checked.virtual,
+    )
+
+
+def suite_summary(checked: CheckedSuite) -> str:
+    """Counts of findings and the timetable."""
+    counts = {kind: sum(item.severity == kind for item in checked.findings) for kind in ("error", "warning")}
+    head = ", ".join(f"{number} {kind}{'' if number == 1 else 's'}" for kind, number in counts.items())
+    table = timetable_of(checked) if checked.ok else None
+    lines = [] if table is None else timetable_lines(table, columns(sys.stdout))
+    return "\n".join([f"{checked.file}: {head}", *lines])

@@ -1,0 +1,66 @@
+"""Civil time of a night: windows given by local times of day, as instants.
+
+Instants are seconds since 1970 UTC, so that durations are true durations also when daylight saving begins or ends during the night. A local
+time that does not exist (clocks go forward) counts as if they had not gone forward; one that exists twice (clocks go back) is the first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import date, datetime, timedelta, tzinfo
+
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import InputError, Mark
+from planrunner.night.suite import DAYS, Window
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """A window on one day: from `opens` until `closes`, instants."""
+
+    opens: float
+    closes: float
+
+
+def zone_of(name: str | None, mark: Mark) -> tzinfo | None:
+    """The time zone; None is that of the computer. Raises `InputError`."""
+    if name is None:
+        return None
+    from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+    try:
+        return ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        message = f"there is no time zone '{name}' on this computer"
+        raise InputError.at(
+            mark, "suite-zone", message, "write a name such as Europe/Berlin or Asia/Shanghai"
+        ) from None
+
+
+def civil(instant: float, zone: tzinfo | None) -> datetime:
+    """The local time, with its offset from UTC."""
+    return datetime.fromtimestamp(instant, zone).astimezone(zone)
+
+
+def instant_of(day: date, time: str, zone: tzinfo | None) -> float:
+    """The instant of a local time of day, `HH:MM`."""
+    hours, minutes = map(int, time.split(":"))
+    return datetime(day.year, day.month, day.day, hours, minutes, tzinfo=zone).timestamp()
+
+
+def openings(window: Window, since: float, zone: tzinfo | None) -> Iterator[Opening]:
+    """The openings of a window that close after `since`, in order."""
+    day = civil(since, zone).date() - timedelta(days=1)
+    overnight = window.closes <= window.opens
+    for _ in range(3 * 366):  # a weekday comes again within a week; the rest is for callers that look further
+        if DAYS[day.weekday()] in window.days:
+            last = day + timedelta(days=1) if overnight else day
+            opening = Opening(instant_of(day, window.opens, zone), instant_of(last, window.closes, zone))
+            if opening.closes > since and opening.closes > opening.opens:
+                yield opening
+        day += timedelta(days=1)
+
+
+def shown_time(instant: float, zone: tzinfo | None) -> str:
+    """Date, time and zone, such as `2026-03-28 22:00 CET`."""
+    return f"{civil(instant, zone):%Y-%m-%d %H:%M %Z}".rstrip()

@@ -1,0 +1,214 @@
+"""The tests of a suite: each plan on each device and bench, with each combination of its matrix, and what each test waits for."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+from datetime import date
+from fnmatch import fnmatchcase
+from itertools import product
+from pathlib import Path
+
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, Mark, closest
+from planrunner.night.suite import KnownFailure, Suite, SuiteDevice, SuitePlan
+
+MOST_TESTS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedTest:
+    """One test of a night: one run of a plan.
+
+    name: unique, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1`. entry: name of the plan in the suite. information: all run
+    information that the suite gives for it, asked for by the plan or not. after, needs: indices of the tests that must have ended, and of
+    those that must have passed.
+    """
+
+    index: int
+    name: str
+    entry: str
+    plan: SuitePlan
+    file: Path
+    bench: str
+    device: str | None
+    parameters: Mapping[str, str]
+    information: Mapping[str, str]
+    seed: int | None
+    after: tuple[int, ...] = ()
+    needs: tuple[int, ...] = ()
+
+    @property
+    def mark(self) -> Mark:
+        return self.plan.origin.mark
+
+
+def expand_suite(suite: Suite, folder: Path, log: Findings) -> tuple[PlannedTest, ...]:
+    """The tests in the order of the file. folder: of the suite. Unknown names, cycles and plans without a test become findings."""
+    before = log.raised
+    _check_names(suite, log)
+    _check_cycles(suite, log)
+    if log.raised > before:
+        return ()
+    found: list[PlannedTest] = []
+    for entry, plan in suite.plans.items():
+        tests = list(_tests_of(entry, suite, folder, len(found)))
+        if len(found) + len(tests) > MOST_TESTS:
+            hint = "use fewer values in the matrix, or divide the suite"
+            log.error("suite-size", plan.origin.mark, f"the suite has more than {MOST_TESTS} tests", hint)
+            return ()
+        if not tests:
+            message = f"'{entry}' has no test: none of its devices is mounted on one of its benches"
+            log.error("suite-no-test", plan.origin.mark, message, "change `devices` or `benches`")
+        found += tests
+    by_entry: dict[str, list[PlannedTest]] = {}
+    for test in found:
+        by_entry.setdefault(test.entry, []).append(test)
+    return tuple(
+        replace(
+            test,
+            after=_waited_for(test, (*test.plan.after, *test.plan.needs), by_entry),
+            needs=_waited_for(test, test.plan.needs, by_entry),
+        )
+        for test in found
+    )
+
+
+def _tests_of(entry: str, suite: Suite, folder: Path, first: int) -> Iterator[PlannedTest]:
+    plan = suite.plans[entry]
+    devices: Sequence[str | None] = plan.devices or tuple(suite.devices) or (None,)
+    combinations = [
+        dict(zip(plan.matrix, values, strict=True)) for values in product(*(plan.matrix[name] for name in plan.matrix))
+    ]
+    index = first
+    for device in devices:
+        about = None if device is None else suite.devices[device]
+        mounted: Collection[str] = suite.benches if about is None or not about.benches else about.benches
+        for bench in plan.benches or tuple(suite.benches):
+            if bench not in mounted:
+                continue
+            for parameters in combinations:
+                words = [entry, *([] if device is None else [device]), bench]
+                if parameters:
+                    words.append(",".join(f"{name}={value}" for name, value in parameters.items()))
+                given = {**suite.set, **({} if about is None else about.set), **plan.set, **parameters}
+                yield PlannedTest(
+                    index,
+                    "/".join(words),
+                    entry,
+                    plan,
+                    folder / plan.plan,
+                    bench,
+                    device,
+                    parameters,
+                    given,
+                    None if about is None else about.seed,
+                )
+                index += 1
+
+
+def _waited_for(
+    test: PlannedTest, entries: Sequence[str], by_entry: Mapping[str, Sequence[PlannedTest]]
+) -> tuple[int, ...]:
+    """The tests of other plans that a test waits for: those of its device on its bench; if there are none, those of its device; if there
+    are none, all."""
+    found: list[int] = []
+    for entry in dict.fromkeys(entries):
+        others = by_entry.get(entry, ())
+        of_device = [other for other in others if other.device == test.device]
+        here = [other for other in of_device if other.bench == test.bench]
+        found += [other.index for other in here or of_device or others]
+    return tuple(dict.fromkeys(found))
+
+
+def _check_names(suite: Suite, log: Findings) -> None:
+    if not suite.benches and "benches" not in suite.origin.broken and suite.origin.parts("benches"):
+        hint = "add for example `a: {bench: virtual}`"
+        log.error("suite-no-bench", suite.at("benches"), "the suite has no bench", hint)
+    with log.resting_on(*suite.origin.parts("benches")):
+        owners: list[SuiteDevice | SuitePlan] = [*suite.devices.values(), *suite.plans.values()]
+        for owner in owners:
+            for name, hint in _unknown(owner.benches, suite.benches, "benches"):
+                log.error("suite-unknown-bench", owner.at("benches"), f"the suite has no bench '{name}'", hint)
+    with log.resting_on(*suite.origin.parts("devices")):
+        for plan in suite.plans.values():
+            for name, hint in _unknown(plan.devices, suite.devices, "devices"):
+                log.error("suite-unknown-device", plan.at("devices"), f"the suite has no device '{name}'", hint)
+    for plan in suite.plans.values():
+        for key, names in (("after", plan.after), ("needs", plan.needs)):
+            for name, hint in _unknown(names, suite.plans, "plans"):
+                log.error("suite-unknown-plan", plan.at(key), f"the suite has no plan '{name}'", hint)
+
+
+def _unknown(names: Sequence[str], known: Collection[str], key: str) -> Iterator[tuple[str, str]]:
+    """The names that are not known, each with a hint. key: where they would be declared."""
+    for name in names:
+        if name not in known:
+            yield name, closest(name, known) or f"declare it under `{key}:`"
+
+
+def _check_cycles(suite: Suite, log: Findings) -> None:
+    """Plans that wait for each other, reported once for each cycle."""
+    done: set[str] = set()
+    for start in suite.plans:
+        path = _cycle_from(suite, start, done)
+        if path:
+            plan = suite.plans[path[0]]
+            key = "needs" if path[1] in plan.needs else "after"
+            message = f"these plans wait for each other: {' → '.join(path)}"
+            log.error(
+                "suite-cycle", plan.at(key), message, f"remove '{path[1]}' here, or another of these dependencies"
+            )
+
+
+def _cycle_from(suite: Suite, start: str, done: set[str]) -> list[str]:
+    """A cycle that is reachable from a plan and has no plan in `done`; all plans reached are added to `done`. Without recursion, so that
+    a long chain does no harm."""
+    path: list[str] = []
+    stack: list[tuple[str, bool]] = [(start, False)]
+    while stack:
+        name, left = stack.pop()
+        if left:
+            path.pop()
+            done.add(name)
+            continue
+        if name in path:
+            cycle = [*path[path.index(name) :], name]
+            done.update(path)
+            return cycle
+        if name in done or name not in suite.plans:
+            continue
+        path.append(name)
+        stack.append((name, True))
+        plan = suite.plans[name]
+        stack += [(other, False) for other in (*plan.after, *plan.needs)]
+    return []
+
+
+def known_failure(test: str, failures: Sequence[KnownFailure], kind: str, today: date) -> KnownFailure | None:
+    """The entry that covers a failure of this kind (`limit` or `fault`) of a test on this day."""
+    for entry in failures:
+        covered = any(fnmatchcase(test, pattern) for pattern in entry.tests)
+        if covered and kind in entry.of and today <= date.fromisoformat(entry.until):
+            return entry
+    return None
+
+
+def check_known_failures(suite: Suite, tests: Sequence[PlannedTest], today: date, log: Findings) -> None:
+    """Patterns that match no test, dates that do not exist, and entries that have expired."""
+    names = [test.name for test in tests]
+    for entry in suite.known_failures:
+        for position, pattern in enumerate(entry.tests):
+            if not any(fnmatchcase(name, pattern) for name in names):
+                at = entry.at(f"tests[{position}]")
+                log.error(
+                    "suite-unknown-test", at, f"no test of the suite matches '{pattern}'", closest(pattern, names)
+                )
+        try:
+            last = date.fromisoformat(entry.until)
+        except ValueError:
+            log.error("meaning-date", entry.at("until"), f"'{entry.until}' is not a date", "write year-month-day")
+            continue
+        if last < today:
+            message = f"this known failure expired on {entry.until}: it now makes the night fail"
+            log.warning("suite-expired", entry.at("until"), message, "remove it, or look at the cause and extend it")

@@ -1,0 +1,358 @@
+"""The timetable of a night: which test begins when, on which bench, and which tests do not fit.
+
+`Course` is the state of a night and the rules by which it goes on. It knows no processes and no clock: the caller says what ended and what
+time it is. `planrunner check` lets it run through with the planned durations (`foresee`); `planrunner night` feeds it with what happens.
+Both therefore follow the same rules. Times are instants, seconds since 1970 UTC.
+
+On each bench, the first test in the order of the suite begins whose dependencies have ended, whose device is free, and which ends in time
+according to its planned duration.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field
+from datetime import tzinfo
+from enum import Enum
+from itertools import islice
+from typing import Literal
+
+from planrunner.base.dataclass import dataclass
+from planrunner.night.civil_time import Opening, openings, shown_time
+from planrunner.night.expansion import PlannedTest
+from planrunner.night.suite import Suite
+from planrunner.night.words import spell_out
+
+BUSY_PAUSE = 30.0
+"""Seconds until a test is tried again whose bench another process uses."""
+_ALWAYS = Opening(-math.inf, math.inf)
+_OPENINGS = 60
+"""Openings of a bench's window that are considered in one night."""
+
+
+class Ending(Enum):
+    """How a test ended."""
+
+    PASSED = "passed"
+    LIMIT = "limit"
+    """A limit failed, or an estimate could not be made from the data."""
+    FAULT = "fault"
+    """A fault of the bench or of the computer during execution."""
+    REFUSED = "refused"
+    """The plan, or something that it needs, was wrong: nothing moved."""
+    BUSY = "busy"
+    """Another process uses the bench; the test is tried again."""
+
+
+@dataclass(frozen=True, slots=True)
+class BenchHours:
+    """When a bench may work, and its warm-up. openings: None for any time. warm_up, stays_warm: s; inf for a bench that stays warm."""
+
+    openings: tuple[Opening, ...] | None = None
+    warm_up: float = 0.0
+    stays_warm: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class NightHours:
+    """begins, closes: of the night; closes is inf without window and budget."""
+
+    begins: float
+    closes: float
+    benches: Mapping[str, BenchHours]
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """A test begins now."""
+
+    test: int
+    at: float
+
+
+@dataclass(frozen=True, slots=True)
+class WarmUp:
+    """A bench warms up from now."""
+
+    bench: str
+    at: float
+    until: float
+
+
+@dataclass(slots=True)
+class _Test:
+    """since: the instant from which it may begin while it waits."""
+
+    state: Literal["waiting", "running", "ended", "not run"] = "waiting"
+    ending: Ending | None = None
+    since: float = -math.inf
+    attempts: int = 0
+
+
+@dataclass(slots=True)
+class _Bench:
+    """warm_at: when its last warm-up ends or ended. last_used: when its last test ended. stopped: why no further test begins on it."""
+
+    running: int | None = None
+    warm_at: float | None = None
+    last_used: float = -math.inf
+    stopped: str = ""
+
+
+@dataclass(slots=True)
+class Course:
+    """The state of a night. durations: planned seconds of each test; None if unknown (the test then counts as short)."""
+
+    tests: Sequence[PlannedTest]
+    durations: Sequence[float | None]
+    hours: NightHours
+    zone: tzinfo | None = None
+    stopped: str = ""
+    _tests: list[_Test] = field(default_factory=list)
+    _benches: dict[str, _Bench] = field(default_factory=dict)
+    _devices: dict[str, str] = field(default_factory=dict)
+    """Device → why no further test begins on it."""
+
+    def __post_init__(self) -> None:
+        self._tests = [_Test() for _ in self.tests]
+        self._benches = {test.bench: _Bench() for test in self.tests}
+
+    # -- what happened ---------------------------------------------------------------------------------------------------
+
+    def begun(self, test: int, at: float) -> None:
+        """A test has begun."""
+        state = self._tests[test]
+        state.state, state.since = "running", at
+        state.attempts += 1
+        self._benches[self.tests[test].bench].running = test
+
+    def warming(self, bench: str, until: float) -> None:
+        self._benches[bench].warm_at = until
+
+    def cooled(self) -> None:
+        """Every bench needs its warm-up again, for example after a power failure."""
+        for bench in self._benches.values():
+            bench.warm_at = None
+
+    def ended(self, test: int, at: float, ending: Ending, reason: str = "") -> bool:
+        """A running test has ended. Returns whether this is its result; otherwise it will be repeated."""
+        planned, state = self.tests[test], self._tests[test]
+        bench = self._benches[planned.bench]
+        bench.running, bench.last_used = None, at
+        plan = planned.plan
+        if ending is Ending.BUSY:
+            state.state, state.since = "waiting", at + BUSY_PAUSE
+            state.attempts -= 1
+            return False
+        if ending.value in plan.retry_on and state.attempts <= plan.retries and not self.stopped:
+            state.state, state.since = "waiting", at + plan.retry_after.value
+            return False
+        state.state, state.ending = "ended", ending
+        if ending is not Ending.PASSED:
+            self._follow(planned, ending)
+        return True
+
+    def abandon(self, test: int) -> None:
+        """A waiting test will not run."""
+        self._tests[test].state = "not run"
+
+    def _follow(self, test: PlannedTest, ending: Ending) -> None:
+        """What a failure has as a consequence, according to the suite."""
+        if ending is Ending.REFUSED:
+            return  # nothing moved: other tests are not concerned
+        action = test.plan.on_limit if ending is Ending.LIMIT else test.plan.on_fault
+        what = "a limit failed" if ending is Ending.LIMIT else "there was a fault"
+        reason = f"{what} in {test.name}"
+        if action == "stop_night":
+            self.stopped = self.stopped or f"the night was stopped: {reason}"
+        elif action == "stop_bench":
+            bench = self._benches[test.bench]
+            bench.stopped = bench.stopped or f"bench {test.bench} was stopped: {reason}"
+        elif action == "stop_device" and test.device is not None:
+            self._devices.setdefault(test.device, f"device {test.device} was stopped: {reason}")
+
+    # -- what comes next -------------------------------------------------------------------------------------------------
+
+    def next(self, now: float) -> Begin | WarmUp | None:
+        """What begins now, if anything. The caller reports it with `begun` or `warming` and asks again."""
+        for name, bench in self._benches.items():
+            if bench.running is not None or (bench.warm_at is not None and bench.warm_at > now):
+                continue
+            for index, test in enumerate(self.tests):
+                if test.bench != name or not self._ready(index, now):
+                    continue
+                if self._starts(index, now) == now:
+                    warm_up = self._warm_up(test, bench, now)
+                    return Begin(index, now) if warm_up == 0.0 else WarmUp(name, now, now + warm_up)
+        return None
+
+    def out_of_reach(self, now: float) -> Iterator[tuple[int, str]]:
+        """Waiting tests that cannot run any more, with the reason. The caller reports them with `abandon`."""
+        for index in self.waiting:
+            if reason := self._obstacle(self.tests[index], now):
+                yield index, reason
+
+    def wakes(self, now: float) -> float:
+        """The next instant at which something may begin without anything ending; inf if there is none."""
+        moments = [bench.warm_at for bench in self._benches.values() if bench.warm_at is not None]
+        moments += [state.since for state in self._tests if state.state == "waiting"]
+        for hours in self.hours.benches.values():
+            moments += [opening.opens for opening in hours.openings or ()]
+        return min((moment for moment in (*moments, self.hours.begins) if moment > now), default=math.inf)
+
+    @property
+    def running(self) -> tuple[int, ...]:
+        return tuple(bench.running for bench in self._benches.values() if bench.running is not None)
+
+    @property
+    def waiting(self) -> tuple[int, ...]:
+        return tuple(index for index, state in enumerate(self._tests) if state.state == "waiting")
+
+    def attempts(self, test: int) -> int:
+        """How often a test has begun; tests that found their bench in use do not count."""
+        return self._tests[test].attempts
+
+    def _ready(self, index: int, now: float) -> bool:
+        test, state = self.tests[index], self._tests[index]
+        if state.state != "waiting" or state.since > now or self._obstacle(test, now):
+            return False
+        if any(self._tests[other].state in ("waiting", "running") for other in test.after):
+            return False
+        busy = {self.tests[other].device for other in self.running}
+        return test.device is None or test.device not in busy
+
+    def _obstacle(self, test: PlannedTest, now: float) -> str:
+        """Why a waiting test cannot run any more; empty if it can."""
+        stopped = self.stopped or self._benches[test.bench].stopped or self._devices.get(test.device or "", "")
+        if stopped:
+            return stopped
+        for other in test.needs:
+            state = self._tests[other]
+            if state.state == "not run" or (state.state == "ended" and state.ending is not Ending.PASSED):
+                done = "did not run" if state.state == "not run" else "did not pass"
+                return f"it needs {self.tests[other].name}, which {done}"
+        bench = self._benches[test.bench]
+        if bench.running is None and self._starts(test.index, now, soonest=True) is None:
+            return self._too_long(test, now)
+        return ""
+
+    def _too_long(self, test: PlannedTest, now: float) -> str:
+        duration = self.durations[test.index] or 0.0
+        closes = self.hours.closes
+        limits = self.hours.benches[test.bench].openings
+        if limits is not None:
+            closes = max((opening.closes for opening in limits if opening.opens < closes), default=now)
+            closes = min(closes, self.hours.closes)
+        if closes <= now:
+            return f"it does not fit: the time for bench {test.bench} ended at {shown_time(closes, self.zone)}"
+        return (
+            f"it does not fit: it takes {spell_out(duration)}, and bench {test.bench} has time until "
+            f"{shown_time(closes, self.zone)}"
+        )
+
+    def _starts(self, index: int, now: float, *, soonest: bool = False) -> float | None:
+        """The first instant from now on at which a test could begin with respect to the hours alone; None if it does not fit any more.
+        soonest: without its pause."""
+        test, state = self.tests[index], self._tests[index]
+        limits, bench = self.hours.benches[test.bench], self._benches[test.bench]
+        earliest = max(now, self.hours.begins, -math.inf if soonest else state.since, bench.warm_at or -math.inf)
+        for opening in limits.openings if limits.openings is not None else (_ALWAYS,):
+            at = max(earliest, opening.opens)
+            length = self._warm_up(test, bench, at) + (self.durations[index] or 0.0)
+            if at + length <= min(opening.closes, self.hours.closes) and at < self.hours.closes:
+                return at
+        return None
+
+    def _warm_up(self, test: PlannedTest, bench: _Bench, at: float) -> float:
+        """Seconds that a bench has to warm up before a test that begins at an instant."""
+        hours = self.hours.benches[test.bench]
+        if not test.plan.warm:
+            return 0.0
+        if bench.warm_at is None or at - max(bench.warm_at, bench.last_used) > hours.stays_warm:
+            return hours.warm_up
+        return 0.0
+
+
+def night_hours(suite: Suite, begins: float, zone: tzinfo | None) -> NightHours:
+    """The hours of the night that begins at or after an instant: at the instant itself if the window is open, otherwise when it opens
+    next."""
+    closes = math.inf
+    if suite.window is not None:
+        opening = next(openings(suite.window, begins, zone))
+        begins, closes = max(begins, opening.opens), opening.closes
+    if suite.budget is not None:
+        closes = min(closes, begins + suite.budget.value)
+    benches = {}
+    for name, bench in suite.benches.items():
+        found = None
+        if bench.window is not None:
+            found = tuple(
+                opening for opening in islice(openings(bench.window, begins, zone), _OPENINGS) if opening.opens < closes
+            )
+        benches[name] = BenchHours(
+            found,
+            0.0 if bench.warm_up is None else bench.warm_up.value,
+            math.inf if bench.stays_warm is None else bench.stays_warm.value,
+        )
+    return NightHours(begins, closes, benches)
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """A stretch of time on a bench: a test, or a warm-up if test is None."""
+
+    bench: str
+    begins: float
+    ends: float
+    test: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """A night as planned. left_out: index of each test that does not run, with the reason."""
+
+    hours: NightHours
+    slots: tuple[Slot, ...]
+    left_out: tuple[tuple[int, str], ...]
+
+    @property
+    def ends(self) -> float:
+        """The predicted end; the beginning if nothing runs."""
+        return max((slot.ends for slot in self.slots), default=self.hours.begins)
+
+    def slot_of(self, test: int) -> Slot | None:
+        return next((slot for slot in self.slots if slot.test == test), None)
+
+
+def foresee(
+    tests: Sequence[PlannedTest], durations: Sequence[float | None], hours: NightHours, zone: tzinfo | None
+) -> Forecast:
+    """The night if every test takes its planned duration and passes."""
+    course = Course(tests, durations, hours, zone)
+    now = hours.begins
+    slots: list[Slot] = []
+    left_out: list[tuple[int, str]] = []
+    while True:
+        while lost := tuple(course.out_of_reach(now)):
+            left_out += lost
+            for index, _ in lost:
+                course.abandon(index)
+        while (step := course.next(now)) is not None:
+            if isinstance(step, Begin):
+                course.begun(step.test, now)
+                slots.append(Slot(tests[step.test].bench, now, now + (durations[step.test] or 0.0), step.test))
+            else:
+                course.warming(step.bench, step.until)
+                slots.append(Slot(step.bench, now, step.until, None))
+        running = set(course.running)
+        ends = {slot.test: slot.ends for slot in slots if slot.test is not None and slot.test in running}
+        moment = min([*ends.values(), course.wakes(now)])
+        if not math.isfinite(moment):
+            break
+        now = moment
+        for index, end in ends.items():
+            if end <= now:
+                course.ended(index, now, Ending.PASSED)
+    left_out += [(index, "nothing that it waits for can run") for index in course.waiting]
+    return Forecast(hours, tuple(slots), tuple(left_out))

@@ -1,0 +1,259 @@
+"""The checks of a suite, all in one run: its own form and names, every plan on every bench that it will run on, and the timetable."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import field
+from datetime import datetime, tzinfo
+from pathlib import Path
+
+from planrunner.archive.space import recording_bytes
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Finding, Findings, InputError, closest
+from planrunner.base.processes import shared_out
+from planrunner.bench.attendance import check_unattended
+from planrunner.bench.model import NAME, runs_on_virtual_clock
+from planrunner.night.civil_time import civil, zone_of
+from planrunner.night.expansion import PlannedTest, check_known_failures, expand_suite
+from planrunner.night.suite import HEADER, Suite, SuiteDevice, read_suite
+from planrunner.night.timetable import Forecast, foresee, night_hours
+from planrunner.plan import source
+from planrunner.tasks.check import Document, check_plan
+
+
+@dataclass(frozen=True, slots=True)
+class PlanOnBench:
+    """What the check of a plan on a bench found. seconds: planned duration; None if a recording gives it. size: largest number of bytes of
+    the run. asks: run information that the plan asks for, each with whether it is required."""
+
+    findings: tuple[Finding, ...]
+    ok: bool
+    virtual: bool = True
+    seconds: float | None = None
+    size: int = 0
+    asks: tuple[tuple[str, bool], ...] = ()
+
+
+@dataclass(slots=True)
+class CheckedSuite:
+    """A suite as far as it could be read and checked. virtual: whether all benches have simulated time."""
+
+    file: str
+    findings: Findings
+    data: bytes = b""
+    suite: Suite | None = None
+    zone: tzinfo | None = None
+    tests: tuple[PlannedTest, ...] = ()
+    plans: dict[tuple[Path, str], PlanOnBench] = field(default_factory=dict)
+    forecast: Forecast | None = None
+    virtual: bool = False
+
+    @property
+    def ok(self) -> bool:
+        return self.forecast is not None and not self.findings.errors
+
+    @property
+    def durations(self) -> tuple[float | None, ...]:
+        """Planned seconds of each test."""
+        return tuple(self.plans[test.file, test.bench].seconds for test in self.tests)
+
+    def sound(self) -> SoundSuite:
+        """The suite with everything that a night needs. Raises `InputError` with the findings if there are errors."""
+        if self.findings.errors or self.suite is None or self.forecast is None:
+            raise InputError(self.findings)
+        asks = tuple(dict(self.plans[test.file, test.bench].asks) for test in self.tests)
+        return SoundSuite(
+            self.file, self.findings, self.data, self.suite, self.zone, self.tests, self.durations, asks,
+            self.forecast, self.virtual,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class SoundSuite:
+    """A suite that passed its checks (warnings may remain in `findings`). asks: for each test, the run information that its plan asks
+    for."""
+
+    file: str
+    findings: Findings
+    data: bytes
+    suite: Suite
+    zone: tzinfo | None
+    tests: tuple[PlannedTest, ...]
+    durations: tuple[float | None, ...]
+    asks: tuple[dict[str, bool], ...]
+    forecast: Forecast
+    virtual: bool
+
+    def bench_of(self, test: PlannedTest) -> str:
+        """The bench of a test as `planrunner run --bench` takes it."""
+        return bench_file(self.suite, self.file, test.bench)
+
+
+def is_suite(file: Path) -> bool:
+    """Whether a file is a suite, by its key `planrunner_suite`. A file that cannot be read is not."""
+    try:
+        data = source.read_bytes(file)
+        # The whole text is parsed only if it contains the key.
+        return (
+            HEADER.encode() in data and source.parse(source.decode(data, str(file)), str(file)).get(HEADER) is not None
+        )
+    except InputError:
+        return False
+
+
+def bench_file(suite: Suite, file: str, name: str) -> str:
+    """A bench of a suite as a shipped name, or as a path. A bare word is a shipped name, as in a plan."""
+    written = suite.benches[name].bench
+    return written if re.fullmatch(NAME, written) else str(Path(file).parent / written)
+
+
+def check_suite(file: Path | Document, *, at: str | None = None, jobs: int | None = None) -> CheckedSuite:
+    """All checks of a suite before a night. Never raises because of the content of the files.
+
+    at: the local time from which the night may begin, in the zone of the suite (ISO 8601), by default now. jobs: processes that share the
+    plans.
+    """
+    checked = CheckedSuite(file.shown if isinstance(file, Document) else str(file), Findings())
+    log = checked.findings
+    try:
+        checked.data = file.data if isinstance(file, Document) else source.read_bytes(file)
+        root = source.parse(source.decode(checked.data, checked.file), checked.file, log)
+    except InputError as error:
+        log.extend(error.findings)
+        return checked
+    suite = checked.suite = read_suite(root, log)
+    if suite is None:
+        return checked
+    try:
+        checked.zone = zone_of(suite.zone, suite.at("zone"))
+    except InputError as error:
+        log.extend(error.findings)
+    _check_notifications(suite, log)
+    checked.tests = expand_suite(suite, Path(checked.file).parent, log)
+    begins = time.time() if at is None else datetime.fromisoformat(at).replace(tzinfo=checked.zone).timestamp()
+    today = civil(begins, checked.zone).date()
+    if checked.tests:
+        check_known_failures(suite, checked.tests, today, log)
+    _check_plans(checked, suite, jobs)
+    _check_information(checked, suite)
+    _check_devices(checked, suite)
+    if log.errors or not checked.tests:
+        return checked
+    hours = night_hours(suite, begins, checked.zone)
+    checked.forecast = foresee(checked.tests, checked.durations, hours, checked.zone)
+    for index, reason in checked.forecast.left_out:
+        test = checked.tests[index]
+        hint = "leave tests out, widen the window or the budget, or use another bench"
+        log.warning("suite-does-not-fit", test.mark, f"{test.name} will not run: {reason}", hint)
+    return checked
+
+
+def _check_plans(checked: CheckedSuite, suite: Suite, jobs: int | None) -> None:
+    """Checks every plan on every bench that it runs on, each pair once."""
+    log = checked.findings
+    pairs = {(test.file, test.bench): test for test in checked.tests}
+    items = [(file, bench_file(suite, checked.file, bench)) for file, bench in pairs]
+    answers = shared_out(_look_at, items, jobs)
+    for (pair, test), answer in zip(pairs.items(), answers, strict=True):
+        checked.plans[pair] = answer
+        for finding in answer.findings:
+            if finding.code in ("file-missing", "meaning-unknown-bench", "file-directory"):
+                of_bench = finding.mark.file != str(test.file)
+                at = suite.benches[test.bench].at("bench") if of_bench else test.plan.at("plan")
+                log.error(finding.code, at, f"{finding.mark.file}: {finding.message}", finding.hint)
+            elif finding.severity != "note":
+                log.extend([finding])
+    used = {test.bench for test in checked.tests}
+    checked.virtual = all(answer.virtual for (_, bench), answer in checked.plans.items() if bench in used)
+
+
+def _look_at(pair: tuple[Path, str]) -> PlanOnBench:
+    file, bench = pair
+    found = check_plan(file, bench)
+    if found.bench is not None and found.schedule is not None:
+        check_unattended(found.bench, found.schedule, found.findings)
+    asks = () if found.plan is None else tuple((name, item.required) for name, item in found.plan.record.items())
+    if found.schedule is None or found.bench is None or found.models is None or found.models.sensor is None:
+        return PlanOnBench(tuple(found.findings), False, asks=asks)
+    sensor, schedule = found.models.sensor, found.schedule
+    recorded = any(segment.dwell is None for segment in schedule.segments)
+    return PlanOnBench(
+        tuple(found.findings),
+        found.ok,
+        runs_on_virtual_clock(found.bench),
+        None if recorded else schedule.total,
+        recording_bytes(schedule, sensor.sample_rate, len(sensor.outputs) + 1),
+        asks,
+    )
+
+
+def _check_information(checked: CheckedSuite, suite: Suite) -> None:
+    """The run information that the plans ask for is given, and what is given is asked for."""
+    log = checked.findings
+    asked: set[str] = set()
+    for test in checked.tests:
+        asks = dict(checked.plans[test.file, test.bench].asks)
+        asked.update(asks)
+        if not checked.plans[test.file, test.bench].ok:
+            continue
+        for name, required in asks.items():
+            if required and name not in test.information:
+                message = f"'{test.entry}' asks for '{name}', which the suite does not give"
+                log.error(
+                    "suite-information-missing",
+                    test.mark,
+                    message,
+                    f"add it under `set:`, for example `set: {{{name}: …}}`",
+                )
+        for key, given in (("set", test.plan.set), ("matrix", test.plan.matrix)):
+            for name in given:
+                if name not in asks:
+                    at = test.plan.at(f"{key}.{name}")
+                    message = f"the plan '{test.entry}' does not ask for '{name}'"
+                    log.error(
+                        "run-info-unknown", at, message, closest(name, asks) or "add it under record: in the plan"
+                    )
+    if checked.tests and all(answer.ok for answer in checked.plans.values()):
+        owners: list[Suite | SuiteDevice] = [suite, *suite.devices.values()]
+        for owner in owners:
+            for name in owner.set:
+                if name not in asked:
+                    message = f"no plan of the suite asks for '{name}'"
+                    log.warning("suite-information-unused", owner.at(f"set.{name}"), message, closest(name, asked))
+
+
+def _check_devices(checked: CheckedSuite, suite: Suite) -> None:
+    """Nobody moves a device from one real bench to another at night."""
+    real = {bench for (_, bench), answer in checked.plans.items() if answer.ok and not answer.virtual}
+    for name, device in suite.devices.items():
+        places = sorted({test.bench for test in checked.tests if test.device == name} & real)
+        if len(places) > 1:
+            message = f"device '{name}' is tested on {' and '.join(places)}, but nobody moves it at night"
+            at = device.at("benches") if device.benches else device.origin.mark
+            checked.findings.warning("suite-device-moves", at, message, "name the bench that it is mounted on")
+
+
+def _check_notifications(suite: Suite, log: Findings) -> None:
+    for entry in suite.notify:
+        ways = [bool(entry.webhook), bool(entry.webhook_from), bool(entry.email)]
+        if sum(ways) != 1:
+            hint = "give one of webhook, webhook_from and email; write several entries for several receivers"
+            log.error("suite-notification", entry.origin.mark, "a notification goes to exactly one receiver", hint)
+        elif entry.email and entry.sender is None:
+            log.error(
+                "suite-notification",
+                entry.origin.mark,
+                "an e-mail needs a sender",
+                "add for example `from: lab@example.org`",
+            )
+        elif (entry.user is None) != (entry.password_from is None):
+            log.error(
+                "suite-notification",
+                entry.origin.mark,
+                "user and password_from belong together",
+                "give both or neither",
+            )
+        elif entry.password_from is not None and entry.security == "none":
+            message = "the password would be sent without encryption"
+            log.error("suite-notification", entry.at("security"), message, "use starttls or tls")
