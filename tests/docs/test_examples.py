@@ -1,8 +1,8 @@
 """Every `console` example of the docs: its commands run, and what it shows of their output appears.
 
 In a ```console block a line that begins with `$` is a command; the lines after it must appear in its output in that order, `…` standing for
-anything. The blocks of one page run one after the other in one folder, which holds copies of the shipped plans and suites. A plain `planrunner`
-command is called in this process, anything that needs a shell in one.
+anything. The blocks of one page run one after the other in one folder, which holds copies of the shipped plans and suites. A plain
+`planrunner` command is called in this process, anything that needs a shell in one.
 """
 
 from __future__ import annotations
