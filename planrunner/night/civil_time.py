@@ -11,7 +11,7 @@ from datetime import date, datetime, timedelta, tzinfo
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import InputError, Mark
-from planrunner.night.suite import DAYS, Window
+from planrunner.night.suite import DAYS, NightWindow
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ def instant_of(day: date, time: str, zone: tzinfo | None) -> float:
     return datetime(day.year, day.month, day.day, hours, minutes, tzinfo=zone).timestamp()
 
 
-def openings(window: Window, since: float, zone: tzinfo | None) -> Iterator[Opening]:
+def openings(window: NightWindow, since: float, zone: tzinfo | None) -> Iterator[Opening]:
     """The openings of a window that close after `since`, in order."""
     day = civil(since, zone).date() - timedelta(days=1)
     overnight = window.closes <= window.opens

@@ -28,7 +28,7 @@ _VARIABLE = Text(
 )
 
 
-class Window(Record):
+class NightWindow(Record):
     """Hours of the day in which tests may run."""
 
     opens: str = key(_TIME, "Local time at which the window opens.", "22:00", name="from")
@@ -63,8 +63,8 @@ class SuiteBench(Record):
         "2 h",
         default=None,
     )
-    window: Window | None = key(
-        RecordOf(Window),
+    window: NightWindow | None = key(
+        RecordOf(NightWindow),
         "Hours in which this bench may work, in addition to those of the suite.",
         {"from": "20:00", "to": "23:30"},
         default=None,
@@ -265,8 +265,8 @@ class Suite(Record):
         "Europe/Berlin",
         default=None,
     )
-    window: Window | None = key(
-        RecordOf(Window),
+    window: NightWindow | None = key(
+        RecordOf(NightWindow),
         "Hours of the night; without it, the night begins at once and has no end.",
         {"from": "22:00", "to": "06:00"},
         default=None,
@@ -313,7 +313,7 @@ class Suite(Record):
 
 SECTIONS: tuple[tuple[str, str, type[Record]], ...] = (
     ("A suite", "The top of the file.", Suite),
-    ("`window`", "", Window),
+    ("`window`", "", NightWindow),
     ("`benches`: each bench", "", SuiteBench),
     ("`devices`: each device", "", SuiteDevice),
     ("`plans`: each plan", "", SuitePlan),

@@ -1,8 +1,8 @@
 """The timetable of a night: which test begins when, on which bench, and which tests do not fit.
 
-`Course` is the state of a night and the rules by which it goes on. It knows no processes and no clock: the caller says what ended and what
-time it is. `planrunner check` lets it run through with the planned durations (`foresee`); `planrunner night` feeds it with what happens.
-Both therefore follow the same rules. Times are instants, seconds since 1970 UTC.
+`NightCourse` is the state of a night and the rules by which it goes on. It knows no processes and no clock: the caller says what ended and
+what time it is. `planrunner check` lets it run through with the planned durations (`foresee`); a night feeds it with what happens. Both
+therefore follow the same rules. Times are instants, seconds since 1970 UTC.
 
 On each bench, the first test in the order of the suite begins whose dependencies have ended, whose device is free, and which ends in time
 according to its planned duration.
@@ -31,7 +31,7 @@ _OPENINGS = 60
 """Openings of a bench's window that are considered in one night."""
 
 
-class Ending(Enum):
+class EndOfTest(Enum):
     """How a test ended."""
 
     PASSED = "passed"
@@ -85,7 +85,7 @@ class _Test:
     """since: the instant from which it may begin while it waits."""
 
     state: Literal["waiting", "running", "ended", "not run"] = "waiting"
-    ending: Ending | None = None
+    ending: EndOfTest | None = None
     since: float = -math.inf
     attempts: int = 0
 
@@ -101,7 +101,7 @@ class _Bench:
 
 
 @dataclass(slots=True)
-class Course:
+class NightCourse:
     """The state of a night. durations: planned seconds of each test; None if unknown (the test then counts as short)."""
 
     tests: Sequence[PlannedTest]
@@ -135,13 +135,13 @@ class Course:
         for bench in self._benches.values():
             bench.warm_at = None
 
-    def ended(self, test: int, at: float, ending: Ending, reason: str = "") -> bool:
+    def ended(self, test: int, at: float, ending: EndOfTest, reason: str = "") -> bool:
         """A running test has ended. Returns whether this is its result; otherwise it will be repeated."""
         planned, state = self.tests[test], self._tests[test]
         bench = self._benches[planned.bench]
         bench.running, bench.last_used = None, at
         plan = planned.plan
-        if ending is Ending.BUSY:
+        if ending is EndOfTest.BUSY:
             state.state, state.since = "waiting", at + BUSY_PAUSE
             state.attempts -= 1
             return False
@@ -149,20 +149,27 @@ class Course:
             state.state, state.since = "waiting", at + plan.retry_after.value
             return False
         state.state, state.ending = "ended", ending
-        if ending is not Ending.PASSED:
+        if ending is not EndOfTest.PASSED:
             self._follow(planned, ending)
         return True
+
+    def interrupted(self, test: int) -> None:
+        """A running test was interrupted, and continues later; this does not count as an attempt."""
+        state = self._tests[test]
+        state.state, state.since = "waiting", -math.inf
+        state.attempts -= 1
+        self._benches[self.tests[test].bench].running = None
 
     def abandon(self, test: int) -> None:
         """A waiting test will not run."""
         self._tests[test].state = "not run"
 
-    def _follow(self, test: PlannedTest, ending: Ending) -> None:
+    def _follow(self, test: PlannedTest, ending: EndOfTest) -> None:
         """What a failure has as a consequence, according to the suite."""
-        if ending is Ending.REFUSED:
+        if ending is EndOfTest.REFUSED:
             return  # nothing moved: other tests are not concerned
-        action = test.plan.on_limit if ending is Ending.LIMIT else test.plan.on_fault
-        what = "a limit failed" if ending is Ending.LIMIT else "there was a fault"
+        action = test.plan.on_limit if ending is EndOfTest.LIMIT else test.plan.on_fault
+        what = "a limit failed" if ending is EndOfTest.LIMIT else "there was a fault"
         reason = f"{what} in {test.name}"
         if action == "stop_night":
             self.stopped = self.stopped or f"the night was stopped: {reason}"
@@ -229,7 +236,7 @@ class Course:
             return stopped
         for other in test.needs:
             state = self._tests[other]
-            if state.state == "not run" or (state.state == "ended" and state.ending is not Ending.PASSED):
+            if state.state == "not run" or (state.state == "ended" and state.ending is not EndOfTest.PASSED):
                 done = "did not run" if state.state == "not run" else "did not pass"
                 return f"it needs {self.tests[other].name}, which {done}"
         bench = self._benches[test.bench]
@@ -309,7 +316,7 @@ class Slot:
 
 
 @dataclass(frozen=True, slots=True)
-class Forecast:
+class NightForecast:
     """A night as planned. left_out: index of each test that does not run, with the reason."""
 
     hours: NightHours
@@ -327,9 +334,9 @@ class Forecast:
 
 def foresee(
     tests: Sequence[PlannedTest], durations: Sequence[float | None], hours: NightHours, zone: tzinfo | None
-) -> Forecast:
+) -> NightForecast:
     """The night if every test takes its planned duration and passes."""
-    course = Course(tests, durations, hours, zone)
+    course = NightCourse(tests, durations, hours, zone)
     now = hours.begins
     slots: list[Slot] = []
     left_out: list[tuple[int, str]] = []
@@ -353,6 +360,6 @@ def foresee(
         now = moment
         for index, end in ends.items():
             if end <= now:
-                course.ended(index, now, Ending.PASSED)
+                course.ended(index, now, EndOfTest.PASSED)
     left_out += [(index, "nothing that it waits for can run") for index in course.waiting]
-    return Forecast(hours, tuple(slots), tuple(left_out))
+    return NightForecast(hours, tuple(slots), tuple(left_out))

@@ -12,7 +12,7 @@ from planrunner.base.documents import Json, JsonObject
 from planrunner.night.civil_time import civil, shown_time
 from planrunner.night.expansion import PlannedTest
 from planrunner.night.suite import Suite
-from planrunner.night.timetable import Forecast, Slot
+from planrunner.night.timetable import NightForecast, Slot
 from planrunner.night.words import spell_out
 
 WARM_UP = "warm-up"
@@ -29,7 +29,7 @@ class Timetable:
     file: str
     tests: Sequence[PlannedTest]
     durations: Sequence[float | None]
-    forecast: Forecast
+    forecast: NightForecast
     zone: tzinfo | None
     virtual: bool
 

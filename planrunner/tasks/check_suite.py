@@ -17,7 +17,7 @@ from planrunner.bench.model import NAME, runs_on_virtual_clock
 from planrunner.night.civil_time import civil, zone_of
 from planrunner.night.expansion import PlannedTest, check_known_failures, expand_suite
 from planrunner.night.suite import HEADER, Suite, SuiteDevice, read_suite
-from planrunner.night.timetable import Forecast, foresee, night_hours
+from planrunner.night.timetable import NightForecast, foresee, night_hours
 from planrunner.plan import source
 from planrunner.tasks.check import Document, check_plan
 
@@ -46,7 +46,7 @@ class CheckedSuite:
     zone: tzinfo | None = None
     tests: tuple[PlannedTest, ...] = ()
     plans: dict[tuple[Path, str], PlanOnBench] = field(default_factory=dict)
-    forecast: Forecast | None = None
+    forecast: NightForecast | None = None
     virtual: bool = False
 
     @property
@@ -82,7 +82,7 @@ class SoundSuite:
     tests: tuple[PlannedTest, ...]
     durations: tuple[float | None, ...]
     asks: tuple[dict[str, bool], ...]
-    forecast: Forecast
+    forecast: NightForecast
     virtual: bool
 
     def bench_of(self, test: PlannedTest) -> str:

@@ -14,8 +14,17 @@ import pytest
 from planrunner.base.findings import Findings
 from planrunner.night.civil_time import openings, shown_time
 from planrunner.night.expansion import expand_suite
-from planrunner.night.suite import Suite, Window, read_suite
-from planrunner.night.timetable import BUSY_PAUSE, Begin, Course, Ending, Forecast, WarmUp, foresee, night_hours
+from planrunner.night.suite import NightWindow, Suite, read_suite
+from planrunner.night.timetable import (
+    BUSY_PAUSE,
+    Begin,
+    EndOfTest,
+    NightCourse,
+    NightForecast,
+    WarmUp,
+    foresee,
+    night_hours,
+)
 from planrunner.plan import source
 
 BERLIN = ZoneInfo("Europe/Berlin")
@@ -31,16 +40,16 @@ def suite_of(**keys: Any) -> Suite:
     return suite
 
 
-def course_of(suite: Suite, hours: dict[str, float] | float, begins: float = T0) -> Course:
+def course_of(suite: Suite, hours: dict[str, float] | float, begins: float = T0) -> NightCourse:
     tests = expand_suite(suite, Path(), log := Findings())
     assert not log.errors
     durations = [HOUR * (hours if isinstance(hours, float) else hours[test.entry]) for test in tests]
-    return Course(tests, durations, night_hours(suite, begins, UTC), UTC)
+    return NightCourse(tests, durations, night_hours(suite, begins, UTC), UTC)
 
 
 def night(
     suite: Suite, hours: dict[str, float] | float, begins: float = T0, zone: Any = UTC
-) -> tuple[dict[str, tuple[float, float]], dict[str, str], Forecast]:
+) -> tuple[dict[str, tuple[float, float]], dict[str, str], NightForecast]:
     """Test → begin and end in hours since 20:00 UTC; test → why it does not run."""
     course = course_of(suite, hours, begins)
     found = foresee(course.tests, course.durations, night_hours(suite, begins, zone), zone)
@@ -138,7 +147,7 @@ def test_a_bench_has_its_own_hours() -> None:
     ids=["clocks go forward", "clocks go back", "neither"],
 )
 def test_a_window_over_the_change_of_daylight_saving_has_its_true_length(day: str, hours: float) -> None:
-    window = Window(opens="22:00", closes="06:00")
+    window = NightWindow(opens="22:00", closes="06:00")
     begins = datetime.fromisoformat(f"{day}T12:00").replace(tzinfo=BERLIN).timestamp()
     opening = next(openings(window, begins, BERLIN))
     assert shown_time(opening.opens, BERLIN).startswith(f"{day} 22:00")
@@ -157,18 +166,18 @@ def test_a_window_over_the_change_of_daylight_saving_has_its_true_length(day: st
 def test_times_that_exist_twice_or_not_at_all_do_no_harm() -> None:
     for day in ("2026-03-29", "2026-10-25"):
         begins = datetime.fromisoformat(f"{day}T00:30").replace(tzinfo=BERLIN).timestamp()
-        opening = next(openings(Window(opens="02:30", closes="03:30"), begins, BERLIN))
+        opening = next(openings(NightWindow(opens="02:30", closes="03:30"), begins, BERLIN))
         assert opening.opens > begins
         assert 0 < opening.closes - opening.opens <= 2 * HOUR
 
 
 def test_windows_open_on_their_days_only() -> None:
     monday = datetime(2026, 1, 12, 12, 0, tzinfo=UTC).timestamp()
-    found = openings(Window(opens="22:00", closes="06:00", days=("fri", "sat")), monday, UTC)
+    found = openings(NightWindow(opens="22:00", closes="06:00", days=("fri", "sat")), monday, UTC)
     assert [shown_time(next(found).opens, UTC)[:10] for _ in range(3)] == ["2026-01-16", "2026-01-17", "2026-01-23"]
 
 
-def step(course: Course, now: float) -> Begin | WarmUp | None:
+def step(course: NightCourse, now: float) -> Begin | WarmUp | None:
     found = course.next(now)
     if isinstance(found, Begin):
         course.begun(found.test, now)
@@ -182,16 +191,16 @@ def test_a_fault_is_repeated_after_the_pause_and_then_stops_the_bench() -> None:
     )
     course = course_of(suite, 1.0)
     assert isinstance(step(course, T0), Begin) and isinstance(step(course, T0), Begin)  # x/a and y/b
-    assert not course.ended(0, T0 + 60, Ending.FAULT)
+    assert not course.ended(0, T0 + 60, EndOfTest.FAULT)
     assert isinstance(step(course, T0 + 60), Begin)  # y/a uses the pause
     assert course.running == (1, 2)
-    assert course.ended(1, T0 + 61, Ending.PASSED)
+    assert course.ended(1, T0 + 61, EndOfTest.PASSED)
     assert course.next(T0 + 61) is None
     assert course.wakes(T0 + 61) == T0 + 60 + 300
     assert step(course, T0 + 360) == Begin(0, T0 + 360)
-    assert course.ended(0, T0 + 400, Ending.FAULT)
+    assert course.ended(0, T0 + 400, EndOfTest.FAULT)
     assert list(course.out_of_reach(T0 + 400)) == []
-    assert course.ended(2, T0 + HOUR, Ending.PASSED)
+    assert course.ended(2, T0 + HOUR, EndOfTest.PASSED)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +217,7 @@ def test_what_a_failed_limit_stops(action: str, left: list[str]) -> None:
     suite = suite_of(benches=TWO, devices=devices, plans={"x": {"plan": "p", "on_limit": action}, "y": {"plan": "p"}})
     course = course_of(suite, 1.0)
     assert step(course, T0) == Begin(0, T0)
-    assert course.ended(0, T0 + HOUR, Ending.LIMIT)
+    assert course.ended(0, T0 + HOUR, EndOfTest.LIMIT)
     assert sorted(course.tests[index].name for index, _ in course.out_of_reach(T0 + HOUR)) == sorted(left)
 
 
@@ -217,7 +226,7 @@ def test_a_bench_in_use_is_tried_again_without_counting_as_an_attempt() -> None:
     for attempt in range(5):
         at = T0 + attempt * BUSY_PAUSE
         assert step(course, at) == Begin(0, at)
-        assert not course.ended(0, at, Ending.BUSY)
+        assert not course.ended(0, at, EndOfTest.BUSY)
         assert course.next(at) is None
     assert course.attempts(0) == 0
 
@@ -228,7 +237,7 @@ def test_what_needs_a_failed_test_does_not_run_and_what_comes_after_it_does() ->
     )
     course = course_of(suite, 1.0)
     step(course, T0)
-    course.ended(0, T0 + HOUR, Ending.LIMIT)
+    course.ended(0, T0 + HOUR, EndOfTest.LIMIT)
     assert list(course.out_of_reach(T0 + HOUR)) == [(1, "it needs x/a, which did not pass")]
     assert step(course, T0 + HOUR) == Begin(2, T0 + HOUR)
 
