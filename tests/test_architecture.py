@@ -256,6 +256,13 @@ def test_check_of_the_shipped_plans_imports_nothing_heavy() -> None:
     assert held == [f"HELD {plan} []" for plan in plans]
 
 
+def test_check_of_positions_at_rest_imports_no_masked_arrays() -> None:
+    """`np.median` and `np.unique` import them, which takes as long as checking five plans."""
+    code = "import sys; from planrunner.cli import main; sys.exit(main(['check', sys.argv[1]]) or 'numpy.ma' in sys.modules)"
+    plan = str(ROOT / "plans" / "flexure_gyro_eight_position.yaml")
+    subprocess.run([sys.executable, "-c", code, plan], capture_output=True, check=True)
+
+
 OPENERS = {
     "base/regular_files.py": "every file that somebody else named",
     "base/guarded_folder.py": "everything in a run folder",

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 WRITTEN = ("__init__", "__eq__", "__hash__", "__setattr__", "__delattr__")
 """A class that defines one of these methods is left to the standard library, which adapts the other methods to it."""
+_SPECIAL = ("ClassVar", "InitVar", "KW_ONLY")
 KNOWN = {"frozen", "slots", "eq", "kw_only"}
 
 
@@ -51,8 +52,12 @@ def _made(
     undocumented = given.__doc__ is None
     if undocumented:  # else the standard library looks for a signature
         given.__doc__ = given.__name__
-    with _thawed(bases):
+    with _thawed(bases), _untyped(given) as kinds:
         made: Any = dataclasses.dataclass(init=False, repr=False, eq=False, slots=slots, kw_only=kw_only)(given)
+        for name in kinds:
+            made.__dataclass_fields__[name].type = kinds[name]
+        if kinds:
+            made.__annotations__ = kinds
     found = dataclasses.fields(made)
     if undocumented:
         made.__doc__ = f"{given.__name__}({', '.join(item.name for item in found if item.init)})"
@@ -89,6 +94,21 @@ def _thawed(bases: list[Any]) -> Iterator[None]:
     finally:
         for params in frozen:
             params.frozen = True
+
+
+@contextmanager
+def _untyped(given: type) -> Iterator[dict[str, object]]:
+    """The annotations of a class, which are replaced meanwhile: the standard library searches each text three times for words that only
+    `_SPECIAL` annotations have. Empty where there is such a word, which the standard library then finds."""
+    kinds = get_annotations(given)
+    if any(word in kind for kind in map(str, kinds.values()) for word in _SPECIAL):
+        yield {}
+        return
+    given.__annotations__ = dict.fromkeys(kinds, object)
+    try:
+        yield kinds
+    finally:
+        given.__annotations__ = kinds
 
 
 def _write(made: Any, name: str, function: Any) -> None:

@@ -44,7 +44,7 @@ class TableState:
 
     def still(self) -> TableState:
         """The same at rest."""
-        return replace(self, stopping=0.0)
+        return replace(self, stopping=0.0) if self.stopping else self
 
     def starts(self) -> list[Array]:
         """Joint angles from which the next motion may begin, the planned ones first."""

@@ -139,7 +139,10 @@ class _Design:
         """Growth with the first segment repeated at the end."""
         order = np.argsort(self.start)
         ends = (self.start + self.seconds)[order]
-        pause = float(np.median(self.start[order][1:] - ends[:-1]))
+        pauses = np.sort(
+            self.start[order][1:] - ends[:-1]
+        )  # `np.median` imports numpy.ma, which takes as long as five plans
+        pause = float(pauses[(len(pauses) - 1) // 2] + pauses[len(pauses) // 2]) / 2
         row = self.rows[self.first]
         start = np.append(self.start, ends.max() + max(pause, 0.0))
         courses = self._courses(start, np.append(self.seconds, self.seconds[row]))

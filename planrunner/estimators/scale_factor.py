@@ -135,7 +135,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
         outputs = parameters.outputs or request.segments[0].statistics.channels
         observations = observe(request.segments, outputs, request.sensor)
         rates = _rates([recorded.segment for recorded in request.segments])
-        if np.unique(rates).size < 2:
+        if not np.ptp(rates):
             raise EstimationError(
                 f"{request.name}: all segments have the same rate, so a line cannot be distinguished from a constant"
             )
