@@ -166,6 +166,7 @@ def _run(arguments: list[str], asked: AnswerForm) -> int:
     chosen = next((word for word in arguments if not word.startswith("-")), None)
     # The others are listed in the help, and where no command comes first.
     named = [chosen] if chosen in COMMANDS and arguments[0] == chosen else COMMANDS
+    asking: dict[str, _Parser] = {}
     for name in named:
         summary = COMMANDS[name]
         command = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
@@ -177,8 +178,11 @@ def _run(arguments: list[str], asked: AnswerForm) -> int:
                 "--no-excerpt", action="store_true", help="print findings without the source lines that they refer to"
             )
             command.set_defaults(run=module.run)
+        asking[name] = command
     parser.set_defaults(json=False)
-    parsed = parser.parse_args(arguments)
+    parsed, rest = parser.parse_known_args(arguments)
+    if rest:  # the parser that knows the command's arguments shows them
+        asking.get(parsed.command, parser).error(f"unrecognized arguments: {' '.join(rest)}")
     asked.json = parsed.json
     from planrunner.cli.printing import EXCERPTS
 

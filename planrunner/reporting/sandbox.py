@@ -76,6 +76,8 @@ def lay_out(name: str, given: Mapping[str, Json], folder: Path | None = None, mo
                 raise ReportError(f"{full}: the report grows beyond {most / 1e6:g} million characters")
             pieces.append(piece)
     except jinja2.TemplateNotFound as error:
+        if error.name == full != name and folder is not None and name == Path(name).name and (folder / name).is_file():
+            raise ReportError(f"'{name}' is not named as a template: rename it to '{full}'") from None
         known = ", ".join(available(folder))
         raise ReportError(f"there is no template '{error.name}'; the known templates are {known}") from None
     except jinja2.TemplateSyntaxError as error:

@@ -124,6 +124,17 @@ def test_errors_are_findings(words: tuple[str, ...], code: str, capsys: pytest.C
     assert found[0]["code"] == code
 
 
+def test_unknown_arguments_are_answered_with_the_usage_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", FLAGSHIP, "--fast"]) == WRONG_INPUT
+    said = capsys.readouterr().err
+    assert "usage: planrunner check" in said
+    assert "unrecognized arguments: --fast" in said
+    assert "`planrunner check --help`" in said
+    _, found = printed(capsys, "check", FLAGSHIP, "--fast")
+    assert found[0]["message"] == "unrecognized arguments: --fast"
+    assert found[0]["hint"].startswith("usage: planrunner check")
+
+
 def test_show(capsys: pytest.CaptureFixture[str]) -> None:
     code, found = printed(capsys, "show", FLAGSHIP)
     assert code == DONE

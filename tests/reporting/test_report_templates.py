@@ -107,6 +107,13 @@ def test_a_report_does_not_grow_without_end(tmp_path: Path, monkeypatch: pytest.
         render("own.html", GIVEN, write(tmp_path, "{% for i in range(90000) %}0123456789{% endfor %}"))
 
 
+def test_a_template_without_its_ending_is_told_so(tmp_path: Path) -> None:
+    folder = write(tmp_path, "x")
+    (folder / "plain.html").write_text("x", encoding="utf-8")
+    with pytest.raises(ReportError, match=r"'plain\.html' is not named as a template: rename it to 'plain\.html\.j2'"):
+        lay_out("plain.html", GIVEN, folder)
+
+
 def test_unknown_template_and_folder(tmp_path: Path) -> None:
     with pytest.raises(
         ReportError, match=r"no template 'certificat\.html\.j2'; the known templates are .*report\.html"
