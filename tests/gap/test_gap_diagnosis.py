@@ -31,7 +31,7 @@ def _tilt(observed: Observed, omega: Array, force: Array, draw: np.random.Genera
 
 
 def _tone(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, Array | float]:
-    return 1.2e-3 * DEG * np.sin(2 * np.pi * 3.3 * observed.time)[:, None] * np.array([1.0, 0.0, 0.0]), 0.0
+    return 2e-3 * DEG * np.sin(2 * np.pi * 3.3 * observed.time)[:, None] * np.array([1.0, 0.0, 0.0]), 0.0
 
 
 def _offsets(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, Array | float]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import Diagnosis, diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.open_set import TONE
 from planrunner.plan.schedule import Spin
 from tests.gap.turntable import ACCEL_WHITE, DEG, GYRO_WHITE, RATE, Array, Fault, G, record
 
@@ -139,3 +140,29 @@ def test_coarse_counts_without_a_declaration_name_no_effect(counts: float) -> No
     assert found.posterior.probability["unknown"] < 0.1
     if counts == 3.0:
         assert found.verdict.effects == ("gyro_g_sensitivity",)
+
+
+def faint_tone(observed: Observed, draw: np.random.Generator) -> Array:
+    """A sine of 0.15 standard deviations, 50 times above the noise of a periodogram: it makes the noise 0.6 % larger."""
+    line = 0.15 * np.sin(2 * np.pi * 3.3 * observed.time)[:, None] * np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    return np.asarray(draw.standard_normal(observed.values.shape) + line)
+
+
+def two_tones(observed: Observed, draw: np.random.Generator) -> Array:
+    lines = sum(0.6 * np.sin(2 * np.pi * hertz * observed.time) for hertz in (2.3, 3.7))
+    return np.asarray(draw.standard_normal(observed.values.shape) + np.reshape(lines, (-1, 1)) * np.eye(6)[1])
+
+
+def narrow_band(observed: Observed, draw: np.random.Generator) -> Array:
+    """A resonance at 2.9 Hz that noise excites: its phase is lost within a minute or so."""
+    hertz = 2.9 + 0.003 * np.cumsum(draw.standard_normal(len(observed.time))) / np.sqrt(RATE)
+    phase = 2 * np.pi * np.cumsum(hertz) / RATE
+    return np.asarray(draw.standard_normal(observed.values.shape) + 0.6 * np.sin(phase)[:, None] * np.eye(6)[1])
+
+
+@pytest.mark.parametrize("noise", [faint_tone, two_tones, narrow_band])
+def test_lines_of_the_noise_are_no_cause_and_are_reported(noise: Noise) -> None:
+    found = diagnose(noisy(noise))
+    assert found.verdict.kind == "none"
+    assert found.posterior.kinds[TONE] <= 0
+    assert next(one for one in found.noise if one.channel == "gyro_y").line is not None

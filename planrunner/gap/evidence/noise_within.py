@@ -59,8 +59,9 @@ class NoiseWithin:
 
     def of_coefficients(self, observed: Observed, spectrum: Spectrum) -> Array:
         """Variance (M, K) of the coefficients: that at their frequency; for harmonics, which are no cosines of the transform, the mean over
-        all frequencies that they contain."""
-        from scipy.fft import dct
+        all frequencies that they contain, ∫ S(f)·|V(f)|² df for stationary noise. Next to the lower orders, from which they are made
+        orthogonal, little more than the ends of the segment remains of them, and these contain all frequencies."""
+        from scipy.fft import rfft
 
         out = self.level[spectrum.segment]
         first = 0
@@ -71,9 +72,11 @@ class NoiseWithin:
             factor = self._relative(index, basis.frequency)
             harmonics = np.flatnonzero(basis.harmonic > 0)
             if len(harmonics):
-                shares = dct(basis.vectors[:, harmonics], type=2, norm="ortho", axis=0) ** 2
+                shares = np.abs(rfft(basis.vectors[:, harmonics], 2 * len(basis.vectors), axis=0)) ** 2
                 half = observed.sample_rate / int(observed.bin_size[index]) / 2
-                factor[harmonics] = shares.T @ self._relative(index, np.arange(len(shares)) / len(shares) * half)
+                shares[[0, -1]] /= 2
+                shares /= shares.sum(0)
+                factor[harmonics] = shares.T @ self._relative(index, np.linspace(0.0, half, len(shares)))
             out[rows] *= factor
         return out
 

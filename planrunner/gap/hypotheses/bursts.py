@@ -25,6 +25,7 @@ ENERGIES = np.geomspace(4.0, 4000.0, 12)  # of a burst in one channel, in units 
 FEWEST = 16  # windows of segments that last alike, and samples of one
 KEPT = 0.5  # share of a shifted bias that must remain outside the coefficients
 _MEDIAN = 0.4549  # of the square of a normal variable
+_DEVIATION = 0.6745  # median absolute deviation of a normal variable
 
 
 @dataclass(frozen=True)
@@ -97,12 +98,20 @@ def _evidence(
         mean[alike] /= np.maximum(np.median(mean[alike], axis=0) / _MEDIAN, 1.0)
         rest[alike] /= np.maximum(np.median(rest[alike], axis=0) / (size - 1), 1.0)
     offset = _larger(mean, 1.0, np.outer(windows.kept, ENERGIES)[:, None, :])
-    noisier = _larger(rest, size - 1.0, ENERGIES / (size - 1)) / inefficiency[:, None]
+    noisier = _larger(rest, size - 1.0, ENERGIES / (size - 1))
+    noisier /= np.maximum(inefficiency, _overdispersion(rest, size - 1.0))[:, None]
     found = np.empty((len(scopes), 3))
     for row, scope in enumerate(scopes):
         forms = (part[:, scope].sum(1) for part in (offset, noisier, offset + noisier))
         found[row] = [_here_and_there(form) for form in forms]
     return log_mean_exp(found, 1)
+
+
+def _overdispersion(energy: Array, degrees: float) -> Array:
+    """(K,): variance of most of the energies (W, K), relative to 2·degrees, that of white noise. The level of real noise always varies a
+    little; the variance follows from the median absolute deviation, which bursts in a few windows do not raise."""
+    spread = np.median(np.abs(energy - np.median(energy, axis=0)), axis=0) / _DEVIATION
+    return np.asarray(spread**2 / (2 * degrees))
 
 
 def _larger(energy: Array, degrees: float, added: Array) -> Array:

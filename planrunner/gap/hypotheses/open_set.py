@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, averaged, from_eigen, log_mean_exp
+from planrunner.gap.evidence.noise_levels import HOLDS
 from planrunner.gap.evidence.weighing import ChannelWeights, Eigen, Left, eigen
 from planrunner.gap.hypotheses.bursts import BURSTS, bursts
 from planrunner.gap.hypotheses.candidates import Weighing
@@ -28,6 +29,9 @@ ODD_SEGMENT = Pattern("one odd segment", Sort.MEANS, Factor.TIME)
 TONE = Pattern("a tone", Sort.TONE, Factor.BAND)
 LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
 BLOCK = 1024  # frequencies over which the local level of a periodogram is taken
+MATERIAL = float(np.expm1(2 * HOLDS))
+"""Power of a tone, relative to the variance of the noise, from which on it is not part of a noise that is declared correctly."""
+_TUNINGS = 4  # corrections of the frequency of a fitted tone
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,19 +187,49 @@ def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list
 
 
 def _outside(weighing: Weighing) -> tuple[dict[Pattern, Array], tuple[Line, ...]]:
-    """log BF by scope of patterns outside the basis, and the lines."""
-    periodograms, scopes = (
-        [_line(weighing, index) for index in range(len(weighing.observed.channels))],
-        _scopes(weighing),
-    )
+    """log BF by scope of patterns outside the basis, and the lines.
+
+    Real noise often contains lines (supply, dither, resonances). A line is a cause of its own only if it is a single tone that makes the
+    noise visibly larger; other lines belong to the noise and are only reported.
+    """
+    scopes, scans = _scopes(weighing), [_scan(weighing, index) for index in range(len(weighing.observed.channels))]
+    periodograms = [_Periodogram.of(scan, scan.samples) for scan in scans]
     tones = np.array([_tone([periodograms[index].power for index in scope]) for scope in scopes])
-    lines = []
-    for channel, periodogram, evidence in zip(weighing.observed.channels, periodograms, tones, strict=False):
+    lines, causes = [], set()
+    for index, (scan, periodogram, evidence) in enumerate(zip(scans, periodograms, tones, strict=False)):
         if evidence > PLAIN:
             top = int(np.argmax(periodogram.power))
-            amplitude = periodogram.amplitude[top] / channel.factor
-            lines.append(Line(channel.name, float(periodogram.frequency[top]), float(amplitude), float(evidence)))
+            amplitude, channel = float(periodogram.amplitude[top]), weighing.observed.channels[index]
+            frequency = float(periodogram.frequency[top])
+            lines.append(Line(channel.name, frequency, amplitude / channel.factor, float(evidence)))
+            rest = _without_tone(weighing, scan, frequency)
+            material = scan.energy(scan.samples) >= (1 + MATERIAL) * scan.energy(rest)
+            if material and _tone([_Periodogram.of(scan, rest).power]) <= PLAIN:
+                causes.add(index)
+    tones = np.where([bool(causes & set(scope)) for scope in scopes], tones, np.minimum(tones, 0.0))
     return {TONE: tones, BURSTS: bursts(weighing, scopes)}, tuple(lines)
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """The remainder of a channel at rest and turning, as a periodogram takes it. chosen: (n,), indices of the samples; weight: (n,), their
+    number of raw samples; samples: (n,), SI, divided by the level of the noise of their segments. slot: (n,), place on a grid of `length`
+    times `step` s. level: (n,), of the noise, as standard deviation relative to `white`; coloured: whether its spectrum is not white. Empty
+    if the run is too long."""
+
+    chosen: NDArray[np.int64]
+    weight: Array
+    samples: Array
+    slot: NDArray[np.int64]
+    length: int
+    step: float
+    level: Array
+    white: float
+    coloured: bool
+
+    def energy(self, samples: Array) -> float:
+        """SI², sum over raw samples, of samples (n,) divided by the level of the noise."""
+        return float(self.weight @ samples**2)
 
 
 @dataclass(frozen=True)
@@ -205,6 +239,23 @@ class _Periodogram:
     frequency: Array
     power: Array
     amplitude: Array
+
+    @classmethod
+    def of(cls, scan: _Scan, samples: Array) -> _Periodogram:
+        """Of samples (n,) in place of the scan's own."""
+        from scipy.fft import next_fast_len, rfft
+
+        if not len(samples):
+            return cls(np.empty(0), np.empty(0), np.empty(0))
+        length = next_fast_len(scan.length, real=True)
+        grid = np.bincount(scan.slot, samples * scan.weight, length)
+        total = float(scan.weight.sum())
+        frequency = np.arange(1, length // 2) / (length * scan.step)
+        seen = np.abs(rfft(grid)[1 : length // 2])
+        power = seen**2 / (scan.white**2 * total)
+        if scan.coloured:
+            power /= _local_level(power)
+        return cls(frequency, power, 2 * seen / total * float(np.sqrt(np.mean(scan.level**2))))
 
 
 def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
@@ -218,34 +269,50 @@ def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
     return float(log_mean_exp(np.concatenate(each), 0))
 
 
-def _line(weighing: Weighing, index: int) -> _Periodogram:
-    """Periodogram, in units of the noise, of the remainder outside the basis, for segments at rest and turning; empty if the run is
-    too long."""
-    observed, spectrum = weighing.observed, weighing.spectrum
-    chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
-    step = (float(observed.bin_size[chosen].max()) if chosen.any() else 1.0) / observed.sample_rate
+def _scan(weighing: Weighing, index: int) -> _Scan:
+    observed, noise = weighing.observed, weighing.noise
+    moved = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
+    step = (float(observed.bin_size[moved].max()) if moved.any() else 1.0) / observed.sample_rate
     slot = np.round((observed.time - observed.time[0]) / step).astype(np.int64)
-    chosen = chosen[observed.owner]
-    if weighing.coarse[index] or slot[-1] >= LONGEST_SCAN or slot[-1] < 16 or not chosen.any():
-        return _Periodogram(np.empty(0), np.empty(0), np.empty(0))
-    from scipy.fft import next_fast_len, rfft
+    chosen = np.flatnonzero(moved[observed.owner])
+    if weighing.coarse[index] or slot[-1] >= LONGEST_SCAN or slot[-1] < 16:
+        chosen = chosen[:0]
+    owner = observed.owner[chosen]
+    weight = np.ones(len(chosen)) if observed.bins is None else observed.bin_size[owner].astype(float)
+    level = np.sqrt(noise.level[owner, index])
+    return _Scan(
+        chosen,
+        weight,
+        weighing.spectrum.remainder[chosen, index] / (level * np.sqrt(weight)),
+        slot[chosen],
+        int(slot[-1]) + 1,
+        step,
+        level,
+        float(weighing.white[index]),
+        bool(noise.coloured[:, index].any()),
+    )
 
-    noise = weighing.noise
-    remainder = spectrum.remainder[:, index] / np.sqrt(noise.level[observed.owner, index])
-    grid = np.zeros(next_fast_len(int(slot[-1]) + 1, real=True))
-    if observed.bins is None:
-        grid[slot[chosen]] = remainder[chosen]
-        samples = float(chosen.sum())
-    else:
-        size = observed.bin_size[observed.owner][chosen]
-        grid += np.bincount(slot[chosen], remainder[chosen] * np.sqrt(size), len(grid))
-        samples = float(size.sum())
-    frequency = np.arange(1, len(grid) // 2) / (len(grid) * step)
-    seen = np.abs(rfft(grid)[1 : len(grid) // 2])
-    power = seen**2 / (weighing.white[index] ** 2 * samples)
-    if noise.coloured[:, index].any():
-        power /= _local_level(power)
-    return _Periodogram(frequency, power, 2 * seen / samples * float(np.sqrt(np.mean(noise.level[:, index]))))
+
+def _without_tone(weighing: Weighing, scan: _Scan, frequency: float) -> Array:
+    """The samples (n,) of a scan without a sine of about this frequency [Hz], which is fitted with its amplitude and phase, as far as it
+    lies outside the basis (Gauss–Newton in the frequency)."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    time = observed.time - observed.time.mean()
+    root = np.sqrt(scan.weight)
+    found = scan.samples
+    for _ in range(_TUNINGS):
+        phase = 2 * np.pi * frequency * time
+        waves = np.column_stack([np.cos(phase), np.sin(phase)])
+        waves = np.column_stack([waves, waves * time[:, None] / time[-1]])
+        for basis, part in zip(spectrum.bases, observed.segments(), strict=True):
+            waves[part] -= basis.vectors @ (basis.vectors.T @ waves[part])
+        columns = waves[scan.chosen] / scan.level[:, None] * root[:, None]
+        fitted = np.linalg.lstsq(columns, scan.samples * root, rcond=None)[0]
+        found = scan.samples - columns @ fitted / root
+        cosine, sine, cosine_drift, sine_drift = fitted
+        turned = (cosine * sine_drift - sine * cosine_drift) / (cosine**2 + sine**2)
+        frequency += float(turned / time[-1] / (2 * np.pi))
+    return np.asarray(found)
 
 
 def _local_level(power: Array) -> Array:
