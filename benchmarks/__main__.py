@@ -40,6 +40,7 @@ NAMES = (
     "sensor_decoding",
     "sensor_streaming",
     "diagnosis",
+    "night_overhead",
 )
 README = Path(__file__).with_name("README.md")
 START, END = "<!-- figures -->", "<!-- end of figures -->"

@@ -120,12 +120,14 @@ class JournalScan:
     """Reader of a journal. Iterate once over the events; afterwards `head`, `count`, `size`, `torn`, `heads` and `digests` are known.
 
     size: bytes of complete lines. torn: bytes of an incomplete last line. marks: event counts at which the head of the chain is stored in
-    `heads`, and the SHA-256 of the file up to this event in `digests`. Raises `IntegrityError` if the chain is broken, and `OSError`.
+    `heads`, and the SHA-256 of the file up to this event in `digests`. name: of the file.
+    Raises `IntegrityError` if the chain is broken, and `OSError`.
     """
 
-    def __init__(self, folder: GuardedFolder, marks: Collection[int] = ()):
+    def __init__(self, folder: GuardedFolder, marks: Collection[int] = (), name: str = NAME):
         self.folder = folder
-        self.path = folder.path / NAME
+        self.name = name
+        self.path = folder.path / name
         self.head = FIRST
         self.count = 0
         self.size = 0
@@ -136,7 +138,7 @@ class JournalScan:
         self._marks = frozenset(marks)
 
     def __iter__(self) -> Iterator[JsonObject]:
-        with self.folder.open_file(NAME, MOST_BYTES) as file:
+        with self.folder.open_file(self.name, MOST_BYTES) as file:
             while line := file.readline(MOST_LINE + 1):
                 if len(line) > MOST_LINE:
                     raise self._error(f"is longer than the {MOST_LINE} bytes that a line can have")

@@ -87,15 +87,19 @@ class RunWriter:
         *,
         seed: int | None = None,
         storage: Storage | None = None,
+        identity: str | None = None,
     ) -> RunWriter:
         """A new run folder in `root`, which is created if absent.
+
+        identity: the last part of its name, hexadecimal digits; random by default. A caller that must find the folder again, even if it
+        is killed, chooses it.
 
         info: JSON data given with the run (device serial, operator, ambient …). Raises `InputError` when it cannot be
         written.
         """
         storage = storage or Storage(durability)
         now = datetime.now(UTC)
-        name = f"{now:%Y%m%dT%H%M%SZ}-{safe_name(plan_name)}-{os.urandom(3).hex()}"
+        name = f"{now:%Y%m%dT%H%M%SZ}-{safe_name(plan_name)}-{identity or os.urandom(3).hex()}"
         run = {
             "planrunner_run": formats.RUN_FORMAT,
             "run": name,

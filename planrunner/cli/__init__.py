@@ -31,6 +31,7 @@ COMMANDS = {
     "diff": "show how two plans, benches or runs differ in meaning, and what follows from it",
     "design": "find better positions, rates or cycles for a plan, and the theoretical bound",
     "run": "run a plan on a bench, then estimate and report",
+    "night": "run a suite of plans unattended, or continue it where it stopped",
     "simulate": "run a plan on a virtual bench with effects of the catalogue added",
     "resume": "continue a run that was cut short or is paused, or record segments of it again",
     "pause": "pause a run before its next segment, with the bench in the safe state",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 
 from planrunner.cli.check import sound_plan
@@ -27,6 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="do not wait for the disk after every event: faster, but a power failure can lose data",
     )
     add_run_arguments(parser)
+    parser.add_argument(
+        "--id",
+        metavar="DIGITS",
+        type=identity,
+        help="end of the run folder's name, 6 to 32 hexadecimal digits (default: random)",
+    )
     parser.add_argument(
         "--runs",
         metavar="DIR",
@@ -53,6 +60,12 @@ def seed(text: str) -> int:
     return value
 
 
+def identity(text: str) -> str:
+    if not re.fullmatch(r"[0-9a-f]{6,32}", text):
+        raise argparse.ArgumentTypeError(f"write 6 to 32 digits from 0 to 9 and a to f: {text!r}")
+    return text
+
+
 def run(args: argparse.Namespace) -> int:
     sound = sound_plan(args.plan, args.bench)
     info = gather(sound.plan, args.set, args.info)
@@ -70,6 +83,7 @@ def run(args: argparse.Namespace) -> int:
             durability="flushed" if args.flushed else "durable",
             progress=progress,
             operator=operator_of(args, notify),
+            identity=args.id,
         )
     if not outcome.ok:
         return tell(folder, outcome, as_json=args.json)

@@ -135,7 +135,7 @@ class NightCourse:
         for bench in self._benches.values():
             bench.warm_at = None
 
-    def ended(self, test: int, at: float, ending: EndOfTest, reason: str = "") -> bool:
+    def ended(self, test: int, at: float, ending: EndOfTest) -> bool:
         """A running test has ended. Returns whether this is its result; otherwise it will be repeated."""
         planned, state = self.tests[test], self._tests[test]
         bench = self._benches[planned.bench]

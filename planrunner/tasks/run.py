@@ -105,11 +105,13 @@ def start(
     durability: Durability = "durable",
     progress: ProgressCallback | None = None,
     operator: Operator | None = None,
+    identity: str | None = None,
 ) -> tuple[Path, Outcome]:
     """Execute a sound plan in a new run folder in `runs`; returns the folder and the outcome.
 
     Disk space is checked and every instrument connected before the folder is made and anything moves. operator: answers the plan's prompts;
-    None for an unattended run. Raises `InputError` and `InstrumentError` for obstacles to the start.
+    None for an unattended run. identity: end of the folder's name, hexadecimal digits. Raises `InputError` and `InstrumentError` for
+    obstacles to the start.
     """
     operator = _attended(sound, operator)
     seed = sound.bench.seed if seed is None else seed
@@ -117,7 +119,9 @@ def start(
     name = Path(sound.file).stem
 
     def create() -> RunWriter:
-        return RunWriter.create(runs, name, sound.plan_bytes, sound.bench_bytes, info, durability, seed=seed)
+        return RunWriter.create(
+            runs, name, sound.plan_bytes, sound.bench_bytes, info, durability, seed=seed, identity=identity
+        )
 
     return _carry_out(sound, data_root, seed, create, stop, progress, operator)
 

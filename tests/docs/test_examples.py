@@ -50,7 +50,7 @@ def expanded(word: str, folder: Path) -> list[str]:
 
 
 SHOWN = [page for page in PAGES if examples(page)]
-LONG = ("planrunner run ", "planrunner design ", "planrunner diagnose ", "planrunner simulate ")
+LONG = ("planrunner run ", "planrunner night ", "planrunner design ", "planrunner diagnose ", "planrunner simulate ")
 
 
 def marked(page: Path) -> Any:

@@ -1,0 +1,89 @@
+"""What a night adds to its plans: a night of equal tests on one simulated bench against the same processes started one after the other.
+
+Both run the same plan in processes of `planrunner run` with the same arguments, taking turns. The difference,
+divided by the number of tests, is the overhead of a plan: timetable, journal with fsync, record, reports. The least of several
+turns counts.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.measuring import Figures
+
+PLAN = """\
+planrunner: 1
+title: Two positions
+sensor: {kind: flexure-gyro, outputs: [torquer_x]}
+record: {device_serial: required}
+defaults: {temperature: 25 degC, dwell: 1 min}
+segments:
+  - {label: A, orientation: {x: up, y: north}}
+  - {label: B, orientation: {x: down, y: north}}
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """Tests of a night, and turns."""
+
+    tests: int
+    turns: int
+
+
+FULL, SMALL = Size(10, 3), Size(2, 1)
+
+
+def one_by_one(folder: Path, tests: int) -> float:
+    """Seconds of the plans in processes started one after the other."""
+    began = time.perf_counter()
+    for number in range(tests):
+        _planrunner(folder, "run", "p.yaml", "--set", f"device_serial={number}", "--unattended", "--json")
+    return time.perf_counter() - began
+
+
+def as_a_night(folder: Path, tests: int) -> float:
+    """Seconds of the same plans as a night, with the start of its process and its check."""
+    values = ", ".join(f'"{number}"' for number in range(tests))
+    suite = "planrunner_suite: 1\ntitle: n\nbenches: {a: {bench: virtual}}\n"
+    (folder / "night.yaml").write_text(
+        f"{suite}plans: {{x: {{plan: p.yaml, matrix: {{device_serial: [{values}]}}}}}}\n", encoding="utf-8"
+    )
+    began = time.perf_counter()
+    _planrunner(folder, "night", "night.yaml", "--new")
+    return time.perf_counter() - began
+
+
+def _planrunner(folder: Path, *words: str) -> None:
+    command = [sys.executable, "-m", "planrunner", *words, "--quiet", "--runs", "runs"]
+    subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+
+
+def run(size: Size = FULL) -> Figures:
+    alone, nights, starts = [], [], []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "p.yaml").write_text(PLAN, encoding="utf-8")
+        one_by_one(folder, 1)  # the first compiles the modules
+        for _ in range(size.turns):
+            nights.append(as_a_night(folder, size.tests))
+            alone.append(one_by_one(folder, size.tests))
+            began = time.perf_counter()
+            subprocess.run(
+                [sys.executable, "-m", "planrunner", "check", "night.yaml"],
+                cwd=folder,
+                check=True,
+                stdout=subprocess.DEVNULL,
+            )
+            starts.append(time.perf_counter() - began)
+    return {
+        f"{size.tests} plans as a night, with its start and check [s]": min(nights),
+        f"{size.tests} plans in processes one after the other [s]": min(alone),
+        "start and check of the suite, once a night [s]": min(starts),
+        "overhead of the night a plan, all included [s] (target ≤ 0.2)": (min(nights) - min(alone)) / size.tests,
+    }

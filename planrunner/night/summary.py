@@ -1,0 +1,72 @@
+"""The summary of a night: Markdown for people and chat rooms, and annotations for GitHub Actions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from planrunner.base.documents import JsonObject
+
+WORDS = {
+    "passed": "passed",
+    "failed": "FAILED",
+    "known_failure": "known failure",
+    "fault": "FAULT",
+    "refused": "REFUSED",
+    "not_run": "DID NOT RUN",
+    "waiting": "not yet run",
+    "running": "running",
+}
+"""State of a test in words."""
+_ANNOTATION = {"failed": "error", "fault": "error", "refused": "error", "not_run": "error", "known_failure": "warning"}
+
+
+def headline(night: JsonObject) -> str:
+    """One line: what the night gave."""
+    counts = ", ".join(f"{number} {WORDS[state].lower()}" for state, number in night["counts"].items())
+    state = {"finished": "", "running": " (running)", "interrupted": " (interrupted)", "abandoned": " (cut short)"}
+    return f"{night['title']}: {counts}{state[night['state']]}"
+
+
+def summary(night: JsonObject) -> str:
+    """Markdown. Tests that did not pass come first."""
+    lines = [f"# {_cell(headline(night))}", ""]
+    lines += [f"- Begin: {night['begins']}", f"- End: {night['ends'] or '–'} (foreseen {night['foreseen_end']})"]
+    lines += [
+        f"- Suite: `{_cell(night['suite'])}`",
+        f"- Time: {'simulated' if night['clock'] == 'virtual' else 'real'}",
+    ]
+    if night["exit_code"] is not None:
+        lines.append(f"- Exit code: {night['exit_code']}")
+    if night["remarks"]:
+        lines += ["", "## Remarks", "", *(f"- {_cell(text)}" for text in night["remarks"])]
+    order = sorted(night["tests"], key=lambda test: (test["state"] == "passed", test["state"] == "known_failure"))
+    lines += ["", "## Tests", "", "| test | result | reason | run |", "|---|---|---|---|"]
+    for test in order:
+        run = f"`{test['run']}`" if test["run"] else "–"
+        lines.append(f"| {_cell(test['test'])} | {WORDS[test['state']]} | {_cell(test['reason']) or '–'} | {run} |")
+    failed = [item for item in night["notifications"] if not item["sent"]]
+    if failed:
+        lines += ["", "## Notifications that could not be sent", ""]
+        lines += [f"- {_cell(item['to'])}: {_cell(item['reason'])}" for item in failed]
+    return "\n".join(lines) + "\n"
+
+
+def github_annotations(night: JsonObject) -> Iterator[str]:
+    """Workflow commands: one annotation for each test that did not pass."""
+    for test in night["tests"]:
+        level = _ANNOTATION.get(test["state"])
+        if level is not None:
+            title, file = _property(f"{test['test']}: {WORDS[test['state']]}"), _property(test["plan"])
+            yield f"::{level} file={file},title={title}::{_message(test['reason'])}"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")
+
+
+def _message(text: str) -> str:
+    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _property(text: str) -> str:
+    return _message(text).replace(":", "%3A").replace(",", "%2C")

@@ -1,0 +1,792 @@
+"""A night: every test of a suite in a process of its own, unattended, and continued where it stopped.
+
+The rules of the night are those of `planrunner.night.timetable`. What happens is written to the journal of the night before the night goes
+on; after a kill or a power failure, the journal and the run folders say where it stopped. The id of a run folder is in the journal before
+its process starts, so that no run folder is lost.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import math
+import os
+import platform
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from io import FileIO
+from pathlib import Path
+
+from planrunner import __version__
+from planrunner.archive.formats import IntegrityError, from_bytes, to_bytes
+from planrunner.archive.journal import Journal, JournalScan
+from planrunner.archive.seal import NAME as SEAL
+from planrunner.archive.segment_file import safe_name
+from planrunner.archive.storage import Storage
+from planrunner.base.documents import Json, JsonObject
+from planrunner.base.exclusive import ExclusiveFile, HeldError
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.execution.stopping import StopRequest
+from planrunner.night.civil_time import Opening, civil, shown_time
+from planrunner.night.expansion import PlannedTest, known_failure
+from planrunner.night.junit import to_junit
+from planrunner.night.notify import NotificationError, receiver, send, wanted
+from planrunner.night.record import FAULT, FOLDER, INTERRUPTED, RECORD, NightRecord
+from planrunner.night.suite import Notification
+from planrunner.night.summary import headline, summary
+from planrunner.night.timetable import Begin, BenchHours, EndOfTest, NightCourse, NightHours
+from planrunner.tasks.check_suite import SoundSuite
+
+JOURNAL = "night.jsonl"
+RESERVE = "reserve"
+RESERVE_BYTES = 2**20
+"""Kept free for the record of a night whose disk becomes full."""
+MOST_RECORD = 2**26
+CLOCK_TOLERANCE = 5.0
+"""Seconds by which the computer's clock may be set without a remark."""
+OVERDUE_FACTOR, OVERDUE_PAUSE = 1.5, 1800.0
+"""A test on a real bench is stopped after its planned duration times the factor, plus the pause in s."""
+CONTINUED_WITHIN = 24 * 3600.0
+"""A night without an end is continued for this long after its last event, s."""
+
+
+class NightClock:
+    """The time of a night: it never goes back.
+
+    Simulated: it goes on by `advance` only. Real: the monotonic clock of the computer from the beginning of this session; if the computer's
+    clock is set forward it follows, if it is set back it does not. jump: called with the seconds by which the clock was set.
+    """
+
+    def __init__(
+        self,
+        start: float,
+        *,
+        virtual: bool,
+        jump: Callable[[float], None],
+        wall: Callable[[], float] = time.time,
+        monotonic: Callable[[], float] = time.monotonic,
+    ):
+        self.virtual = virtual
+        self._now = start
+        self._jump, self._wall, self._monotonic = jump, wall, monotonic
+        self._wall_before, self._before = wall(), monotonic()
+
+    def now(self) -> float:
+        if not self.virtual:
+            wall, monotonic = self._wall(), self._monotonic()
+            passed = monotonic - self._before
+            step = wall - self._wall_before - passed
+            self._wall_before, self._before = wall, monotonic
+            if abs(step) > CLOCK_TOLERANCE:
+                self._jump(step)
+            self._now += passed + (step if step > CLOCK_TOLERANCE else 0.0)
+        return self._now
+
+    def advance(self, instant: float) -> None:
+        if self.virtual:
+            self._now = max(self._now, instant)
+
+
+@dataclass(frozen=True, slots=True)
+class NightOptions:
+    """runs: the archive. tell: receives a line of progress. program: the command that runs a plan."""
+
+    runs: Path
+    data: Path | None = None
+    flushed: bool = False
+    new: bool = False
+    tell: Callable[[str], None] = print
+    environment: Mapping[str, str] = field(default_factory=lambda: os.environ)
+    program: tuple[str, ...] = (sys.executable, "-m", "planrunner")
+
+
+@dataclass(frozen=True, slots=True)
+class NightResult:
+    """folder: of the night. trouble: why the record could not be written; empty if it was."""
+
+    folder: Path
+    record: JsonObject
+    exit_code: int
+    trouble: str = ""
+
+
+@dataclass(slots=True)
+class _Child:
+    process: subprocess.Popen[bytes]
+    output: FileIO
+    identity: str
+    kind: str
+    begins: float
+    ends: float
+    """Planned end."""
+    overdue: bool = False
+
+
+def run_night(sound: SoundSuite, options: NightOptions, stop: StopRequest) -> NightResult:
+    """Run the tests of a suite, or continue its unfinished night. Raises `InputError` if the night cannot begin."""
+    folder, storage = _archive(options), Storage("flushed" if options.flushed else "durable")
+    digest = hashlib.sha256(sound.data).hexdigest()
+    with _Lock(folder, f".{digest[:24]}.lock", sound.file):
+        night = None if options.new else _unfinished(folder, digest, sound, options, storage)
+        night = night or _created(folder, digest, sound, options, storage)
+        try:
+            return night.run(stop)
+        finally:
+            night.close()
+
+
+def _archive(options: NightOptions) -> GuardedFolder:
+    try:
+        (options.runs / FOLDER).mkdir(parents=True, exist_ok=True)
+        return GuardedFolder.open(options.runs / FOLDER)
+    except OSError as error:
+        message = f"the folder for nights cannot be written: {error.strerror or error}"
+        hint = "choose another folder with --runs, or change its permissions"
+        raise InputError.at(Mark(str(options.runs / FOLDER)), "night-unwritable", message, hint) from None
+
+
+class _Lock:
+    """One night of a suite at a time in an archive; different suites may run at once."""
+
+    def __init__(self, folder: GuardedFolder, name: str, shown: str):
+        note = f"process {os.getpid()}, since {datetime.now().astimezone().isoformat(timespec='seconds')}"
+        try:
+            self._file = ExclusiveFile(folder.path / name, note, opened=folder.open_or_make(name))
+        except HeldError as error:
+            message = f"this suite is already running in this archive: {error or 'another process'}"
+            hint = "wait until it ends, or use another archive with --runs"
+            raise InputError.at(Mark(shown), "night-in-use", message, hint) from None
+        except OSError as error:
+            message = f"the night cannot be locked: {error.strerror or error}"
+            raise InputError.at(
+                Mark(shown), "night-unwritable", message, "change the permissions of the archive"
+            ) from None
+
+    def __enter__(self) -> _Lock:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.release()
+
+
+def _created(nights: GuardedFolder, digest: str, sound: SoundSuite, options: NightOptions, storage: Storage) -> _Night:
+    hours, now = sound.forecast.hours, datetime.now(UTC)
+    name = f"{now:%Y%m%dT%H%M%SZ}-{safe_name(Path(sound.file).stem)}-{os.urandom(3).hex()}"
+    foreseen = dict(sound.forecast.left_out)
+    tests: list[Json] = []
+    for test, seconds in zip(sound.tests, sound.durations, strict=True):
+        slot = sound.forecast.slot_of(test.index)
+        times = (
+            None
+            if slot is None
+            else [civil(at, sound.zone).isoformat(timespec="seconds") for at in (slot.begins, slot.ends)]
+        )
+        tests.append(
+            {
+                "test": test.name,
+                "entry": test.entry,
+                "plan": str(test.file),
+                "device": test.device,
+                "bench": test.bench,
+                "parameters": dict(test.parameters),
+                "seconds": seconds,
+                "foreseen": times,
+                "foreseen_obstacle": foreseen.get(test.index, ""),
+            }
+        )
+    created = {
+        "night": name,
+        "suite": sound.file,
+        "title": sound.suite.title,
+        "digest": digest,
+        "clock": "virtual" if sound.virtual else "wall",
+        "host": platform.node(),
+        "planrunner": __version__,
+        "begins": hours.begins,
+        "closes": hours.closes if math.isfinite(hours.closes) else None,
+        "benches": {
+            bench: None if about.openings is None else [[one.opens, one.closes] for one in about.openings]
+            for bench, about in hours.benches.items()
+        },
+        "foreseen_end": sound.forecast.ends,
+        "tests": tests,
+        "now": hours.begins if sound.virtual else time.time(),
+    }
+    try:
+        folder = storage.make_folder(nights, name)
+        storage.make_folder(folder, "logs")
+        storage.write_whole(folder, "suite.yaml", sound.data)
+        storage.write_whole(folder, RESERVE, bytes(RESERVE_BYTES))
+        journal = Journal(storage, storage.open_new(folder, JOURNAL))
+        journal.append("created", created)
+        storage.sync_folder(folder)
+        storage.sync_folder(nights)
+    except OSError as error:
+        message = f"the night cannot be written: {error.strerror or error}"
+        raise InputError.at(
+            Mark(str(nights.path / name)),
+            "night-unwritable",
+            message,
+            "make room, or choose another folder with --runs",
+        ) from None
+    record = NightRecord(sound.zone)
+    record.take({"event": "created", **created})
+    return _Night(sound, options, storage, folder, journal, record, hours)
+
+
+def _unfinished(
+    nights: GuardedFolder, digest: str, sound: SoundSuite, options: NightOptions, storage: Storage
+) -> _Night | None:
+    """The newest night of this suite that has no end, if it can be continued. Others are closed."""
+    found: _Night | None = None
+    for name, entry in reversed(nights.entries().items()):
+        if entry.kind != "folder":
+            continue
+        try:
+            night = _reopened(nights.folder(name), digest, sound, options, storage)
+        except (OSError, IntegrityError, KeyError, ValueError) as error:
+            options.tell(f"{nights.path / name}: this night cannot be read and is left as it is: {error}")
+            continue
+        if night is None:
+            continue
+        if found is None and night.can_go_on():
+            found = night
+        else:
+            night.give_up()
+            night.close()
+    return found
+
+
+def _reopened(
+    folder: GuardedFolder, digest: str, sound: SoundSuite, options: NightOptions, storage: Storage
+) -> _Night | None:
+    """The night in a folder; None if it is of another suite or has an end."""
+    record = NightRecord(sound.zone)
+    scan = JournalScan(folder, name=JOURNAL)
+    for event in scan:
+        record.take(event)
+        if scan.count == 1 and record.created.get("digest") != digest:
+            return None
+    if record.state in ("finished", "abandoned") or not record.created:
+        return None
+    created = record.created
+    hours = NightHours(
+        created["begins"],
+        math.inf if created["closes"] is None else created["closes"],
+        {
+            bench: BenchHours(
+                None if given is None else tuple(Opening(*one) for one in given), about.warm_up, about.stays_warm
+            )
+            for bench, about in sound.forecast.hours.benches.items()
+            for given in [created["benches"][bench]]
+        },
+    )
+    file = storage.open_existing(folder, JOURNAL)
+    storage.truncate(file, scan.size)  # an event that was not written completely never counted
+    journal = Journal(storage, file, head=scan.head, count=scan.count, size=scan.size)
+    return _Night(sound, options, storage, folder, journal, record, hours, continued=True)
+
+
+class _Night:
+    """A night in progress."""
+
+    def __init__(
+        self,
+        sound: SoundSuite,
+        options: NightOptions,
+        storage: Storage,
+        folder: GuardedFolder,
+        journal: Journal,
+        record: NightRecord,
+        hours: NightHours,
+        *,
+        continued: bool = False,
+    ):
+        self._sound, self._options, self._storage = sound, options, storage
+        self._folder, self._journal, self._record = folder, journal, record
+        self._logs = folder.folder("logs")
+        self._continued = continued
+        self._course = NightCourse(sound.tests, sound.durations, hours, sound.zone)
+        self._children: dict[int, _Child] = {}
+        self._ended: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._gone: set[int] = set()
+        self._begun_before: dict[int, str] = {}
+        """Test → id of the run that has to be continued."""
+        self._waited: set[int] = set()
+        self._trouble = ""
+        self._told_to_stop = 0
+        start = max(record.now, hours.begins) if sound.virtual else max(record.now, time.time())
+        if not sound.virtual and time.time() < record.now - CLOCK_TOLERANCE:
+            self._behind = record.now - time.time()
+        else:
+            self._behind = 0.0
+        self._clock = NightClock(start, virtual=sound.virtual, jump=self._jumped)
+
+    # -- the whole night -------------------------------------------------------------------------------------------------
+
+    def can_go_on(self) -> bool:
+        """Whether a night that was interrupted still has time."""
+        now = self._clock.now()
+        return now < self._course.hours.closes and (self._sound.virtual or now - self._record.now < CONTINUED_WITHIN)
+
+    def give_up(self) -> None:
+        """Close a night that nobody continued."""
+        for index, test in enumerate(self._record.tests):
+            if test.state in ("waiting", "running"):
+                self._log("not_run", {"test": index, "reason": "the night was interrupted and not continued"})
+        self._finish("abandoned", FAULT)
+
+    def run(self, stop: StopRequest) -> NightResult:
+        self._begin()
+        try:
+            self._loop(stop)
+        finally:
+            self._end_children()
+        if stop.after_segment and any(test.state in ("waiting", "running") for test in self._record.tests):
+            self._log("interrupted", {"reason": stop.reason})
+            self._write_reports()
+            return NightResult(self._folder.path, self._record.to_json(), INTERRUPTED, self._trouble)
+        code = FAULT if self._trouble else self._record.verdict()
+        self._finish("finished", code)
+        return NightResult(self._folder.path, self._record.to_json(), code, self._trouble)
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._journal.close()
+
+    def _begin(self) -> None:
+        if self._continued:
+            self._replay()
+            self._options.tell(f"continuing the night {self._folder.path}")
+        self._log("session", {"process": os.getpid()})
+        if self._continued:
+            self._remark("the night was interrupted and continued; every bench warms up again")
+        if self._behind:
+            self._jumped(-self._behind)
+        self._write_reports()
+        if not self._sound.virtual and self._clock.now() < self._course.hours.begins:
+            self._options.tell(f"waiting until {shown_time(self._course.hours.begins, self._sound.zone)}")
+
+    def _replay(self) -> None:
+        """Bring the rules to the state that the journal describes."""
+        for index, test in enumerate(self._record.tests):
+            for attempt in test.attempts:
+                self._course.begun(index, attempt.begins)
+                if attempt.ends is None:
+                    self._course.interrupted(index)
+                else:
+                    self._course.ended(index, attempt.ends, EndOfTest(attempt.ending))
+            last = test.attempts[-1] if test.attempts else None
+            if test.state == "not_run":
+                self._course.abandon(index)
+            elif last is not None and (
+                test.state == "running" or (test.state == "waiting" and last.ending == "fault" and last.run is not None)
+            ):
+                self._begun_before[index] = last.identity
+        self._course.cooled()
+
+    def _loop(self, stop: StopRequest) -> None:
+        course = self._course
+        while True:
+            now = self._clock.now()
+            if not stop.after_segment and not self._trouble:
+                while lost := tuple(course.out_of_reach(now)):
+                    for index, reason in lost:
+                        course.abandon(index)
+                        self._log("not_run", {"test": index, "reason": reason})
+                        self._say(now, f"did not run  {self._sound.tests[index].name}: {reason}")
+                while (step := course.next(now)) is not None and not self._trouble:
+                    if isinstance(step, Begin):
+                        course.begun(step.test, now)
+                        self._start(step.test, now)
+                    else:
+                        course.warming(step.bench, step.until)
+                        self._log("warm_up", {"bench": step.bench, "until": step.until})
+                        self._say(
+                            now, f"warm-up      bench {step.bench}, until {shown_time(step.until, self._sound.zone)}"
+                        )
+            moment = math.inf if stop.after_segment or self._trouble else course.wakes(now)
+            if not self._children and not math.isfinite(moment):
+                break
+            self._wait(moment, stop)
+        if not stop.after_segment:
+            reason = self._trouble or "nothing that it waits for can run"
+            for index in course.waiting:
+                course.abandon(index)
+                self._log("not_run", {"test": index, "reason": reason})
+
+    def _wait(self, moment: float, stop: StopRequest) -> None:
+        """Until a test ends, or until an instant. In simulated time, the test with the earliest planned end is the next to end."""
+        first = min(self._children, key=lambda index: self._children[index].ends, default=None)
+        if self._sound.virtual:
+            if first is None or self._children[first].ends > moment:
+                self._clock.advance(moment)
+                return
+            while first not in self._gone:
+                self._pass_on(stop)
+                self._listen(0.2)
+            self._clock.advance(self._children[first].ends)
+            self._end(first)
+            return
+        while self._clock.now() < moment:
+            self._pass_on(stop)
+            self._stop_overdue()
+            self._listen(min(0.5, max(0.0, moment - self._clock.now())))
+            if self._gone:
+                for index in sorted(self._gone):
+                    self._end(index)
+                return
+            if stop.after_segment and not self._children:
+                return
+
+    def _listen(self, patience: float) -> None:
+        with contextlib.suppress(queue.Empty):
+            self._gone.add(self._ended.get(timeout=patience))
+
+    # -- one test --------------------------------------------------------------------------------------------------------
+
+    def _start(self, index: int, now: float) -> None:
+        test = self._sound.tests[index]
+        number = len(self._record.tests[index].attempts) + 1
+        before = self._begun_before.pop(index, None)
+        identity, kind, words = self._command(test, before)
+        log = f"{index + 1:04d}-{number}"
+        self._log("begun", {"test": index, "id": identity, "kind": kind, "log": f"logs/{log}.txt"})
+        if self._trouble:  # not in the journal: it must not begin
+            self._course.ended(index, now, EndOfTest.FAULT)
+            return
+        self._say(now, f"{'begins' if kind == 'run' else kind + 's':<12} {test.name}")
+        seconds = self._sound.durations[index] or 0.0
+        try:
+            output, errors = self._logs.open_new(f"{log}.json"), self._logs.open_new(f"{log}.txt")
+            with errors:
+                process = subprocess.Popen(
+                    [*self._options.program, *words],
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=errors,
+                    start_new_session=True,
+                    creationflags=_GROUP,
+                )
+        except OSError as error:
+            self._conclude(
+                index, now, EndOfTest.FAULT, None, f"the process cannot be started: {error.strerror or error}", None, {}
+            )
+            return
+        self._children[index] = _Child(process, output, identity, kind, now, now + seconds)
+        threading.Thread(target=self._watch, args=(index, process), daemon=True).start()
+
+    def _watch(self, index: int, process: subprocess.Popen[bytes]) -> None:
+        process.wait()
+        self._ended.put(index)
+
+    def _command(self, test: PlannedTest, before: str | None) -> tuple[str, str, list[str]]:
+        """The id of the run, the kind of the process, and its arguments. before: id of the run to continue."""
+        common = ["--json", "--quiet"]
+        data = [] if self._options.data is None else ["--data", str(self._options.data)]
+        run = None if before is None else self._run_folder(before)
+        if before is not None and run is not None:
+            if (run / SEAL).exists():
+                return before, "estimate", ["estimate", str(run), "--json"]
+            if test.plan.interrupted == "resume":
+                return before, "resume", ["resume", str(run), *common, "--unattended", *data]
+        identity = os.urandom(8).hex()
+        asks = self._sound.asks[test.index]
+        given = [
+            word for name, value in test.information.items() if name in asks for word in ("--set", f"{name}={value}")
+        ]
+        seed = [] if test.seed is None else ["--seed", str(test.seed)]
+        flushed = ["--flushed"] if self._options.flushed else []
+        words = ["run", str(test.file), "--bench", self._sound.bench_of(test), "--runs", str(self._options.runs)]
+        return identity, "run", [*words, "--id", identity, "--unattended", *common, *flushed, *given, *seed, *data]
+
+    def _run_folder(self, identity: str) -> Path | None:
+        return next(self._options.runs.glob(f"*-{identity}"), None)
+
+    def _end(self, index: int) -> None:
+        """The process of a test has ended."""
+        child = self._children.pop(index)
+        self._gone.discard(index)
+        child.output.close()
+        code = child.process.returncode
+        now = self._clock.now()
+        document = self._answer(index)
+        ending, reason = judged(code, document, asked=bool(self._told_to_stop), overdue=child.overdue)
+        if ending is None:  # stopped on request: it is continued with the night
+            self._course.interrupted(index)
+            return
+        if child.kind == "resume" and ending is EndOfTest.REFUSED:
+            self._remark(f"{self._sound.tests[index].name}: the half run cannot be continued ({reason}); it is retaken")
+            ending, child.identity = EndOfTest.BUSY, ""
+            self._waited.add(index)
+        self._conclude(index, now, ending, code, reason, child.identity, document)
+
+    def _answer(self, index: int) -> JsonObject:
+        """What the process printed as JSON."""
+        name = Path(self._record.tests[index].attempts[-1].log).stem + ".json"
+        try:
+            found = from_bytes(self._logs.read(name, MOST_RECORD))
+        except (OSError, ValueError):
+            return {}
+        if isinstance(found, list):
+            single = len(found) == 1 and isinstance(found[0], dict) and "exit_code" in found[0]
+            found = found[0] if single else {"findings": found}
+        return found if isinstance(found, dict) else {}
+
+    def _conclude(
+        self,
+        index: int,
+        now: float,
+        ending: EndOfTest,
+        code: int | None,
+        reason: str,
+        identity: str | None,
+        document: JsonObject,
+    ) -> None:
+        test = self._sound.tests[index]
+        final = self._course.ended(index, now, ending)
+        run = self._run_folder(identity) if identity else None
+        analysis = document.get("analysis")
+        state = "waiting"
+        if final:
+            state = {
+                EndOfTest.PASSED: "passed",
+                EndOfTest.LIMIT: "failed",
+                EndOfTest.FAULT: "fault",
+                EndOfTest.REFUSED: "refused",
+            }[ending]
+            known = known_failure(
+                test.name, self._sound.suite.known_failures, ending.value, civil(now, self._sound.zone).date()
+            )
+            if known is not None:
+                state, reason = "known_failure", f"known until {known.until}: {known.reason}; {reason}"
+        elif ending is EndOfTest.FAULT and run is not None:
+            self._begun_before[index] = run.name.rpartition("-")[2]
+        limits = [_limit(item) for item in document.get("limits", ())]
+        self._log(
+            "ended",
+            {
+                "test": index,
+                "ending": ending.value,
+                "exit_code": code,
+                "state": state,
+                "reason": reason,
+                "run": None if run is None else run.name,
+                "analysis": None if analysis is None else Path(analysis).name,
+                "limits": limits,
+            },
+        )
+        if ending is EndOfTest.BUSY:
+            if reason and index not in self._waited:
+                self._waited.add(index)
+                self._remark(f"{test.name} waited: {reason}")
+            if self._sound.virtual:
+                time.sleep(1.0)  # simulated time does not wait for the other process
+        again = "" if final else "; it is repeated"
+        self._say(now, f"{state if final else ending.value:<12} {test.name}{': ' + reason if reason else ''}{again}")
+        self._write_reports()
+
+    # -- stopping --------------------------------------------------------------------------------------------------------
+
+    def _pass_on(self, stop: StopRequest) -> None:
+        """The first request to stop reaches every test, which ends after its segment; the second ends it at once."""
+        wanted_ = 2 if stop.at_once else 1 if stop.after_segment else 0
+        if wanted_ > self._told_to_stop:
+            self._told_to_stop = wanted_
+            for child in self._children.values():
+                _tell(child.process, at_once=wanted_ == 2)
+
+    def _stop_overdue(self) -> None:
+        for index, child in self._children.items():
+            planned = child.ends - child.begins
+            limit = child.begins + planned * OVERDUE_FACTOR + OVERDUE_PAUSE
+            if planned and not child.overdue and self._clock.now() > limit:
+                child.overdue = True
+                self._remark(f"{self._sound.tests[index].name} takes much longer than planned and was stopped")
+                _tell(child.process, at_once=True)
+
+    def _end_children(self) -> None:
+        """After an unexpected error: no process is left without a night."""
+        for child in self._children.values():
+            _tell(child.process, at_once=True)
+        for child in self._children.values():
+            child.process.wait()
+            child.output.close()
+
+    # -- the record ------------------------------------------------------------------------------------------------------
+
+    def _say(self, now: float, text: str) -> None:
+        self._options.tell(f"{civil(now, self._sound.zone):%H:%M}  {text}")
+
+    def _remark(self, text: str) -> None:
+        self._log("remark", {"text": text})
+        self._options.tell(f"note: {text}")
+
+    def _jumped(self, seconds: float) -> None:
+        way = "forward" if seconds > 0 else "back"
+        follows = "the night follows it" if seconds > 0 else "the night goes on with its own time"
+        self._remark(f"the clock of the computer was set {way} by {abs(seconds):.0f} s; {follows}")
+
+    def _log(self, event: str, data: JsonObject) -> None:
+        """Write an event to the journal, and to the record. If the disk is full, nothing further begins."""
+        given = {"now": self._clock.now() if event != "remark" else self._record.now, **data}
+        self._record.take({"event": event, **given})
+        for attempt in range(2):
+            try:
+                self._journal.append(event, given)
+                return
+            except OSError as error:
+                if attempt == 0:
+                    with contextlib.suppress(OSError):
+                        self._folder.remove(RESERVE)
+                trouble = f"the record of the night cannot be written: {error.strerror or error}"
+        if not self._trouble:
+            self._trouble = trouble
+            self._options.tell(f"error: {trouble}; no further test begins")
+        elif event == "ended":
+            self._options.tell(f"error: {trouble}")
+
+    def _write_reports(self) -> None:
+        try:
+            self._storage.write_whole(self._folder, RECORD, to_bytes(self._record.to_json()))
+        except OSError as error:
+            if not self._trouble:
+                with contextlib.suppress(OSError):
+                    self._folder.remove(RESERVE)
+                self._trouble = f"the record of the night cannot be written: {error.strerror or error}"
+                self._options.tell(f"error: {self._trouble}; no further test begins")
+
+    def _finish(self, state: str, code: int) -> None:
+        """Write the end, send the notifications, and write the reports."""
+        if self._trouble:
+            self._record.remarks.append(self._trouble)
+        self._log("finished", {"state": state, "exit_code": code})
+        if state == "finished":
+            document = self._record.to_json()
+            for entry in self._sound.suite.notify:
+                if wanted(entry, code):
+                    self._notify(entry, document)
+        document = self._record.to_json()
+        with contextlib.suppress(OSError):
+            self._folder.remove(RESERVE)
+        for name, data in (
+            (RECORD, to_bytes(document)),
+            ("junit.xml", to_junit(document)),
+            ("summary.md", summary(document).encode("utf-8", "backslashreplace")),
+        ):
+            try:
+                self._storage.write_whole(self._folder, name, data)
+            except OSError as error:
+                self._trouble = self._trouble or f"{name} cannot be written: {error.strerror or error}"
+
+    def _notify(self, entry: Notification, document: JsonObject) -> None:
+        reason = ""
+        for attempt in range(3):
+            try:
+                send(entry, document, self._options.environment)
+                reason = ""
+                break
+            except NotificationError as error:
+                reason = str(error)
+                time.sleep(0.2 * attempt)
+        if reason:
+            self._options.tell(f"warning: the notification of {receiver(entry)} was not sent: {reason}")
+        self._log("notified", {"to": receiver(entry), "sent": not reason, "reason": reason})
+
+
+def judged(code: int, document: JsonObject, *, asked: bool, overdue: bool = False) -> tuple[EndOfTest | None, str]:
+    """How a test ended, from the exit code and the JSON output of its process, and the reason in words. None: stopped on request.
+
+    asked: whether the processes were asked to stop; overdue: whether this one was stopped because it took too long.
+    """
+    if overdue:
+        return EndOfTest.FAULT, "it took much longer than planned and was stopped"
+    findings = document.get("findings", ())
+    said = "; ".join(str(item["message"]) for item in findings if item.get("severity") == "error")
+    codes = {item.get("code") for item in findings}
+    if code == 0:
+        return EndOfTest.PASSED, ""
+    if code == 1:
+        failed = [
+            f"{item['quantity']}: {_words(item)}" for item in document.get("limits", ()) if item["verdict"] != "pass"
+        ]
+        failed += [f"{name}: {text}" for name, text in document.get("failures", {}).items()]
+        return EndOfTest.LIMIT, "; ".join(failed) or "a limit failed"
+    if code == 2:
+        if codes & _BUSY:
+            return EndOfTest.BUSY, said
+        if codes & _ENVIRONMENT:
+            return EndOfTest.FAULT, said
+        failures = document.get("failures", {})
+        if isinstance(failures, dict) and failures:
+            said = "; ".join(f"{name}: {text}" for name, text in failures.items())
+        return EndOfTest.REFUSED, said or "the input is wrong; see the log"
+    if code == INTERRUPTED and asked:
+        return None, "stopped"
+    if code == INTERRUPTED:
+        return EndOfTest.FAULT, "its process was ended by a signal"
+    if code < 0:
+        return EndOfTest.FAULT, f"its process was killed by {_signal_name(-code)}"
+    failures = document.get("failures", [])
+    told = [str(item) for item in (failures if isinstance(failures, list) else [])]
+    told += [f"NOT IN THE SAFE STATE: {item}" for item in document.get("unsafe", [])]
+    return EndOfTest.FAULT, "; ".join(told) or said or f"exit code {code}; see the log"
+
+
+_BUSY = {"bench-in-use", "run-in-use"}
+_ENVIRONMENT = {"disk-space", "run-unwritable", "file-system", "bench-lock"}
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _words(limit: Mapping[str, Json]) -> str:
+    return (
+        f"{limit['value']:.6g} {limit['unit']}, required {limit['requirement']}"
+        if isinstance(limit["value"], float | int)
+        else str(limit["reason"])
+    )
+
+
+def _limit(limit: Mapping[str, Json]) -> JsonObject:
+    return {
+        "quantity": limit["quantity"],
+        "verdict": limit["verdict"],
+        "value": limit["value"],
+        "unit": limit["unit"],
+        "words": _words(limit),
+    }
+
+
+def _tell(process: subprocess.Popen[bytes], *, at_once: bool) -> None:
+    if sys.platform == "win32":
+        process.send_signal(signal.CTRL_BREAK_EVENT)
+    else:
+        process.send_signal(signal.SIGTERM if at_once else signal.SIGINT)
+
+
+if sys.platform == "win32":
+    _GROUP = subprocess.CREATE_NEW_PROCESS_GROUP
+else:
+    _GROUP = 0
+"""Ctrl-C in the terminal reaches the night alone, which passes it on."""
+
+
+def lines_of(result: NightResult) -> Iterator[str]:
+    """The end of the night in words."""
+    yield headline(result.record)
+    if result.trouble:
+        yield f"error: {result.trouble}"
+    yield str(result.folder / "summary.md")
