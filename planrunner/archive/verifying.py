@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from planrunner.archive import analyses as stored
-from planrunner.archive import formats, pausing
+from planrunner.archive import formats, live, pausing
 from planrunner.archive import seal as seals
 from planrunner.archive.analyses import Basis, StoredAnalysis, exchanged, stored_analysis
 from planrunner.archive.formats import IntegrityError
@@ -35,7 +35,7 @@ from planrunner.bench.watchdog_report import NAME as WATCHDOG
 RUN, PLAN, BENCH = "run.json", "plan.yaml", "bench.yaml"
 MOST_GIVEN = 2**20
 """Maximum size in bytes of run.json, the plan and the bench."""
-FILES = {RUN, PLAN, BENCH, JOURNAL, seals.NAME, LOCK, pausing.NAME, ORIGIN, WATCHDOG}
+FILES = {RUN, PLAN, BENCH, JOURNAL, seals.NAME, LOCK, pausing.NAME, live.NAME, live.ANSWER, ORIGIN, WATCHDOG}
 SIGNATURES = "signatures"
 """Folder of the electronic signatures; `planrunner.signing.run_signatures` verifies its contents."""
 FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # files that they create in every folder that is opened
@@ -463,7 +463,7 @@ def _check_names(found: Examined, standing: RecordedEntries) -> None:
     for name, entry in standing.items():
         path = found.folder.path / name
         if name in FILES:
-            if entry.kind != "file" and name in (LOCK, pausing.NAME, ORIGIN, WATCHDOG):
+            if entry.kind != "file" and name in (LOCK, pausing.NAME, live.NAME, live.ANSWER, ORIGIN, WATCHDOG):
                 found.error(
                     "run-changed", f"{path}: it is {entry.what}, but a file with a single name is expected here"
                 )

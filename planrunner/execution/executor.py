@@ -18,6 +18,7 @@ from planrunner.archive.run_folder import RunWriter
 from planrunner.base.documents import JsonObject
 from planrunner.execution.connected_bench import ConnectedBench
 from planrunner.execution.continuity import Continuity
+from planrunner.execution.live import LiveReport
 from planrunner.execution.lookout import EVERY, Lookout, StoppedAtOnceError
 from planrunner.execution.operator import Boundary, Operator
 from planrunner.execution.outcome import Failure, Outcome
@@ -85,14 +86,14 @@ class _Execution:
         self.counts = bench.sensor.counts if isinstance(bench.sensor, Counting) else None
         self.readable = {name: item for name, item in bench.instruments.items() if isinstance(item, Readable)}
         self.channels: Mapping[str, str] = {}
-        self.meter: Meter | None = None
-        if progress is not None:
-            planned = with_lengths(schedule, bench.sensor)
-            self.meter = Meter(planned, progress, seconds_behind(planned, self._done))
+        self.live = LiveReport(writer.folder, len(schedule.segments))
+        planned = with_lengths(schedule, bench.sensor)
+        shown = [self.live.progress] if progress is None else [self.live.progress, progress]
+        self.meter = Meter(planned, shown, seconds_behind(planned, self._done))
         self.lookout = Lookout(bench, stop, self._notice)
         self.reaching = Reaching(bench, self.lookout, patience, self._say)
         self.continuity = Continuity(bench, self.reaching)
-        self.boundary = Boundary(writer, self.lookout, stop, operator, self._wait_safely, self._protect)
+        self.boundary = Boundary(writer, self.lookout, stop, operator, self.live, self._wait_safely, self._protect)
 
     # -- from beginning to end -----------------------------------------------------------------------------------------
 
@@ -100,6 +101,7 @@ class _Execution:
         failures: list[Failure] = []
         unsafe: list[str] = []
         try:
+            self.live.beat()
             self.clock.attend(self._on_tick)
             self._prepare()
             self._segments()
@@ -112,6 +114,7 @@ class _Execution:
         finally:
             unsafe += _make_safe(self.bench)
             self.clock.attend(None)
+            self.live.end()
         return self._account(failures, unsafe)
 
     def _account(self, failures: list[Failure], unsafe: list[str]) -> Outcome:
@@ -162,6 +165,7 @@ class _Execution:
                     f"'{name}' had serial {before} when the run began and has {now} now: put it back, or start a new run"
                 )
         self.channels = {} if self.streaming is None else dict(self.streaming.channels())
+        self.live.announce(self.channels)
         if self.writer.resume_point.resumed:
             self.doing = "returning to the state in which the run was interrupted"
             self.continuity.restore(self.writer.resume_point)
@@ -203,8 +207,7 @@ class _Execution:
     def _segment(self, segment: Segment) -> None:
         """Record a segment, and repeat it when a limit is exceeded, as often as the plan allows."""
         self.segment = segment
-        if self.meter is not None:
-            self.meter.begin(segment, self.clock.now())
+        self.meter.begin(segment, self.clock.now())
         retakes = segment.watch.retakes if segment.watch else 0
         for left in range(retakes, -1, -1):
             self._say("writing the run folder")
@@ -219,6 +222,7 @@ class _Execution:
                 counts = holding.finish()
             except LimitPassedError as error:
                 self.writer.set_aside(str(error), _frames(holding.counts()))
+                self.live.reject(segment.label, str(error))
                 if not left:
                     taken = f"; it was recorded {retakes + 1} times" if retakes else ""
                     raise InstrumentError(f"{error}{taken}. Check the bench, then resume the run") from None
@@ -245,8 +249,7 @@ class _Execution:
         self._say("writing the run folder")
         self.writer.acknowledge(self.clock.now(), states, readings, frames=_frames(counts))
         self.completed += 1
-        if self.meter is not None:
-            self.meter.finish()
+        self.meter.finish()
         self.segment = None
 
     def _dwell(self, segment: Segment, holding: Holding) -> None:
@@ -260,6 +263,7 @@ class _Execution:
                 self._say("writing samples")
                 if block.time.size:
                     self.writer.append(block, self.clock.now())
+                    self.live.take(block)
                 holding.check()
                 self._say("recording")
         finally:
@@ -289,21 +293,20 @@ class _Execution:
 
     def _say(self, activity: str) -> None:
         self.activity = activity
-        if self.meter is not None:
-            self.meter.advance(self.clock.now(), activity)
+        self.meter.advance(self.clock.now(), activity)
 
     def _where(self) -> str:
         return self.doing if self.segment is None else f"segment '{self.segment.label}', {self.activity}"
 
     def _on_tick(self) -> bool:
         """Called by a real clock while it sleeps; ends the sleep if the run must stop at once."""
-        if self.meter is not None:
-            self.meter.advance(self.clock.now(), self.activity)
+        self.meter.advance(self.clock.now(), self.activity)
         return self.lookout.tick()
 
     def _notice(self, instrument: str, text: str) -> None:
         where = {} if self.segment is None else {"label": self.segment.label}
         self.writer.note("noticed", instrument=instrument, text=text, **where)
+        self.live.notice(f"{instrument}: {text}")
 
     def _wait_safely(self) -> None:
         """Brings the bench to its safe state before someone goes there; earlier commands no longer apply."""

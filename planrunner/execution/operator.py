@@ -1,6 +1,7 @@
 """Waiting for a person at a segment boundary: a prompt of the plan must be confirmed, or a pause must end.
 
-Meanwhile the bench is in its safe state, so that a fixture can be mounted. On a simulated bench nobody is asked.
+Meanwhile the bench is in its safe state, so that a fixture can be mounted. On a simulated bench nobody is asked. A prompt can be confirmed
+by the operator at the terminal or, from another process, by an answer in the run folder.
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
+from planrunner.archive.live import Answer
 from planrunner.archive.pausing import asked_to_pause
 from planrunner.archive.run_folder import RunWriter
+from planrunner.execution.live import LiveReport
 from planrunner.execution.lookout import Lookout
 from planrunner.execution.stopping import StopRequest
 from planrunner.plan.schedule import Segment
@@ -38,10 +41,12 @@ class Boundary:
         lookout: Lookout,
         stop: StopRequest,
         operator: Operator | None,
+        live: LiveReport,
         make_safe: Callable[[], None],
         go_on: Callable[[], object],
     ):
         self._writer, self._lookout, self._stop, self._operator = writer, lookout, stop, operator
+        self._live = live
         self._make_safe, self._go_on = make_safe, go_on
 
     def wait(self, segment: Segment, now: Callable[[], float]) -> None:
@@ -56,17 +61,39 @@ class Boundary:
             return
         self._make_safe()
         for prompt in segment.prompts:
-            if not self._until(self._operator.ask(prompt)):
+            if not self._ask(prompt, self._operator):
                 return
-            self._writer.note("asked", prompt=prompt, answer="done")
         self._go_on()
+
+    def _ask(self, prompt: str, operator: Operator) -> bool:
+        """Waits until the prompt is confirmed at the terminal or by an answer in the run folder. Returns False if the run must stop."""
+        question = self._live.ask(prompt)
+        answers: list[Answer] = []
+        at_the_terminal = operator.ask(prompt)
+
+        def done() -> bool:
+            if at_the_terminal():
+                return True
+            answer = self._live.answer(question)
+            answers.extend([] if answer is None else [answer])
+            return answer is not None
+
+        confirmed = self._until(done)
+        self._live.asked()
+        if confirmed:
+            self._writer.note("asked", prompt=prompt, answer="done", **({"by": answers[0].by} if answers else {}))
+            if answers:
+                operator.tell(f"confirmed on the live page by {answers[0].by}")
+        return confirmed
 
     def _pause(self, now: Callable[[], float]) -> None:
         self._make_safe()
         self._writer.note("paused", clock=now())
+        self._live.pause(True)
         if self._operator is not None:
             self._operator.tell(f"paused in the safe state; continue with: planrunner resume {self._writer.path}")
         if self._until(lambda: not asked_to_pause(self._writer.folder)):
+            self._live.pause(False)
             self._go_on()
             self._writer.note("continued", clock=now())
 
@@ -76,5 +103,6 @@ class Boundary:
             if self._stop.after_segment:
                 return False
             self._lookout.idle()
+            self._live.beat()
             time.sleep(EVERY)
         return True

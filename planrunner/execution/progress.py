@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from planrunner.base.progress import EVERY, Underway
@@ -70,12 +70,12 @@ class Meter:
     not called again, because a display must not end a run.
     """
 
-    def __init__(self, schedule: Schedule, callback: ProgressCallback, behind: float):
+    def __init__(self, schedule: Schedule, callbacks: Sequence[ProgressCallback], behind: float):
         self._segments = len(schedule.segments)
         self._planned = {segment.index: segment for segment in schedule.segments}
         self._total = sum(planned_seconds(segment) for segment in schedule.segments)
         self._by_count = self._total <= 0
-        self._callback: ProgressCallback | None = callback
+        self._callbacks = tuple(callbacks)
         self._first = self._behind = behind
         self._began = self._shown = time.monotonic()
         self._segment: Segment | None = None
@@ -101,16 +101,18 @@ class Meter:
         self._segment = None
 
     def _send(self, kind: type, behind: float, *more: str) -> None:
-        if self._callback is None or self._segment is None:
+        if self._segment is None:
             return
         total = float(self._segments) if self._by_count else self._total
         fraction = min(1.0, behind / total) if total else 1.0
         done = behind - self._first
         left = (time.monotonic() - self._began) / done * max(0.0, total - behind) if done > 0 else None
-        try:
-            self._callback(kind(self._segment.index, self._segment.label, self._segments, fraction, left, *more))
-        except Exception:
-            self._callback = None
+        event = kind(self._segment.index, self._segment.label, self._segments, fraction, left, *more)
+        for callback in self._callbacks:
+            try:
+                callback(event)
+            except Exception:
+                self._callbacks = tuple(other for other in self._callbacks if other is not callback)
 
 
 def seconds_behind(schedule: Schedule, done: Callable[[int], bool]) -> float:
