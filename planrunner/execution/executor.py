@@ -88,8 +88,7 @@ class _Execution:
         self.channels: Mapping[str, str] = {}
         self.live = LiveReport(writer.folder, len(schedule.segments))
         planned = with_lengths(schedule, bench.sensor)
-        shown = [self.live.progress] if progress is None else [self.live.progress, progress]
-        self.meter = Meter(planned, shown, seconds_behind(planned, self._done))
+        self.meter = Meter(planned, progress, self.live.advance, seconds_behind(planned, self._done))
         self.lookout = Lookout(bench, stop, self._notice)
         self.reaching = Reaching(bench, self.lookout, patience, self._say)
         self.continuity = Continuity(bench, self.reaching)
@@ -208,6 +207,7 @@ class _Execution:
         """Record a segment, and repeat it when a limit is exceeded, as often as the plan allows."""
         self.segment = segment
         self.meter.begin(segment, self.clock.now())
+        self.live.begin(segment)
         retakes = segment.watch.retakes if segment.watch else 0
         for left in range(retakes, -1, -1):
             self._say("writing the run folder")

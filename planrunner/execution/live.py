@@ -30,9 +30,9 @@ from planrunner.archive.live import (
     withdraw,
 )
 from planrunner.base.guarded_folder import GuardedFolder
-from planrunner.base.progress import Underway
-from planrunner.execution.progress import Advanced, ProgressEvent
+from planrunner.execution.progress import Advanced
 from planrunner.instruments.interfaces import Block
+from planrunner.plan.schedule import Segment
 
 EVERY = 1.0
 """Seconds of real time between two states."""
@@ -106,7 +106,7 @@ class _Samples:
         self.strip.append((self.last, new))
 
     def begin(self) -> None:
-        """A new segment: the statistics begin again, the strips continue."""
+        """Forget the samples, but not the strips."""
         self.waiting, self.rows, self.moments = [], 0, None
 
 
@@ -130,14 +130,14 @@ class LiveReport:
         shown = dict(list(channels.items())[:MOST_CHANNELS])
         self._samples, self._hidden = _Samples(shown), len(channels) - len(shown)
 
-    def progress(self, event: ProgressEvent) -> None:
-        """Called by the meter of the run."""
-        if isinstance(event, Underway):
-            return
-        if event.index != self._index or event.label != self._label:
-            self._samples.begin()
-        self._index, self._label, self._fraction, self._left = event.index, event.label, event.fraction, event.time_left
-        self._activity = event.activity if isinstance(event, Advanced) else ""
+    def begin(self, segment: Segment) -> None:
+        """A segment: the statistics begin again, the strips continue."""
+        self._index, self._label = segment.index, segment.label
+        self._samples.begin()
+
+    def advance(self, event: Advanced) -> None:
+        """Progress within a segment."""
+        self._fraction, self._left, self._activity = event.fraction, event.time_left, event.activity
         self.beat()
 
     def take(self, block: Block) -> None:

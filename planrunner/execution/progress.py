@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from planrunner.base.progress import EVERY, Underway
@@ -66,16 +66,19 @@ def with_lengths(schedule: Schedule, sensor: object) -> Schedule:
 class Meter:
     """Turns the position of the executor into events.
 
-    The time left is the remaining planned time at the pace so far, so it is real time on a simulated bench too. A callback that raises is
-    not called again, because a display must not end a run.
+    The time left is the remaining planned time at the pace so far, so it is real time on a simulated bench too. callback: receives all
+    events; one that raises is not called again, because a display must not end a run. live: receives the progress within segments only,
+    because most runs have no display, and the beginning and end of a segment then cost nothing.
     """
 
-    def __init__(self, schedule: Schedule, callbacks: Sequence[ProgressCallback], behind: float):
+    def __init__(
+        self, schedule: Schedule, callback: ProgressCallback | None, live: Callable[[Advanced], None], behind: float
+    ):
         self._segments = len(schedule.segments)
         self._planned = {segment.index: segment for segment in schedule.segments}
         self._total = sum(planned_seconds(segment) for segment in schedule.segments)
         self._by_count = self._total <= 0
-        self._callbacks = tuple(callbacks)
+        self._callback, self._live = callback, live
         self._first = self._behind = behind
         self._began = self._shown = time.monotonic()
         self._segment: Segment | None = None
@@ -83,36 +86,43 @@ class Meter:
 
     def begin(self, segment: Segment, clock: float) -> None:
         self._segment, self._segment_clock = self._planned[segment.index], clock
-        self._send(SegmentBegun, self._behind)
+        if self._callback is not None:
+            self._tell(SegmentBegun(segment.index, segment.label, self._segments, *self._pace(self._behind)))
 
     def advance(self, clock: float, activity: str) -> None:
         """Called often; sends an event if one is due."""
         now = time.monotonic()
-        if self._segment is None or now - self._shown < EVERY:
+        segment = self._segment
+        if segment is None or now - self._shown < EVERY:
             return
         self._shown = now
-        within = min(max(clock - self._segment_clock, 0.0), planned_seconds(self._segment))
-        self._send(Advanced, self._behind + (0.0 if self._by_count else within), activity)
+        within = 0.0 if self._by_count else min(max(clock - self._segment_clock, 0.0), planned_seconds(segment))
+        event = Advanced(segment.index, segment.label, self._segments, *self._pace(self._behind + within), activity)
+        self._live(event)
+        self._tell(event)
 
     def finish(self) -> None:
-        assert self._segment is not None
-        self._behind += 1.0 if self._by_count else planned_seconds(self._segment)
-        self._send(SegmentFinished, self._behind)
-        self._segment = None
+        segment, self._segment = self._segment, None
+        assert segment is not None
+        self._behind += 1.0 if self._by_count else planned_seconds(segment)
+        if self._callback is not None:
+            self._tell(SegmentFinished(segment.index, segment.label, self._segments, *self._pace(self._behind)))
 
-    def _send(self, kind: type, behind: float, *more: str) -> None:
-        if self._segment is None:
-            return
+    def _pace(self, behind: float) -> tuple[float, float | None]:
+        """The completed fraction, and the time left."""
         total = float(self._segments) if self._by_count else self._total
         fraction = min(1.0, behind / total) if total else 1.0
         done = behind - self._first
         left = (time.monotonic() - self._began) / done * max(0.0, total - behind) if done > 0 else None
-        event = kind(self._segment.index, self._segment.label, self._segments, fraction, left, *more)
-        for callback in self._callbacks:
-            try:
-                callback(event)
-            except Exception:
-                self._callbacks = tuple(other for other in self._callbacks if other is not callback)
+        return fraction, left
+
+    def _tell(self, event: ProgressEvent) -> None:
+        if self._callback is None:
+            return
+        try:
+            self._callback(event)
+        except Exception:
+            self._callback = None
 
 
 def seconds_behind(schedule: Schedule, done: Callable[[int], bool]) -> float:
