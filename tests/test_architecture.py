@@ -273,6 +273,7 @@ OPENERS = {
     "cli/printing.py": "files that it makes new",
     "cli/simulate_bench.py": "the file that says where everything listens, made new",
     "archive/formats.py": "shipped schemas",
+    "live/server.py": "shipped pages",
     "reporting/language.py": "shipped catalogues",
     "tasks/diagnose.py": "shipped benches",
     "tasks/self_test.py": "its own reference data",

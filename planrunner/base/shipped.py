@@ -8,7 +8,7 @@ from pathlib import Path
 
 @lru_cache(maxsize=8)
 def shipped(folder: str) -> Path:
-    """The folder `plans`, `schemas`, `templates` or `locales` of this installation. Raises FileNotFoundError if it is missing."""
+    """The folder `plans`, `schemas`, `templates`, `locales` or `web` of this installation. Raises FileNotFoundError if it is missing."""
     package = Path(__file__).resolve().parents[1]
     for path in (package / "_shipped" / folder, package.parent / folder):
         if path.is_dir():

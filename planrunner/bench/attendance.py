@@ -19,5 +19,5 @@ def check_unattended(bench: Bench, schedule: Schedule, log: Findings) -> None:
                 f"the operator is asked before '{segment.label}' ({segment.prompts[0]}), and no operator is present "
                 "to answer"
             )
-            hint = "run it in a terminal without --unattended, or leave the prompt out"
+            hint = "run it in a terminal without --unattended, or with --live-page, or leave the prompt out"
             log.error("run-unattended", mark, message, hint)

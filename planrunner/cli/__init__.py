@@ -35,6 +35,8 @@ COMMANDS = {
     "simulate": "run a plan on a virtual bench with effects of the catalogue added",
     "resume": "continue a run that was cut short or is paused, or record segments of it again",
     "pause": "pause a run before its next segment, with the bench in the safe state",
+    "serve": "show the running runs of an archive on a page in the browser, where prompts are answered",
+    "watch": "show the running runs of an archive on the terminal",
     "estimate": "estimate again from a recording, as a new analysis",
     "amend": "evaluate a run again for a stated reason, as a new analysis that names the person and the analysis it amends",
     "report": "write the reports of an analysis again",

@@ -1,4 +1,4 @@
-"""The operator at the terminal: prompts of a plan, answered with Enter."""
+"""The operator: prompts of a plan, answered with Enter at the terminal, or on the live page."""
 
 from __future__ import annotations
 
@@ -9,9 +9,21 @@ import threading
 from collections.abc import Callable
 
 
-def add_attendance(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+def add_attendance(parser: argparse.ArgumentParser) -> argparse._MutuallyExclusiveGroup:
+    """For commands to which it matters whether an operator is present."""
+    present = parser.add_mutually_exclusive_group()
+    present.add_argument(
         "--unattended", action="store_true", help="no operator is present: refuse a plan with operator prompts"
+    )
+    return present
+
+
+def add_live_page(parser: argparse.ArgumentParser) -> None:
+    """For commands that execute a run."""
+    add_attendance(parser).add_argument(
+        "--live-page",
+        action="store_true",
+        help="the operator answers prompts on the live page (`planrunner serve`), not at this terminal",
     )
 
 
@@ -44,7 +56,23 @@ class TerminalOperator:
             return
 
 
-def operator_of(args: argparse.Namespace, notify: Callable[[str], None]) -> TerminalOperator | None:
-    """The operator at the terminal; None without a terminal and in unattended runs."""
+class PageOperator:
+    """The operator at the live page, who answers through the run folder. notify: shows a line."""
+
+    def __init__(self, notify: Callable[[str], None]):
+        self._notify = notify
+
+    def ask(self, prompt: str) -> Callable[[], bool]:
+        self.tell(f"{prompt}\nThe run waits for an answer on the live page (`planrunner serve`).")
+        return lambda: False
+
+    def tell(self, text: str) -> None:
+        self._notify(text)
+
+
+def operator_of(args: argparse.Namespace, notify: Callable[[str], None]) -> TerminalOperator | PageOperator | None:
+    """The operator at the terminal or at the live page; None without either, and in unattended runs."""
+    if args.live_page:
+        return PageOperator(notify)
     present = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty() and not args.unattended
     return TerminalOperator(notify) if present else None

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from planrunner.cli.check import sound_plan
-from planrunner.cli.operator import add_attendance, operator_of
+from planrunner.cli.operator import add_live_page, operator_of
 from planrunner.cli.outcome import finish, tell
 from planrunner.cli.progress import reading_progress, run_progress
 from planrunner.plan.run_information import gather
@@ -47,7 +47,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of every command that produces results."""
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress")
-    add_attendance(parser)
+    add_live_page(parser)
 
 
 def seed(text: str) -> int:

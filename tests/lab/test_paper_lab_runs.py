@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.request
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -372,6 +373,41 @@ def test_prompts_work_in_a_terminal(tmp_path: Path) -> None:
     os.close(ours)
     assert run.returncode == 0 and safe(tmp_path)
     assert [event["answer"] for event in events(tmp_path, "asked")] == ["done"]
+
+
+@pytest.mark.slow
+def test_prompts_are_answered_on_the_live_page(planrunner: Planrunner, tmp_path: Path) -> None:
+    """Run and server are processes of their own, and nobody is at a terminal."""
+    text = PLAN.replace("{label: long,", "{label: long, prompt: Mount the fixture on face B,").replace("DWELL", "0.3 s")
+    (tmp_path / "plan.yaml").write_text(text, encoding="utf-8")
+    run = planrunner("run", "plan.yaml", "--live-page", "--flushed")
+    wait(lambda: (tmp_path / "runs").exists(), run)
+    server = planrunner("serve", "runs", "--port", "0")
+    assert server.stdout is not None
+    address, _, token = server.stdout.readline().strip().partition("/#")
+
+    def asked(path: str, body: Mapping[str, str] | None = None) -> Any:
+        headers = {"Authorization": f"Bearer {token}", "Origin": address, "Content-Type": "application/json"}
+        data = None if body is None else json.dumps(body).encode()
+        with urllib.request.urlopen(urllib.request.Request(address + path, data, headers), timeout=PATIENCE) as answer:
+            return json.load(answer)
+
+    def questions() -> list[dict[str, str]]:
+        running = asked("/api/activity")["running"]
+        return [{"run": one["run"], **one["live"]["question"]} for one in running if one["live"]["question"]]
+
+    wait(lambda: bool(questions()), run)
+    assert safe(tmp_path) and acknowledged(tmp_path) == 1
+    (question,) = questions()
+    assert question["text"] == "Mount the fixture on face B"
+    assert asked("/api/answer", {"run": question["run"], "question": question["id"], "by": "Li Wei"}) == {"done": True}
+    _, err = run.communicate(timeout=PATIENCE)
+    assert run.returncode == 0 and "confirmed on the live page by Li Wei" in err
+    assert [(event["answer"], event["by"]) for event in events(tmp_path, "asked")] == [("done", "Li Wei")]
+    assert asked("/api/activity")["running"] == []
+    server.send_signal(signal.SIGTERM)
+    server.communicate(timeout=PATIENCE)
+    assert server.returncode == 130
 
 
 @pytest.mark.slow

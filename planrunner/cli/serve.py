@@ -1,0 +1,47 @@
+"""`planrunner serve`: the live page of an archive, on this computer only."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from planrunner.cli import exit_codes
+from planrunner.cli.printing import print_json
+
+PORT = 8765
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "archive",
+        metavar="ARCHIVE",
+        nargs="?",
+        type=Path,
+        default=Path("runs"),
+        help="folder that contains the run folders (default: runs)",
+    )
+    parser.add_argument(
+        "--port", metavar="N", type=int, default=PORT, help=f"port of the page; 0 for a free one (default: {PORT})"
+    )
+    parser.add_argument("--json", action="store_true", help="print the address as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    from planrunner.live.monitor import Monitor
+    from planrunner.live.server import LiveServer
+
+    server = LiveServer(Monitor(args.archive), args.port)
+    with server:
+        if args.json:
+            print_json({"address": server.address})
+        else:
+            print(
+                f"{server.address}\nOpen this address on this computer; it contains the token. Ctrl-C ends the server."
+            )
+        sys.stdout.flush()
+        try:
+            server.serve_forever(poll_interval=0.2)
+        finally:
+            server.watching.stop()
+    return exit_codes.DONE
