@@ -28,11 +28,17 @@ def recording_bytes(schedule: Schedule, sample_rate: float, channels: int) -> in
 
 def require_space(folder: Path, needed: int) -> None:
     """Raises `InputError` if the disk that holds `folder` (or its nearest existing parent) has less than `needed` bytes."""
+    missing = shortage(folder, needed)
+    if missing:
+        message = f"the run {missing}"
+        raise InputError.at(Mark(str(folder)), "disk-space", message, "make room, or choose another folder for runs")
+
+
+def shortage(folder: Path, needed: int) -> str:
+    """What a disk lacks for `needed` bytes, in words that follow a subject; empty if it has room."""
     existing = next((place for place in (folder, *folder.absolute().parents) if place.exists()), Path.cwd())
     free = shutil.disk_usage(existing).free
-    if free < needed:
-        message = f"the run needs up to {_size(needed)}, the disk has {_size(free)} free"
-        raise InputError.at(Mark(str(folder)), "disk-space", message, "make room, or choose another folder for runs")
+    return "" if free >= needed else f"needs up to {_size(needed)}, the disk has {_size(free)} free"
 
 
 def _size(size: float) -> str:

@@ -65,14 +65,14 @@ class CheckedSuite:
         asks = tuple(dict(self.plans[test.file, test.bench].asks) for test in self.tests)
         return SoundSuite(
             self.file, self.findings, self.data, self.suite, self.zone, self.tests, self.durations, asks,
-            self.forecast, self.virtual,
+            self.forecast, self.virtual, sum(self.plans[test.file, test.bench].size for test in self.tests),
         )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class SoundSuite:
-    """A suite that passed its checks (warnings may remain in `findings`). asks: for each test, the run information that its plan asks
-    for."""
+    """A suite that passed its checks (warnings may remain in `findings`). asks: for each test, the run information that its plan asks for.
+    size: largest number of bytes of all runs."""
 
     file: str
     findings: Findings
@@ -84,6 +84,7 @@ class SoundSuite:
     asks: tuple[dict[str, bool], ...]
     forecast: NightForecast
     virtual: bool
+    size: int
 
     def bench_of(self, test: PlannedTest) -> str:
         """The bench of a test as `planrunner run --bench` takes it."""

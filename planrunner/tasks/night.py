@@ -29,6 +29,7 @@ from planrunner.archive.formats import IntegrityError, from_bytes, to_bytes
 from planrunner.archive.journal import Journal, JournalScan
 from planrunner.archive.seal import NAME as SEAL
 from planrunner.archive.segment_file import safe_name
+from planrunner.archive.space import shortage
 from planrunner.archive.storage import Storage
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.exclusive import ExclusiveFile, HeldError
@@ -369,6 +370,9 @@ class _Night:
         self._log("session", {"process": os.getpid()})
         if self._continued:
             self._remark("the night was interrupted and continued; every bench warms up again")
+        missing = "" if self._continued else shortage(self._options.runs, self._sound.size)
+        if missing:
+            self._remark(f"the night {missing}: later tests may not run")
         if self._behind:
             self._jumped(-self._behind)
         self._write_reports()

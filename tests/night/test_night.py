@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jsonschema
@@ -307,6 +308,15 @@ def test_a_full_disk_stops_the_night_loses_nothing_and_is_said(lab: Path, monkey
     full[0] = False
     again = night(lab, sound)
     assert again.folder == result.folder and again.exit_code == 0  # the journal ends before the disk was full
+
+
+def test_a_disk_that_may_be_too_small_is_said_at_the_beginning(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sound = suite_in(lab, ONE.format(say="0", more="retries: 0"))
+    assert sound.size > 600 * 100 * 8  # ten minutes at 100 Hz of one channel, and its time
+    monkeypatch.setattr("shutil.disk_usage", lambda place: SimpleNamespace(free=sound.size - 1))
+    assert "later tests may not run" in night(lab, sound).record["remarks"][0]
+    monkeypatch.setattr("shutil.disk_usage", lambda place: SimpleNamespace(free=sound.size))
+    assert night(lab, sound).record["remarks"] == []
 
 
 def test_a_damaged_night_is_left_alone_and_a_torn_line_is_dropped(lab: Path) -> None:
