@@ -13,14 +13,15 @@ from dataclasses import replace
 import numpy as np
 
 from planrunner.base.dataclass import dataclass
-from planrunner.base.findings import Findings, Mark
+from planrunner.base.findings import Findings, Mark, closest
 from planrunner.bench.cycle_checks import MarkOf, check_cycle
 from planrunner.bench.model import BenchModels
 from planrunner.bench.table_states import STOPS_LATE, TableState, spin_misses
 from planrunner.instruments.models import TableModel
 from planrunner.physics.kinematics import Array, Unreachable
 from planrunner.physics.table_motion import Excess, SpinCourse, about_one_axis, rock_excess, spin_excess
-from planrunner.plan.schedule import Motion, Rest, Rock, Spin
+from planrunner.plan.schedule import Motion, RecordedMotion, Rest, Rock, Spin
+from planrunner.plan.units import DIMENSIONS, unit
 
 # A fraction of a turn biases the mean rate by the horizontal Earth rate; below this fraction of the rate it is negligible.
 WHOLE_TURN_TOLERANCE = 100e-6
@@ -55,6 +56,9 @@ def start_motion(
     table, mark = models.table, at("")
     if isinstance(motion, Rest):
         return 0.0, state
+    if isinstance(motion, RecordedMotion):
+        _check_moved(motion, models, at, log)
+        return 0.0, state
     if isinstance(motion, Rock):
         _check_sampled(motion, hold.sampled, at("rock"), log)
         if models.sensor is not None and models.sensor.records_angle and not about_one_axis(motion):
@@ -75,6 +79,39 @@ def start_motion(
     end, stopping = check_cycle(table.axes[0], starts, motion, hold.dwell, models.site, at, log)
     missed = motion.rate * STOPS_LATE
     return 0.0, state.ended(table.axes, 0, end - starts[0], (-missed, missed), stopping)
+
+
+def _check_moved(motion: RecordedMotion, models: BenchModels, at: MarkOf, log: Findings) -> None:
+    """Whether a motion that nobody commands is possible on this bench, and whether its sensor has the channels that show it."""
+    if models.table is not None:
+        message = "the table of this bench moves only on command, so the sensor cannot move in a way that only the recording shows"
+        log.error(
+            "physics-recorded-motion", at("recorded"), message, "state the motion of the table, or use another bench"
+        )
+        return
+    if models.sensor is None:
+        return
+    shown = (
+        ("angle", (motion.angle,) if motion.angle else (), "angle"),
+        ("attitude", motion.attitude, "ratio"),
+        ("rates", motion.rates, "angular rate"),
+        ("forces", motion.forces, "acceleration"),
+    )
+    for key, channels, dimension in shown:
+        mark = at(f"recorded.{key}")
+        for name in channels:
+            output = models.sensor.output(name)
+            if output is None:
+                known = [one.name for one in models.sensor.outputs]
+                message = f"the sensor of this bench has no output '{name}'"
+                log.error("meaning-sensor-output", mark, message, closest(name, known))
+            elif unit(output.unit).dimension != DIMENSIONS[dimension]:
+                kind = "ratio (unit 1)" if dimension == "ratio" else dimension
+                message = f"'{name}' is in {output.unit}, which is not a unit of {kind}"
+                log.error("physics-recorded-motion", mark, message, f"name a channel of {kind} for `{key}`")
+        if len(set(channels)) < len(channels):
+            message = f"`{key}` names a channel twice"
+            log.error("physics-recorded-motion", mark, message, "name a channel for each component")
 
 
 def no_table(what: str, mark: Mark, log: Findings) -> None:

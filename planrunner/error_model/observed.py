@@ -6,7 +6,7 @@ each. The nominal stimulus at every sample follows from attitude, table angle an
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.physics.earth import Site
-from planrunner.plan.schedule import Motion, Rock, Spin
+from planrunner.physics.moved_body import BodyMotion
+from planrunner.plan.schedule import Motion, RecordedMotion, Rock, Spin
 from planrunner.plan.units import unit
 
 Array = NDArray[np.float64]
@@ -58,7 +59,7 @@ def channel_of(name: str, text: str, white: float, flicker: float, resolution: f
 @dataclass(frozen=True, slots=True)
 class ObservedSegment:
     """One segment of an `Observed`, with n samples. motion, attitude (3, 3), last_change: of the segment; time, angle, rate, acceleration,
-    temperature, temperature_rate: (n,); values: (n, K)."""
+    temperature, temperature_rate: (n,); values: (n, K). course: of a motion that does not follow from attitude and angle."""
 
     label: str
     motion: Motion
@@ -71,6 +72,7 @@ class ObservedSegment:
     temperature_rate: Array
     values: Array
     last_change: float = 0.0
+    course: BodyMotion | None = None
 
 
 def joined(
@@ -107,6 +109,7 @@ def joined(
         rejected,
         along=along,
         bins=bins,
+        courses=tuple(one.course for one in segments) if any(one.course is not None for one in segments) else (),
     )
 
 
@@ -121,7 +124,8 @@ class Observed:
     for a sensor in unknown orientations: the direction of gravity in its axes, estimated from the readings. Its accelerometers are then
     observed only along gravity, as one channel: perpendicular to it, errors cannot be distinguished from the unknown orientation. bins: for
     a long recording, whose "samples" are means over consecutive samples; None for single samples. felt: angular rate and specific force
-    (N, 3) each, instead of those that follow from site, attitude and table.
+    (N, 3) each, instead of those that follow from site, attitude and table. courses: (S,), of segments whose motion the recording shows; an
+    entry is None if attitude and angle give the motion, and the tuple is empty if all entries are.
     """
 
     site: Site
@@ -144,6 +148,7 @@ class Observed:
     along: Array | None = None
     bins: Bins | None = None
     felt: tuple[Array, Array] | None = None
+    courses: tuple[BodyMotion | None, ...] = ()
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -158,8 +163,61 @@ class Observed:
 
     @cached_property
     def unsteady(self) -> NDArray[np.bool_]:
-        """The segments (S,) in which the table's rate changes."""
-        return np.array([bool(self.acceleration[part].any()) for part in self.segments()])
+        """The segments (S,) in which the rate of rotation changes."""
+        changing = [bool(self.acceleration[part].any()) for part in self.segments()]
+        return np.array(
+            [change or isinstance(m, RecordedMotion) for change, m in zip(changing, self.motions, strict=True)]
+        )
+
+    @cached_property
+    def moved(self) -> NDArray[np.bool_]:
+        """The segments (S,) whose motion only the recording shows."""
+        return np.array([isinstance(motion, RecordedMotion) for motion in self.motions], dtype=bool)
+
+    @cached_property
+    def turn(self) -> Array:
+        """Rotation of the sensor in its axes, (N, 3), rad/s, relative to the Earth as far as the attitude is known."""
+        return self._by_course(self.rate[:, None] * self.table_axis, lambda course: course.turn)
+
+    @cached_property
+    def swing(self) -> Array:
+        """Angular acceleration of the sensor in its axes, (N, 3), rad/s²."""
+        return self._by_course(self.acceleration[:, None] * self.table_axis, lambda course: course.swing)
+
+    def turn_before(self, seconds: float) -> Array:
+        """`turn` some seconds earlier, less `turn`, (N, 3), of segments whose motion only the recording shows; zero in the others. The rate
+        counts as constant before the first sample of a segment and after the last."""
+        from scipy.interpolate import CubicSpline
+
+        change = np.zeros((len(self.time), 3))
+        for rows, moved in zip(self.segments(), self.moved, strict=True):
+            if moved:
+                time = self.time[rows]
+                course = CubicSpline(time, self.turn[rows])
+                change[rows] = course(np.clip(time - seconds, time[0], time[-1])) - self.turn[rows]
+        return change
+
+    def turn_lagged(self, tau: float) -> Array:
+        """`turn` behind a first-order lag, less `turn`, (N, 3), of the same segments, steady when they begin. The rate counts as linear
+        between samples: with q = exp(−h/τ) and g = τ/h, y₁ = q·y₀ + (1 − g·(1 − q))·x₁ + (g·(1 − q) − q)·x₀ for a step h."""
+        from scipy.signal import lfilter
+
+        change = np.zeros((len(self.time), 3))
+        for rows, moved in zip(self.segments(), self.moved, strict=True):
+            if moved and tau > 0:
+                step = float(np.median(np.diff(self.time[rows])))
+                q, g = float(np.exp(-step / tau)), tau / step
+                ahead, behind = 1 - g * (1 - q), g * (1 - q) - q
+                rate = self.turn[rows] - self.turn[rows.start]
+                change[rows] = lfilter([ahead, behind], [1.0, -q], rate, axis=0) - rate
+        return change
+
+    def _by_course(self, values: Array, part: Callable[[BodyMotion], Array]) -> Array:
+        """Values (N, …) that follow from attitude and angle, with those of the courses in their segments."""
+        for rows, course in zip(self.segments(), self.courses, strict=False):
+            if course is not None:
+                values[rows] = part(course)
+        return values
 
     @cached_property
     def pulsation(self) -> Array:
@@ -185,7 +243,9 @@ class Observed:
     @cached_property
     def turning(self) -> Array:
         """The site direction about which the table turns, (S, 3)."""
-        return np.array([m.about if isinstance(m, Spin) else (0.0, 0.0, 1.0) for m in self.motions], dtype=float)
+        return np.array(
+            [m.about if isinstance(m, Spin | RecordedMotion) else (0.0, 0.0, 1.0) for m in self.motions], dtype=float
+        )
 
     @cached_property
     def sample_rate(self) -> float:
@@ -196,14 +256,14 @@ class Observed:
 
     def in_sensor_axes(self, site_vector: Array) -> Array:
         """A vector in site axes, (3,), as the sensor's axes see it at every sample, (N, 3): attitude · R(−θ) · vector, R by Rodrigues'
-        formula about the segment's axis."""
+        formula about the segment's axis. Zero where the attitude is unknown."""
         vector = np.asarray(site_vector, dtype=float)
         along = (self.turning @ vector)[:, None] * self.turning
         axes = np.stack([along, vector - along, -np.cross(self.turning, vector)], axis=1) @ self.attitude.swapaxes(1, 2)
         seen = np.empty((len(self.time), 3))
         for part, here in zip(self.segments(), axes, strict=True):
             np.matmul(self._turned[part], here, out=seen[part])
-        return seen
+        return self._by_course(seen, lambda course: course.attitude @ vector)
 
     @cached_property
     def _turned(self) -> Array:
@@ -232,12 +292,16 @@ class Observed:
     @cached_property
     def omega(self) -> Array:
         """Nominal angular rate against inertial space in sensor axes, (N, 3), rad/s."""
-        return self.earth_rate + self.rate[:, None] * self.table_axis if self.felt is None else self.felt[0]
+        if self.felt is not None:
+            return self.felt[0]
+        return self._by_course(self.earth_rate + self.rate[:, None] * self.table_axis, lambda course: course.omega)
 
     @cached_property
     def force(self) -> Array:
         """Nominal specific force in sensor axes on the axis of rotation, (N, 3), m/s²."""
-        return self.in_sensor_axes(self.site.specific_force_enu) if self.felt is None else self.felt[1]
+        if self.felt is not None:
+            return self.felt[1]
+        return self._by_course(self.in_sensor_axes(self.site.specific_force_enu), lambda course: course.force)
 
     @cached_property
     def nominal_output(self) -> Array:

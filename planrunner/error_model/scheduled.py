@@ -52,17 +52,20 @@ def scheduled(segments: Sequence[Segment], site: Site, channels: Sequence[Channe
     parts = []
     for segment, begin, last, change in zip(usable, warm, end, changes, strict=True):
         slope = (last - begin) / (segment.dwell or 1.0)
+        moving = motion_at(segment.motion, since, None)
         parts.append(
             ObservedSegment(
                 segment.label,
                 segment.motion,
                 np.array(segment.attitude),
                 segment.start + since,
-                **motion_at(segment.motion, since, None),
-                temperature=begin + since * slope,
-                temperature_rate=np.full(_SAMPLES, slope),
-                values=np.zeros((_SAMPLES, len(channels))),
-                last_change=float(change),
+                moving["angle"],
+                moving["rate"],
+                moving["acceleration"],
+                begin + since * slope,
+                np.full(_SAMPLES, slope),
+                np.zeros((_SAMPLES, len(channels))),
+                float(change),
             )
         )
     return joined(site, channels, parts, magnetic=site.magnetic_field)

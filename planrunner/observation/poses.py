@@ -25,7 +25,7 @@ from planrunner.observation.refusals import ObservationError
 from planrunner.observation.samples import channels_of, rows_of
 from planrunner.observation.temperature import temperature_of
 from planrunner.physics.earth import Site
-from planrunner.plan.schedule import Rest
+from planrunner.plan.schedule import RecordedMotion, Rest
 
 Array = NDArray[np.float64]
 _STEPS = 20
@@ -33,8 +33,14 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def unknown_orientations(recording: Sequence[RecordedSegment]) -> bool:
-    """Whether all segments rest in unknown orientations. Raises `ObservationError` if only some do, or if one moves."""
-    unknown = [item.label for item in recording if item.segment.attitude is None]
+    """Whether all segments rest in unknown orientations; those whose motion the recording shows need none.
+
+    Raises `ObservationError` if only some do, or if one moves."""
+    unknown = [
+        item.label
+        for item in recording
+        if item.segment.attitude is None and not isinstance(item.segment.motion, RecordedMotion)
+    ]
     if not unknown:
         return False
     if len(unknown) < len(recording):

@@ -11,15 +11,20 @@ from planrunner.archive.recording import RecordedSegment, in_time_order
 from planrunner.base.findings import closest
 from planrunner.error_model.observed import KINDS, Channel, Observed, ObservedSegment, channel_of, joined
 from planrunner.instruments.models import NoiseModel, SensorModel
-from planrunner.observation.bins import SQUARED, Averaged, averaged, bins_of, sizes
+from planrunner.observation.bins import SQUARED, Averaged, bins_of, sizes
+from planrunner.observation.bins import averaged as in_bins
+from planrunner.observation.moved import recorded_course, supposed_course
 from planrunner.observation.refusals import ObservationError
 from planrunner.observation.temperature import changes, settled, temperature_of
 from planrunner.physics.earth import Site
+from planrunner.physics.moved_body import BodyMotion, averaged
 from planrunner.physics.sampled_motion import fading, motion_at
-from planrunner.plan.schedule import Rest, Rock, Spin
+from planrunner.plan.schedule import RecordedMotion, Rest, Rock, Spin
 from planrunner.plan.units import unit
 
 Array = NDArray[np.float64]
+
+_REACHED = 0.99  # of full scale
 
 
 def observed(
@@ -48,25 +53,40 @@ def observed(
     if not channels:
         raise ObservationError("the recording has no channel of angular rate or acceleration along an axis x, y or z")
     size = sizes(recording)
+    limits = {output.name: output.full_scale for output in sensor.outputs}
     made = [
-        _part(item, channels, angle_channel, temperature_channel, power_on, None if size is None else int(size[index]))
+        _part(
+            item,
+            site,
+            limits,
+            channels,
+            angle_channel,
+            temperature_channel,
+            power_on,
+            None if size is None else int(size[index]),
+        )
         for index, item in enumerate(recording)
     ]
     parts = [part for part, *_ in made]
-    settled(recording, parts, [uncertainty for *_, uncertainty in made])
+    settled(recording, parts, [uncertainty for _, _, uncertainty, _ in made])
     means = [float(np.mean(part["temperature"])) for part in parts]
     return joined(
         site,
         channels,
         [
             ObservedSegment(
-                item.label, item.segment.motion, np.array(item.segment.attitude), **part, last_change=float(change)
+                item.label,
+                item.segment.motion,
+                np.eye(3) if item.segment.attitude is None else np.array(item.segment.attitude),
+                last_change=float(change),
+                course=course,
+                **part,
             )
-            for item, part, change in zip(recording, parts, changes(recording, means), strict=True)
+            for item, (part, _, _, course), change in zip(recording, made, changes(recording, means), strict=True)
         ],
         magnetic=magnetic,
-        rejected=sum(rows.rejected for _, rows, _ in made),
-        bins=None if size is None else bins_of(size, [rows for _, rows, _ in made]),
+        rejected=sum(rows.rejected for _, rows, *_ in made),
+        bins=None if size is None else bins_of(size, [rows for _, rows, *_ in made]),
     )
 
 
@@ -89,21 +109,26 @@ def measures_motion(text: str) -> bool:
 
 def _part(
     item: RecordedSegment,
+    site: Site,
+    limits: Mapping[str, float],
     channels: tuple[Channel, ...],
     angle: str | None,
     thermometer: str | None,
     power_on: float,
     size: int | None,
-) -> tuple[dict[str, Array], Averaged, float]:
-    """Samples of one segment, or means over `size` samples, without rows that contain NaN; their composition; and the uncertainty of the
-    temperature, NaN if it changes."""
+) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
+    """Samples of one segment, or means over `size` samples, without rows that contain NaN; their composition; the uncertainty of the
+    temperature, NaN if it changes; and the course of a motion that attitude and angle do not give. limits: full scale of each output."""
+    motion = item.segment.motion
+    if isinstance(motion, RecordedMotion):
+        return _moved_part(item, motion, site, limits, channels, thermometer, power_on, size)
     if item.segment.attitude is None:
         raise ObservationError(f"the orientation of segment '{item.label}' is unknown: leave it out of the diagnosis")
-    if not isinstance(item.segment.motion, Rest | Spin | Rock):
+    if not isinstance(motion, Rest | Spin | Rock):
         raise ObservationError(f"segment '{item.label}' is a cycle of turns and stops: leave it out of the diagnosis")
     extra = [name for name in (angle, thermometer) if name is not None]
     rows = rows_of(item, channels, extra, size, angle)
-    time, table, motion = rows.time, rows.table, item.segment.motion
+    time, table = rows.time, rows.table
     left = 1.0 if size is None else fading(motion, size, 1 / rows.step)
     encoder = None if angle is None or item.expected else _in_si(item, angle, table)
     part = motion_at(motion, time - rows.begin, encoder, left)
@@ -112,7 +137,47 @@ def _part(
     part["temperature"], part["temperature_rate"] = temperature.celsius, temperature.rate
     part["values"] = np.column_stack([table[channel.name] * channel.factor for channel in channels])
     part["time"] = time - power_on
-    return part, rows, temperature.uncertainty
+    return part, rows, temperature.uncertainty, None
+
+
+def _moved_part(
+    item: RecordedSegment,
+    motion: RecordedMotion,
+    site: Site,
+    limits: Mapping[str, float],
+    channels: tuple[Channel, ...],
+    thermometer: str | None,
+    power_on: float,
+    size: int | None,
+) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
+    """As `_part`, for a motion that the recording shows. Samples at full scale, of which the motion is not known, are left out."""
+    own = [channel.name for channel in channels if channel.name in motion.channels]
+    if own:
+        message = f"'{own[0]}' shows the motion of segment '{item.label}' and cannot be judged by it"
+        raise ObservationError(message, "leave it out of the outputs, or give the motion by other channels")
+    extra = [*motion.channels, *([] if thermometer is None else [thermometer])]
+    rows = rows_of(item, channels, extra, size, motion.angle or None)
+    time, table = rows.time, rows.table
+    if item.expected:
+        moved = supposed_course(time, site)
+    else:
+        shown = {name: _in_si(item, name, table) for name in extra}
+        moved = recorded_course(motion, item.segment.attitude, site, time, shown)
+    warm = _in_si(item, thermometer, table) if thermometer is not None else None
+    temperature = temperature_of(item, time, warm)
+    values = moved.as_shown(np.column_stack([table[channel.name] * channel.factor for channel in channels]))
+    part = {**moved.table, "temperature": temperature.celsius, "temperature_rate": temperature.rate, "values": values}
+    part["time"] = time - power_on
+    over, usable = moved.averaging if size is None else 1, moved.usable
+    for name in (*motion.channels, *(channel.name for channel in channels)):
+        reached = np.abs(table[name]) >= _REACHED * limits.get(name, np.inf)
+        usable &= ~(reached | np.append(reached[1:], False) | np.append(False, reached[:-1]))
+    part = {name: averaged(one[usable], over) for name, one in part.items()}
+    if len(part["time"]) < 8:
+        message = f"segment '{item.label}' holds {len(part['time'])} averages of {over} samples"
+        raise ObservationError(message, "record for longer, or shorten `averaging` of its motion")
+    course = None if moved.course is None else moved.course.at(usable).averaged(over)
+    return part, rows, temperature.uncertainty, course
 
 
 def rows_of(
@@ -181,7 +246,7 @@ def _averaged(
     counts = np.array([channel.resolution for channel in channels])
     smallest = np.maximum(counts / 2, np.array([channel.white for channel in channels]) * np.sqrt(rate) / 4)
     wraps = None if encoder is None else (encoder, 2 * np.pi / unit(item.units[encoder]).factor)
-    return averaged(item, names, factors, counts, smallest, size, wraps)
+    return in_bins(item, names, factors, counts, smallest, size, wraps)
 
 
 def _in_si(item: RecordedSegment, name: str, table: Mapping[str, Array]) -> Array:

@@ -32,7 +32,7 @@ from planrunner.plan.kinds import (
 from planrunner.plan.quantity import SYMMETRIC, Quantity, QuantityError, is_symmetric, parse_symmetric
 from planrunner.plan.segments import NAME, STATE_KEYS, Ramp, SegmentKind, SegmentSpec, State
 from planrunner.plan.selection import Detection, SelectionKind
-from planrunner.plan.state import MOVE, POSITION, MotionSpec, RockSpec, Turns
+from planrunner.plan.state import MOVE, POSITION, MotionSpec, RecordedSpec, RockSpec, Turns
 from planrunner.plan.units import DIMENSIONS, EXAMPLES
 
 NOMINAL_TERMS = (
@@ -106,6 +106,7 @@ __all__ = [
     "MountedAxis",
     "Plan",
     "Ramp",
+    "RecordedSpec",
     "RockSpec",
     "RunItem",
     "RunItemKind",

@@ -14,7 +14,7 @@ from dataclasses import replace
 from planrunner.base.findings import Findings, Mark, closest
 from planrunner.plan import model
 from planrunner.plan.directions import DIRECTIONS
-from planrunner.plan.schedule import Cycle, Motion, Move, Rest, Rock, Spin
+from planrunner.plan.schedule import Cycle, Motion, Move, RecordedMotion, Rest, Rock, Spin
 from planrunner.plan.segments import State
 
 TURN = 2 * math.pi
@@ -26,7 +26,9 @@ _KEYS = {
     "rate": {"rate", "about", "sense"},
     "rock": {"rock", "after", "for"},
     "cycle": {"cycle", "moves", "turn_rate", "stop", "sense"},
+    "recorded": {"recorded", "about", "sense"},
 }
+_FORMS = "rate, rock, cycle and recorded"
 
 
 def motion_of(state: State, marks: Mapping[str, Mark], dwell: float | None, log: Findings) -> Motion | None:
@@ -51,7 +53,7 @@ def _stated_motion(
         log.error(
             "meaning-motion",
             marks["motion"],
-            f"a motion has exactly one of the keys rate, rock and cycle; this one has {what}",
+            f"a motion has exactly one of the keys {_FORMS}; this one has {what}",
             "keep one of them",
         )
         return None
@@ -66,7 +68,38 @@ def _stated_motion(
         return Spin(sign * motion.rate.value, DIRECTIONS[motion.about]) if motion.rate.value else Rest()
     if motion.rock is not None:
         return _rock(motion, motion.rock, dwell, log)
+    if motion.recorded is not None:
+        return _moved(motion, motion.recorded, sign, log)
     return _cycle(motion, sign, log)
+
+
+def _moved(motion: model.MotionSpec, recorded: model.RecordedSpec, sign: float, log: Findings) -> RecordedMotion | None:
+    if recorded.origin.broken:
+        return None
+    shown = [name for name in ("angle", "attitude", "rates") if getattr(recorded, name)]
+    if len(shown) > 1 or not (shown or recorded.forces):
+        what = " and ".join(shown) or "none of them"
+        message = (
+            f"a recorded motion has one of the keys angle, attitude and rates, or forces alone; this one has {what}"
+        )
+        log.error(
+            "meaning-recorded-motion", recorded.origin.mark, message, "state what in the recording shows the motion"
+        )
+        return None
+    for key in ("about", "sense"):
+        if key in motion.origin.keys and not recorded.angle:
+            message = f"'{key}' has no meaning without `angle`: {shown[0] if shown else 'forces'} gives directions"
+            log.error("meaning-motion", motion.at(key), message, "remove it")
+            return None
+    if recorded.angle and recorded.forces:
+        message = "specific force measured beside an encoder does not follow from its angle"
+        hint = "leave `forces` out, or give the rotation by `rates` or `attitude`"
+        log.error("meaning-recorded-motion", recorded.at("forces"), message, hint)
+        return None
+    east, north, up = DIRECTIONS[motion.about]
+    about = (sign * east, sign * north, sign * up)
+    seconds = recorded.averaging.value if recorded.averaging else 0.0
+    return RecordedMotion(recorded.angle or "", about, recorded.attitude, recorded.rates, recorded.forces, seconds)
 
 
 def _rock(motion: model.MotionSpec, rock: model.RockSpec, dwell: float | None, log: Findings) -> Rock | None:

@@ -85,7 +85,30 @@ class Cycle:
     stop: float
 
 
-Motion = Rest | Spin | Rock | Cycle
+@dataclass(frozen=True, slots=True)
+class RecordedMotion:
+    """A motion that no table was commanded to make; channels of the recording show it.
+
+    angle: the encoder of an axis along the site direction `about`, zero in the segment's orientation. attitude: four channels of a unit
+    quaternion from the sensor's axes to East-North-Up, real part first. rates, forces: three channels each, of angular rate and of specific
+    force along the sensor's x, y, z. At least one of these is stated. averaging: s, over which outputs and motion are averaged; 0 for the
+    samples as they are.
+    """
+
+    angle: str = ""
+    about: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    attitude: tuple[str, ...] = ()
+    rates: tuple[str, ...] = ()
+    forces: tuple[str, ...] = ()
+    averaging: float = 0.0
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """All that show the motion."""
+        return (*([self.angle] if self.angle else []), *self.attitude, *self.rates, *self.forces)
+
+
+Motion = Rest | Spin | Rock | Cycle | RecordedMotion
 
 
 @dataclass(frozen=True, slots=True)

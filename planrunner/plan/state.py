@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from planrunner.base.findings import Findings
 from planrunner.plan.directions import DIRECTIONS
-from planrunner.plan.kinds import Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
 from planrunner.plan.quantity import Quantity
 
 READINGS = ("position_error", "rate_error", "temperature_error", "temperature_drift")
@@ -123,13 +123,50 @@ class RockSpec(Record):
     )
 
 
+class RecordedSpec(Record):
+    """Channels of the recording that show a motion which no table was commanded to make: of a hand, a vehicle, or a jig without a drive.
+    One of angle, attitude and rates gives the rotation."""
+
+    angle: str | None = key(
+        CHANNEL,
+        "Encoder of the axis about which the sensor turns; in the segment's orientation it is zero.",
+        "table_angle",
+        default=None,
+    )
+    attitude: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=4, maximum=4),
+        "Unit quaternion that takes vectors from the sensor's axes to East-North-Up, real part first.",
+        ["q_w", "q_x", "q_y", "q_z"],
+        default_factory=tuple,
+    )
+    rates: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=3, maximum=3),
+        "Gyros that show the rotation about the sensor's x, y and z: of a reference, or the sensor's own.",
+        ["reference_gyro_x", "reference_gyro_y", "reference_gyro_z"],
+        default_factory=tuple,
+    )
+    forces: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=3, maximum=3),
+        "Accelerometers that show the specific force along the sensor's x, y and z. Without them, it is that of gravity in the attitude.",
+        ["reference_accel_x", "reference_accel_y", "reference_accel_z"],
+        default_factory=tuple,
+    )
+    averaging: Quantity | None = key(
+        QuantityOf("time", "positive"),
+        "Time over which outputs and motion are averaged before they are compared; by default ten samples for an angle or an attitude, "
+        "whose differences are noisy, and none for rates.",
+        "50 ms",
+        default=None,
+    )
+
+
 POSITION = r"[^ \x00-\x1f]{1,20}"
 _TURN = r"[-+−]?(?:[0-9]{1,6}(?:\.[0-9]{0,9})?|\.[0-9]{1,9})"
 MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSITION}) *"
 
 
 class MotionSpec(Record):
-    """What the table does while the segment records. Give one of rate, rock and cycle; without any of them, the table is at rest."""
+    """What the sensor does while the segment records. Give one of rate, rock, cycle and recorded; without any of them, it is at rest."""
 
     rate: Quantity | None = key(
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY),
@@ -142,6 +179,12 @@ class MotionSpec(Record):
         "Site direction the table spins about.",
         "up",
         default="up",
+    )
+    recorded: RecordedSpec | None = key(
+        RecordOf(RecordedSpec),
+        "A motion that was not commanded, such as that of a hand or a vehicle; the recording shows it.",
+        {"rates": ["reference_gyro_x", "reference_gyro_y", "reference_gyro_z"]},
+        default=None,
     )
     rock: RockSpec | None = key(
         RecordOf(RockSpec), "Sinusoidal rocking.", {"amplitude": "3 deg", "frequency": "0.2 Hz"}, default=None

@@ -7,7 +7,7 @@ import re
 
 from planrunner.plan.directions import word_of
 from planrunner.plan.orientation import in_words
-from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Segment, Spin
+from planrunner.plan.schedule import Cycle, Motion, RecordedMotion, Rest, Rock, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
 
 AT_REST = "rest"
@@ -96,6 +96,8 @@ def motion(what: Motion) -> str:
             text = f"rocking {size}° at {number(what.frequency)} Hz for {duration(what.duration)}"
             text += f", after {duration(what.delay)} at rest" if what.delay else ""
             return f"{text}, phases {phases}" if phases else text
+        case RecordedMotion():
+            return f"moved as {', '.join(what.channels)} show"
         case Cycle():
             speed = number(round(math.degrees(what.rate), 9))
             return f"{len(what.moves)} moves at {speed}°/s, stops of {duration(what.stop)}"

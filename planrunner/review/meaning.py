@@ -30,7 +30,7 @@ from planrunner.plan.model import USUAL, DiagnosisSpec, EstimateSpec, Limit, Pla
 from planrunner.plan.motion import motion_of
 from planrunner.plan.orientation import Orientation
 from planrunner.plan.quantity import Quantity, parse_quantity, parse_symmetric
-from planrunner.plan.schedule import Cycle, Rest, Rock, Spin
+from planrunner.plan.schedule import Cycle, RecordedMotion, Rest, Rock, Spin
 from planrunner.plan.segments import State
 from planrunner.plan.selection import Detection, Labels
 from planrunner.plan.state import MotionSpec, StabilitySpec, Turns
@@ -216,6 +216,20 @@ def _motion(state: State, marks: Mapping[str, Mark], log: Findings) -> Branch:
             "for": StatedValue(None, "the rest of the dwell") if whole else _of(spec.for_),
             "after": _of(spec.after),
         }
+    if isinstance(motion, RecordedMotion) and spec.recorded is not None:
+        shown: dict[str, Branch] = {
+            name: [StatedValue(channel, channel) for channel in channels]
+            for name, channels in (
+                ("attitude", motion.attitude),
+                ("rates", motion.rates),
+                ("forces", motion.forces),
+            )
+            if channels
+        }
+        if motion.angle:
+            shown["angle"] = StatedValue(motion.angle, motion.angle)
+            shown["about"] = StatedValue([_number(part) for part in motion.about], spec.about)
+        return {"recorded": shown | {"averaging": _of(spec.recorded.averaging)}}
     assert isinstance(motion, Cycle) and spec.cycle is not None
     positions = {name: _of(replace(angle, value=sign * angle.value)) for name, angle in spec.cycle.items()}
     moves = [

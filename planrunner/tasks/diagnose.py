@@ -31,6 +31,7 @@ from planrunner.instruments.models import SensorModel
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_keys import RecordingParameters, SegmentColumns
 from planrunner.plan.model import NOMINAL_TERMS, Plan
+from planrunner.plan.schedule import RecordedMotion
 from planrunner.plan.selection import Detection, select
 from planrunner.plan.span import Span
 from planrunner.plan.units import DIMENSIONS, unit
@@ -237,7 +238,10 @@ def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | No
     from planrunner.tasks.propose import DEFAULT_SOAK, Frame, propose_next
 
     segments = tuple(map(_lasting, _chosen(recorded)))
-    if recorded.sound.plan.mounting or any(item.segment.attitude is None for item in segments):
+    known = all(
+        item.segment.attitude is not None and not isinstance(item.segment.motion, RecordedMotion) for item in segments
+    )
+    if recorded.sound.plan.mounting or not known:
         return None
     planned, plan = [item.segment for item in segments], recorded.sound.plan
     frame = Frame(
@@ -282,6 +286,16 @@ def corrected_observation(
     from planrunner.observation.samples import observed
 
     sound, used = recorded.sound, _outputs(recorded.sound.plan)
+    shown = {
+        name
+        for item in _chosen(recorded)
+        if isinstance(item.segment.motion, RecordedMotion)
+        for name in item.segment.motion.channels
+    }
+    if shown and not (
+        sound.plan.diagnosis and sound.plan.diagnosis.outputs
+    ):  # what shows the motion is not judged by it
+        used = tuple(name for name in used or [o.name for o in sound.sensor.outputs] if name not in shown)
     sensor = replace(sound.sensor, outputs=tuple(o for o in sound.sensor.outputs if not used or o.name in used))
     findings = Findings()
     segments = _chosen(_without_spikes(recorded, sensor, findings))

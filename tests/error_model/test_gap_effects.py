@@ -69,6 +69,7 @@ FOR_ESTIMATES = [
     "accel_thermal_gradient",
     "accel_bias_drift",
     "accel_magnetic_sensitivity",
+    "reference_latency",
 ]
 """Effects that the diagnosis does not weigh unless they are named."""
 DECLARATIONS = [

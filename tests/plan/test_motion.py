@@ -10,7 +10,7 @@ from planrunner.base.findings import Findings
 from planrunner.plan.expand import expand
 from planrunner.plan.model import parse_plan
 from planrunner.plan.motion import motion_of
-from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Spin
+from planrunner.plan.schedule import Cycle, Motion, RecordedMotion, Rest, Rock, Spin
 
 HEAD = "planrunner: 1\ntitle: t\nsensor: {kind: k, outputs: [o]}\nsegments:\n"
 PRINTED = ["A +180 C", "C +90 D", "D -180 B", "B -90 A", "A -180 C", "C -90 B", "B +180 D", "D +90 A"]
@@ -161,3 +161,31 @@ def test_what_could_not_be_read_of_a_motion_is_not_also_missing() -> None:
     for segment in expand(plan, log):
         assert motion_of(segment.state, segment.marks, 600.0, log) is None
     assert [item.code for item in log.errors] == ["meaning-range"]
+
+
+def test_a_motion_that_the_recording_shows() -> None:
+    found, log = motion("motion: {recorded: {rates: [a, b, c], forces: [d, e, f], averaging: 20 ms}}", None)
+    assert not len(log) and found == RecordedMotion(rates=("a", "b", "c"), forces=("d", "e", "f"), averaging=0.02)
+    found, log = motion("motion: {about: north, sense: clockwise, recorded: {angle: encoder}}", None)
+    assert not len(log) and isinstance(found, RecordedMotion)
+    assert found.angle == "encoder" and found.about == (0.0, -1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "words"),
+    [
+        ("recorded: {angle: e, rates: [a, b, c]}", "meaning-recorded-motion", "angle and rates"),
+        ("recorded: {averaging: 1 s}", "meaning-recorded-motion", "none of them"),
+        ("recorded: {angle: e, forces: [a, b, c]}", "meaning-recorded-motion", "does not follow from its angle"),
+        (
+            "recorded: {rates: [a, b, c]}\n      about: north",
+            "meaning-motion",
+            "'about' has no meaning without `angle`",
+        ),
+        ("recorded: {rates: [a, b, c]}\n      rate: 3 deg/s", "meaning-motion", "exactly one of the keys"),
+    ],
+)
+def test_a_recorded_motion_says_once_what_shows_it(text: str, code: str, words: str) -> None:
+    found, log = motion(f"motion:\n      {text}", None)
+    assert found is None
+    assert [(one.code, words in one.message) for one in log] == [(code, True)]

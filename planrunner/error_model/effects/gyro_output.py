@@ -35,7 +35,7 @@ class GyroBandwidth(Shaped):
     shown_by, acts_on = "rocking segments", "rate"
 
     def grid(self, observed: Observed) -> Array:
-        return np.geomspace(5e-4, 0.2, 14) if observed.acceleration.any() else np.empty(0)
+        return np.geomspace(5e-4, 0.2, 14) if observed.unsteady.any() else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
         change = lagged(observed, value) - observed.omega
@@ -44,11 +44,12 @@ class GyroBandwidth(Shaped):
 
 
 def lagged(observed: Observed, tau: float) -> Array:
-    """The nominal rate (N, 3) behind a first-order lag, while the table rocks: (ω − τ·dω/dt)/(1 + (pτ)²), with p the angular frequency,
-    for steady harmonic motion."""
+    """The nominal rate (N, 3) behind a first-order lag. While the table rocks: (ω − τ·dω/dt)/(1 + (pτ)²), with p the angular frequency, for
+    steady harmonic motion."""
     pulse = observed.pulsation
     change = -(tau * observed.acceleration + (pulse * tau) ** 2 * observed.rate) / (1 + (pulse * tau) ** 2)
-    return np.asarray(observed.omega + np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis)
+    rocked = np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis
+    return np.asarray(observed.omega + rocked + observed.turn_lagged(tau))
 
 
 class GyroDeadZone(Shaped):
@@ -84,7 +85,7 @@ class GyroSaturation(Shaped):
     shown_by, acts_on = "rates about the axis above the limit and below it", "output"
 
     def grid(self, observed: Observed) -> Array:
-        if not observed.of_kind("gyro") or not observed.rate.any():
+        if not observed.of_kind("gyro") or not observed.turn.any():
             return np.empty(0)
         largest = float(np.abs(observed.nominal_output[:, observed.of_kind("gyro")]).max())
         return largest / DEG * (1 - np.geomspace(0.6, 1e-7, 32))

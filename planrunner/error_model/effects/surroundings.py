@@ -92,7 +92,8 @@ class SiteLatitude:
 
 
 class LeverArm:
-    """Accelerometers off the axis of rotation: ω×(ω×r) + α×r, r in sensor axes, ω and α the table's."""
+    """Accelerometers off the axis of rotation: ω×(ω×r) + α×r, r in sensor axes, ω and α the table's; or, if other accelerometers show the
+    motion, off those."""
 
     id, stage = "lever_arm", "stimulus"
     about = About(
@@ -104,15 +105,33 @@ class LeverArm:
     shown_by, explains_turning = "rates or rocking, so that the accelerometers turn with the table", True
 
     def variants(self, observed: Observed) -> list[Variant]:
-        if not observed.rate.any() or not observed.of_kind("accel"):
+        turn, spin_up = observed.turn, observed.swing
+        if not turn.any() or not observed.of_kind("accel"):
             return []
-        turn = observed.rate[:, None] * observed.table_axis
-        spin_up = observed.acceleration[:, None] * observed.table_axis
         columns = []
         for name, arm in zip("xyz", np.eye(3), strict=True):
             felt = np.cross(turn, np.cross(turn, arm)) + np.cross(spin_up, arm)
             columns.append(Column(f"r_{name}", "mm", 1e-3, 1e-2, on_stimulus(observed, None, felt), axis=None))
         return single(columns)
+
+
+class ReferenceLatency(Shaped):
+    """The channels that show a recorded motion are late by a constant delay: the sensor shows a later motion than they do."""
+
+    id, stage, hypothesis, shape_name, shape_unit = "reference_latency", "acquisition", False, "delay", "s"
+    about = About(
+        "reference data are late",
+        "The time stamps of the channels that show the motion are late, so the sensor shows a later motion than they do.",
+        Actor.BENCH,
+        "Correct the time stamps of the reference by the delay, or synchronise it with the sensor: {found}.",
+    )
+    shown_by, acts_on = "segments with a recorded motion whose rate changes", "rate"
+
+    def grid(self, observed: Observed) -> Array:
+        return np.geomspace(5e-4, 0.1, 10) if observed.moved.any() else np.empty(0)
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        return Variant((whole(on_stimulus(observed, observed.turn_before(-value), None), observed.moved),), value)
 
 
 class TimeLatency(Shaped):
@@ -128,13 +147,13 @@ class TimeLatency(Shaped):
     shown_by, acts_on = "rocking segments", "rate"
 
     def grid(self, observed: Observed) -> Array:
-        return np.geomspace(5e-4, 0.1, 10) if observed.acceleration.any() else np.empty(0)
+        return np.geomspace(5e-4, 0.1, 10) if observed.unsteady.any() else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
         """While the table rocks, harmonic motion of pulsation p: ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd."""
         pulse = observed.pulsation
         earlier = value * np.sinc(pulse * value / np.pi)  # sin(pd)/p
         change = observed.rate * (np.cos(pulse * value) - 1) - observed.acceleration * earlier
-        turned = np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis
+        turned = np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis + observed.turn_before(value)
         parts = on_stimulus(observed, turned, None)
         return Variant((whole(parts, observed.unsteady),), value)

@@ -62,7 +62,7 @@ from planrunner.observation.correlated_errors import CorrelatedError, functional
 from planrunner.observation.drift import DriftCourse, DriftCourses, drift_of
 from planrunner.observation.flicker import flicker_errors
 from planrunner.observation.observations import SIGNIFICANCE, Observations, observe, recorded_times
-from planrunner.plan.schedule import Segment
+from planrunner.plan.schedule import RecordedMotion, Segment
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, unit
 from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence
@@ -107,7 +107,10 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         _known_thermometer(parameters, {output.name: output.unit for output in request.sensor.outputs})
         by_name: dict[str, DesignBlock] = {}
         remarks: list[Remark] = []
+        unknown = [segment.label for segment in request.segments if isinstance(segment.motion, RecordedMotion)]
         for group in _planned(request):
+            if unknown:  # the plan is sound as far as effects and outputs go; only the recording shows whether it determines them
+                continue
             its_own = replace(request, segments=tuple(request.segments[row] for row in group.rows))
             for one in group.outputs:
                 made = planned_blocks(its_own, [one.name], one.names, one.columns.matrix, one.columns.magnitudes)
@@ -117,6 +120,11 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
                 remarks += beyond_full_scale(its_own, [one.name], _shares(one, group.segments))
         if any(remark.code == "physics-rank" for remark in remarks):
             return Design((), remarks=tuple(remarks))
+        if unknown:
+            remarks += planned_basis(request, (), parameters.uncertainty)
+            message = f"{len(unknown)} segments have a motion that only the recording shows"
+            hint = "`planrunner check --data` tries the estimate on the recording"
+            return Design((), notes=(f"{message}: {hint}",), remarks=tuple(remarks))
         blocks = tuple(by_name[name] for name in parameters.outputs)
         remarks += planned_drift(request, [one for one in blocks if WITHIN not in one.labels])
         return Design(blocks, remarks=tuple(dict.fromkeys(remarks)))
@@ -126,9 +134,11 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         outputs = [one for group in _planned(request) for one in group.outputs]
         parts = [(one, part) for one in outputs if (part := shaped_part(one)) is not None]
         unstated = dict.fromkeys(name for one in outputs for name in _unstated(one, request.parameters))
-        if not parts and not unstated:
+        moved = any(isinstance(segment.motion, RecordedMotion) for segment in request.segments)
+        if not parts and not unstated and not moved:
             return by_expectation(self, request)
         reasons = [f"the shape of {part.effect.id} is only known from a recording" for _, part in parts]
+        reasons += ["only the recording shows the motion"] if moved else []
         reasons += [f"the plan does not state under `expected` what is expected of {name}" for name in unstated]
         why = " and ".join(dict.fromkeys(reasons))
         found = [Unpredicted(one.name, one.unit, why, one.description) for one in common_amplitudes(outputs).amplitudes]
@@ -310,7 +320,8 @@ def _fitted(
     for k, one in enumerate(group.outputs):
         whole = _of_channel(together, k)
         if one.within is not None:
-            whole = replace(whole, mean=one.within.mean[:, None])
+            error = np.where(np.isnan(one.within.moved_error), whole.standard_error[:, 0], one.within.moved_error)
+            whole = replace(whole, mean=one.within.mean[:, None], standard_error=error[:, None])
         left = _with_contrasts(replace(whole, mean=whole.mean - np.reshape(one.ideal, (-1, 1))), one)
         seen.append((whole, left))
         about = coefficients_by_noise(_matrix(one), left, one.columns.magnitudes, one.names)

@@ -34,7 +34,7 @@ from planrunner.estimators.stated_errors import mean_stimulus
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import StimulusError
-from planrunner.plan.schedule import Rest, Rock, Segment
+from planrunner.plan.schedule import Motion, RecordedMotion, Rest, Rock, Segment
 from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
 
 Array = NDArray[np.float64]
@@ -156,7 +156,7 @@ def models(
     groups: dict[tuple[bool, tuple[int, ...]], list[OutputErrors]] = {}
     for one in named:
         rows = _usable(one, segments)
-        sampled = changes_within(one) or any(isinstance(segments[row].motion, Rock) for row in rows)
+        sampled = changes_within(one) or any(isinstance(segments[row].motion, Rock | RecordedMotion) for row in rows)
         groups.setdefault((sampled, samples.in_time(rows) if sampled else rows), []).append(one)
     return tuple(
         (_sampled if sampled else _together)(group, rows, units, segments, site, states, samples)
@@ -236,9 +236,19 @@ def _kind(name: str, text: str, sensor: SensorModel) -> str:
 
 
 def _usable(one: OutputErrors, segments: Sequence[Segment]) -> tuple[int, ...]:
-    """Gyros use all segments; accelerometers use segments at rest, and turns if an effect describes their input there."""
-    turns = one.kind == "gyro" or any(isinstance(item.effect, ExplainsTurning) for item in one.chosen)
-    rows = tuple(row for row, segment in enumerate(segments) if turns or isinstance(segment.motion, Rest))
+    """Gyros use all segments whose rate is known; accelerometers use segments at rest, those in which others show the specific force, and
+    turns if an effect describes their input there."""
+    turns = any(isinstance(item.effect, ExplainsTurning) for item in one.chosen)
+
+    def shown(motion: Motion) -> bool:
+        if one.kind == "gyro":
+            return not isinstance(motion, RecordedMotion) or motion.channels != motion.forces
+        return turns or isinstance(motion, Rest) or (isinstance(motion, RecordedMotion) and bool(motion.forces))
+
+    rows = tuple(row for row, segment in enumerate(segments) if shown(segment.motion))
+    if not rows and one.kind == "gyro":
+        message = f"no segment shows the rate of '{one.output}': accelerometers alone show the motion"
+        raise EstimationError(message, "name `rates` or `attitude` for the motion", f"outputs.{one.output}")
     if not rows:
         hint = "add segments at rest, or `lever_arm` to the effects of the output"
         message = f"'{one.output}' needs segments at rest: away from the axis of rotation it also senses turns, and all segments turn"
@@ -275,11 +285,8 @@ def _sampled(
     states: SegmentStates,
     samples: SampledOutputs,
 ) -> Together:
-    """Outputs that are fitted to samples. For errors of the table and the site, a table that rocks counts as one at rest."""
-    held = tuple(
-        replace(segments[row], motion=Rest()) if isinstance(segments[row].motion, Rock) else segments[row]
-        for row in rows
-    )
+    """Outputs that are fitted to samples."""
+    held = tuple(_as_if_held(segments[row]) for row in rows)
     try:
         felt = mean_stimulus(held, site)
     except StimulusError as error:
@@ -302,6 +309,14 @@ def _sampled(
     names = [tuple((a.effect.id, a.name) for a in columns.amplitudes) for columns in model.of_outputs()]
     whole = tuple(replace(one, followed=own) for one, own in zip(outputs, names, strict=True))
     return Together(model, held, rows, whole)
+
+
+def _as_if_held(segment: Segment) -> Segment:
+    """For errors of the table and the site: a table that rocks counts as one at rest, and in an unknown attitude they do not act."""
+    if not isinstance(segment.motion, Rock | RecordedMotion):
+        return segment
+    attitude = np.zeros((3, 3)) if segment.attitude is None else segment.attitude
+    return replace(segment, motion=Rest(), attitude=attitude)
 
 
 def _must_change(output: SampledOutput) -> None:

@@ -38,6 +38,7 @@ _DONE = 1e-8  # relative change of χ²
 _RESOLVED = 1e-12  # of the largest eigenvalue of JᵀJ, for columns of size one: smaller ones are rounding
 _REWEIGHTED = 2.0  # change of a weight from which the shapes are sought anew
 _KEPT = 12  # evaluations of the columns
+_MOVED_ROUNDS = 3
 _BATCHES = 16  # of a segment, for the judgement whether its noise is white
 
 
@@ -92,7 +93,8 @@ class WithinFit:
     amplitudes: p, those of the model and then the shapes that are not discrete. matrix: (n, p), the linear model of the means, as in
     `OutputColumns`; mean: (n,), observed; offset: (n,), part of the means that is not fitted, both in the unit of the output. own,
     available: as in `OutputColumns`. shapes: effect → value. at_bound: effects whose shape is at a bound. coloured: how many times
-    larger the variance of slow noise is than white noise explains; 1 if it is white.
+    larger the variance of slow noise is than white noise explains; 1 if it is white. moved_error: (n,), standard errors of the means of
+    segments whose motion the recording shows, from what the fit leaves; NaN for the others.
     """
 
     amplitudes: tuple[Amplitude, ...]
@@ -103,6 +105,7 @@ class WithinFit:
     own: Array
     available: Mapping[str, tuple[str, ...]]
     shapes: Mapping[str, float]
+    moved_error: Array
     at_bound: tuple[str, ...] = ()
     coloured: float = 1.0
 
@@ -152,7 +155,7 @@ class _Problem:
         self.counts = np.diff(observed.bounds).astype(float)
         self.factor = output.unit.factor
         self.sigma = np.sqrt(output.variance)
-        self.error = output.error
+        self.error = np.array(output.error)
         self._latest: tuple[Amplitude, ...] = ()
         self._kept: dict[tuple[tuple[float, ...], tuple[float, ...]], SampleColumns] = {}
 
@@ -343,6 +346,9 @@ class _Problem:
             places = self.search(observed, None if changed > _REWEIGHTED else places)
             self._reweighted(self._at(places), observed)
         values = self._at(places)
+        if self.output.observed.moved.any():  # the first weights came from the motion, not from the noise
+            for _ in range(_MOVED_ROUNDS):
+                self._reweighted(values, observed)
         amplitudes, _ = self.projected(values, observed)
         coloured = self._colour(self.centred(observed - self.values(values, amplitudes)))
         return self._linearised(values, amplitudes, observed, coloured)
@@ -360,6 +366,7 @@ class _Problem:
         least = 1e-24 * float(np.max(observed**2, initial=0.0)) + 1e-300
         unequal = (each > least).all() and len(each) > 1 and variances_differ(each, freedom, max(pooled, least))
         self.sigma = np.sqrt(np.maximum(each if unequal else np.full(len(each), pooled), least))
+        self._of_moved(left)
         means = self.means(left)
         spare = len(means) - len(amplitudes)
         if spare > 0:
@@ -367,6 +374,19 @@ class _Problem:
             self.error = self.error * math.sqrt(max(excess, 1.0))
         ratio = self.sigma / self.error / before
         return float(max(ratio.max(), 1 / ratio.min()))
+
+    def _of_moved(self, left: Array) -> None:
+        """The errors of the means of segments whose motion the recording shows, from the residuals (N,), which contain the noise of the
+        reference too, and not the motion: that of white noise, where the scatter between segments shows what is beyond it; otherwise from
+        the scatter of batches."""
+        alone = len(self.counts) <= len(self.amplitudes)
+        for s in np.flatnonzero(self.output.observed.moved):
+            own = left[self.output.observed.segments()[s]]
+            self.error[s] = float(self.sigma[s]) / math.sqrt(len(own))
+            if alone:
+                length = max(len(own) // _BATCHES, 1)
+                batches = own[: len(own) // length * length].reshape(-1, length).mean(axis=1)
+                self.error[s] = max(self.error[s], float(batches.std(ddof=1)) / math.sqrt(len(batches)))
 
     def _linearised(
         self, values: Sequence[float], amplitudes: Array, observed: Array | None, coloured: float
@@ -403,10 +423,11 @@ class _Problem:
             self.means(tangents).T,
             self.means(predicted if observed is None else observed),
             offset,
-            self._contrasts(tangents, linear),
+            self._contrasts(tangents, linear, math.sqrt(coloured) if output.observed.moved.any() else 1.0),
             self.means(columns.own),
             columns.available,
             self._named(values),
+            np.where(output.observed.moved, self.error, np.nan),
             tuple(bounds),
             coloured,
         )
@@ -416,8 +437,8 @@ class _Problem:
         factors = [one.factor for one in self.columns(values).amplitudes]
         return np.asarray(amplitudes * factors / np.array([one.factor for one in self._latest]))
 
-    def _contrasts(self, tangents: Array, values: Array) -> Contrasts:
-        """See the text of the module."""
+    def _contrasts(self, tangents: Array, values: Array, larger: float) -> Contrasts:
+        """See the text of the module. larger: factor of their noise."""
         weight = 1 / self.sigma[self.owner]
         centred = self.centred(tangents) * weight
         size = np.sqrt(np.sum(centred**2, axis=1))
@@ -441,7 +462,7 @@ class _Problem:
         return Contrasts(
             (np.sqrt(S)[:, None] * V.T) * finite * unit,
             functionals @ (self.centred(values) * weight) * unit,
-            np.full(len(S), unit),
+            np.full(len(S), unit * larger),
             root * unit,
         )
 

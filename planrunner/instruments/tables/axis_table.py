@@ -24,7 +24,7 @@ from planrunner.physics.kinematics import (
     transition_time,
 )
 from planrunner.physics.table_motion import Excess, SpinCourse, cycle_excess, rock_excess, spin_excess
-from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Segment, Spin
+from planrunner.plan.schedule import Cycle, Motion, RecordedMotion, Rest, Rock, Segment, Spin
 
 STOPPED = math.radians(0.1)
 """rad/s below which an axis may be switched off."""
@@ -117,7 +117,7 @@ class AxisTable:
         return transition_time(self.axes, joints, target)
 
     def begin_motion(self, motion: Motion, seconds: float) -> float:
-        if isinstance(motion, Rest):
+        if isinstance(motion, Rest | RecordedMotion):
             return 0.0
         self._make_ready()
         if isinstance(motion, Spin):

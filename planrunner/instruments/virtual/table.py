@@ -20,7 +20,7 @@ from planrunner.physics.kinematics import Unreachable, joint_angles, rotation_ab
 from planrunner.physics.table_motion import Excess, SpinCourse, cycle_excess, rock_excess, spin_excess
 from planrunner.plan.kinds import QuantityOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
-from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Spin
+from planrunner.plan.schedule import Cycle, Motion, RecordedMotion, Rest, Rock, Spin
 
 if TYPE_CHECKING:
     from planrunner.instruments.virtual.world import World
@@ -92,7 +92,7 @@ class VirtualTable:
         now = self.world.now()
         angles = tuple(self.world.joints(now)[0].tolist())
         match motion:
-            case Rest():
+            case Rest() | RecordedMotion():
                 return 0.0
             case Spin():
                 return self._spin(motion, seconds, now, angles)

@@ -1,0 +1,96 @@
+"""The motion of a sensor that no table commanded, from the channels that the plan names for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.observation.refusals import ObservationError
+from planrunner.physics.earth import Site
+from planrunner.physics.moved_body import BodyMotion, by_attitude, by_force, by_rates, slope
+from planrunner.plan.schedule import RecordedMotion
+
+Array = NDArray[np.float64]
+_AVERAGED = 10  # samples of an angle or an attitude, by default
+_GAP = 3.0  # times the median interval: a longer one is a gap, next to which there are no differences
+_SUPPOSED = 100.0  # deg/s
+_UNIT = 0.05  # deviation of the norm of a quaternion from 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionShown:
+    """table: angle, rate and acceleration of an axis with an encoder, (n,) each, zero for other motions. course: of other motions.
+    averaging: number of samples to average. usable: (n,), samples with neighbours on both sides. differences: whether rates are differences
+    over both neighbours."""
+
+    table: Mapping[str, Array]
+    course: BodyMotion | None
+    averaging: int
+    usable: NDArray[np.bool_]
+    differences: bool = False
+
+    def as_shown(self, values: Array) -> Array:
+        """Outputs (n, k), averaged as the motion is: over the interval of a difference by Simpson's rule, so that the fast part of a motion
+        does not seem larger in the outputs."""
+        if not self.differences:
+            return values
+        found = values.copy()
+        found[1:-1] = (values[:-2] + 4 * values[1:-1] + values[2:]) / 6
+        return found
+
+
+def recorded_course(
+    motion: RecordedMotion, attitude: Array | None, site: Site, time: Array, shown: Mapping[str, Array]
+) -> MotionShown:
+    """The motion at n samples. attitude: of the segment, at the first sample; time: (n,), s; shown: channel → (n,), SI.
+
+    Raises `ObservationError` if the channels cannot show the motion.
+    """
+    step = float(np.median(np.diff(time)))
+    size = max(1, round(motion.averaging / step)) if motion.averaging else 1
+    if not motion.averaging and (motion.angle or motion.attitude):
+        size = _AVERAGED
+    near = np.diff(time) < _GAP * step
+    usable = np.append(near, True) & np.append(True, near)
+    zero = np.zeros(len(time))
+    still = {"angle": zero, "rate": zero, "acceleration": zero}
+    force = _stacked(motion.forces, shown)
+    if motion.angle or motion.attitude:
+        usable[[0, -1]] = False
+    if motion.angle:
+        if attitude is None:
+            message = "the orientation at angle zero is unknown, so the angle does not show what the sensor feels"
+            raise ObservationError(message, "state the `orientation` of the segment, or give `rates`")
+        angle = np.unwrap(shown[motion.angle])
+        rate = slope(time, angle)
+        return MotionShown({"angle": angle, "rate": rate, "acceleration": slope(time, rate)}, None, size, usable, True)
+    quaternions, rates = _stacked(motion.attitude, shown), _stacked(motion.rates, shown)
+    if quaternions is not None:
+        norm = np.linalg.norm(quaternions, axis=1)
+        if np.abs(norm - 1).max() > _UNIT:
+            message = f"the norm of the attitude quaternion goes from {norm.min():.3g} to {norm.max():.3g}, not 1"
+            raise ObservationError(message, "check the channels of `attitude` in the plan, and their columns")
+        course = by_attitude(time, quaternions, site, force)
+    elif rates is not None:
+        course = by_rates(time, rates, attitude, site, force)
+    else:
+        assert force is not None
+        course = by_force(force)
+    return MotionShown(still, course, size, usable, bool(motion.attitude))
+
+
+def supposed_course(time: Array, site: Site) -> MotionShown:
+    """A motion about all axes, for a segment that has not been recorded: what an effect needs in order to act. No figure may rest on it."""
+    since = time - time[0]
+    rates = np.radians(_SUPPOSED) * np.sin(2 * np.pi * np.outer(since, np.array([0.3, 0.5, 0.7])))
+    zero = np.zeros(len(time))
+    course = by_rates(time, rates, np.eye(3), site)
+    return MotionShown({"angle": zero, "rate": zero, "acceleration": zero}, course, 1, zero == 0)
+
+
+def _stacked(names: tuple[str, ...], shown: Mapping[str, Array]) -> Array | None:
+    """(n, k), None for no channels."""
+    return np.column_stack([shown[name] for name in names]) if names else None

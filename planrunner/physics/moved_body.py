@@ -1,0 +1,116 @@
+"""The input of a sensor that nobody commanded to move, from what a recording shows of its motion.
+
+A hand, a vehicle or a jig without a drive moves the sensor; an encoder, an attitude reference, or other gyros and accelerometers on the
+same body show how. Derivatives are differences over the neighbouring samples, so that their mean over a stretch depends on its ends alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.physics.earth import Site
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyMotion:
+    """What a moving sensor feels, at n samples, in its own axes.
+
+    attitude: (n, 3, 3), takes site vectors to these axes; zeros if the recording does not show it. turn: (n, 3), rad/s, its rotation,
+    relative to the Earth if the attitude is known; swing: (n, 3), rad/s², its angular acceleration. omega: (n, 3), rad/s, against inertial
+    space. force: (n, 3), m/s²; zeros if the recording does not show it.
+    """
+
+    attitude: Array
+    turn: Array
+    swing: Array
+    omega: Array
+    force: Array
+
+    def averaged(self, size: int) -> BodyMotion:
+        """Means over `size` consecutive samples."""
+        return BodyMotion(*(averaged(part, size) for part in self._parts))
+
+    def at(self, rows: NDArray[np.bool_]) -> BodyMotion:
+        """Some of the samples."""
+        return BodyMotion(*(part[rows] for part in self._parts))
+
+    @property
+    def _parts(self) -> tuple[Array, ...]:
+        return self.attitude, self.turn, self.swing, self.omega, self.force
+
+
+def averaged(values: Array, size: int) -> Array:
+    """Means (n // size, …) over `size` consecutive values (n, …); an incomplete rest is left out."""
+    whole = len(values) - len(values) % size
+    return np.asarray(values[:whole].reshape(-1, size, *values.shape[1:]).mean(axis=1))
+
+
+def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None = None) -> BodyMotion:
+    """From unit quaternions (n, 4), real part first, that take vectors from the sensor's axes to East-North-Up. force: (n, 3), measured;
+    by default that of a sensor which only turns."""
+    from scipy.spatial.transform import Rotation
+
+    attitude = Rotation.from_quat(quaternions, scalar_first=True).as_matrix().swapaxes(1, 2)
+    turn = rates_of(time, attitude)
+    omega = turn + attitude @ site.earth_rate_enu
+    felt = attitude @ site.specific_force_enu if force is None else force
+    return BodyMotion(attitude, turn, slope(time, turn), omega, felt)
+
+
+def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: Array | None = None) -> BodyMotion:
+    """From measured angular rates against inertial space (n, 3). start: (3, 3), the attitude at the first sample; None if unknown, so that
+    only measured specific force `force` (n, 3) counts."""
+    n = len(time)
+    if start is None:
+        nothing = np.zeros((n, 3))
+        return BodyMotion(
+            np.zeros((n, 3, 3)), omega, slope(time, omega), omega, nothing if force is None else np.asarray(force)
+        )
+    attitude = followed(time, omega, start, site)
+    turn = omega - attitude @ site.earth_rate_enu
+    felt = attitude @ site.specific_force_enu if force is None else force
+    return BodyMotion(attitude, turn, slope(time, turn), omega, felt)
+
+
+def by_force(force: Array) -> BodyMotion:
+    """From measured specific force (n, 3) alone."""
+    n = len(force)
+    return BodyMotion(np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), force)
+
+
+def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
+    """Attitudes (n, 3, 3) of a body that turns with omega (n, 3) in its axes, from `start` on.
+
+    Between two samples the body turns by the mean of both rates. Its attitude against inertial space is the product of these turns; the
+    site turns below it with the Earth's rate. All products of the first k turns follow from those of half as many by one multiplication.
+    """
+    from scipy.spatial.transform import Rotation
+
+    step = np.diff(time)[:, None]
+    turns = Rotation.from_rotvec(-(omega[1:] + omega[:-1]) / 2 * step).as_matrix()
+    whole = np.concatenate([np.eye(3)[None], turns])
+    reach = 1
+    while reach < len(whole):
+        whole[reach:] = whole[reach:] @ whole[:-reach].copy()
+        reach *= 2
+    site_turns = Rotation.from_rotvec((time - time[0])[:, None] * site.earth_rate_enu).as_matrix()
+    return np.asarray(whole @ start @ site_turns)
+
+
+def rates_of(time: Array, attitude: Array) -> Array:
+    """Angular rates (n, 3) in the body's axes between the neighbours of each sample, from attitudes (n, 3, 3) that take vectors to these
+    axes."""
+    from scipy.spatial.transform import Rotation
+
+    before, after = np.r_[0, np.arange(len(time) - 1)], np.r_[np.arange(1, len(time)), len(time) - 1]
+    turned = Rotation.from_matrix(attitude[before] @ attitude[after].swapaxes(1, 2)).as_rotvec()
+    return np.asarray(turned / (time[after] - time[before])[:, None])
+
+
+def slope(time: Array, values: Array) -> Array:
+    """Differences over the neighbours of each sample, (n, …), per second."""
+    return np.asarray(np.gradient(values, time, axis=0))
