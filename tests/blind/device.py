@@ -8,6 +8,7 @@ import numpy as np
 
 from tests.blind.motion import Array, Fault, Faults, Schedule, Stimulus, stimulus
 
+ACCELERATION_STEP = 1e-3  # s
 LAG_NODES = 8  # of the Gauss–Laguerre rule for a first-order lag
 
 
@@ -112,6 +113,8 @@ def _catalogue_rate(s: Stimulus, faults: Faults) -> Array:
                 added += k * s.last_change[:, None]
             case "gyro_thermal_gradient":
                 added += k * s.temperature_rate[:, None]
+            case "gyro_bias_step":
+                added += k * np.heaviside(s.time - fault.shape[0], 1.0)[:, None]
             case "magnetic_sensitivity":
                 added += s.field @ k.reshape(3, 3).T
     return added
@@ -159,6 +162,12 @@ def _accel(s: Stimulus, device: Device, faults: Faults, gravity: float) -> Array
                 felt = felt + fault.theta * warm * s.force * gravity
             case "accel_second_order":
                 felt = felt + fault.theta * s.force**2
+            case "accel_thermal_hysteresis":
+                felt = felt + fault.theta * s.last_change[:, None]
+            case "accel_warm_up":
+                felt = felt + fault.theta * np.exp(-s.time / fault.shape[0])[:, None]
+            case "accel_bias_step":
+                felt = felt + fault.theta * np.heaviside(s.time - fault.shape[0], 1.0)[:, None]
             case "vibration_rectification":
                 felt = felt + fault.theta * np.linalg.norm(s.table_rate, axis=1)[:, None]
     return felt
@@ -185,6 +194,14 @@ def clean_output(schedule: Schedule, sensor: Sensor, device: Device, faults: Fau
         for node, weight in zip(nodes, weights, strict=True):
             past = stimulus(schedule, faults, delay + lag * float(node))
             rate += weight * _gyro(past, device, faults, schedule.index)
+    if "gyro_angular_acceleration" in faults:
+        later, earlier = (
+            stimulus(schedule, faults, delay + step).rate for step in (-ACCELERATION_STEP, ACCELERATION_STEP)
+        )
+        rate = rate + faults["gyro_angular_acceleration"].theta * (later - earlier) / (2 * ACCELERATION_STEP)
+    if "gyro_fold_over" in faults:
+        span = 2 * float(faults["gyro_fold_over"].theta[0])
+        rate = rate - span * np.round(rate / span)
     if "gyro_dead_zone" in faults:
         rate = lock_in(rate, float(faults["gyro_dead_zone"].theta[0]))
     if "gyro_saturation" in faults:

@@ -70,6 +70,12 @@ FOR_ESTIMATES = [
     "accel_bias_drift",
     "accel_magnetic_sensitivity",
     "reference_latency",
+    "accel_thermal_hysteresis",
+    "accel_warm_up",
+    "accel_bias_step",
+    "gyro_angular_acceleration",
+    "gyro_bias_step",
+    "gyro_fold_over",
 ]
 """Effects that the diagnosis does not weigh unless they are named."""
 DECLARATIONS = [

@@ -6,9 +6,10 @@ from __future__ import annotations
 import numpy as np
 
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Variant, per_axis, single
+from planrunner.error_model.effects.interface import Array, Shaped, Variant, per_axis, single
 from planrunner.error_model.effects.nominal import towards_others
 from planrunner.error_model.effects.products import products
+from planrunner.error_model.effects.warming import decaying, time_to_settle
 from planrunner.error_model.observed import Observed
 
 G = 9.80665  # m/s²
@@ -162,3 +163,42 @@ class AccelBiasDrift:
 
     def variants(self, observed: Observed) -> list[Variant]:
         return single(per_axis(observed, "accel", "d", "ug/h", 1e-6 * G / 3600, 1e-4 * G / 3600, observed.time))
+
+
+class AccelThermalHysteresis:
+    """Output + h·(sign of the last temperature change; 0 before the first) per axis."""
+
+    id, stage, hypothesis = "accel_thermal_hysteresis", "sensor", False
+    about = About(
+        "accelerometer bias depends on how the temperature was reached",
+        "At the same temperature, the bias of each accelerometer differs after heating and after cooling.",
+        Actor.PLAN,
+        "Approach every temperature from the same side, or include the difference in the uncertainty: {found}.",
+    )
+    shown_by = "the same temperature reached from below and from above"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        if not observed.last_change.any():
+            return []
+        sign = observed.last_change[observed.owner]
+        return single(per_axis(observed, "accel", "h", "mg", 1e-3 * G, 1e-3 * G, sign))
+
+
+class AccelWarmUp(Shaped):
+    """Output + a·exp(−t/τ) per axis, t since power-on."""
+
+    id, stage, hypothesis, shape_name, shape_unit = "accel_warm_up", "sensor", False, "tau", "s"
+    about = About(
+        "accelerometer bias changes while the sensor warms up",
+        "After power-on, the bias of each accelerometer approaches its final value exponentially.",
+        Actor.PLAN,
+        "Begin the first segment {wait} or more after power-on, or compensate the warm-up: {found}.",
+        time_to_settle,
+    )
+    shown_by, over_segments = "the same state at several times since power-on, beginning early", True
+
+    def grid(self, observed: Observed) -> Array:
+        return np.geomspace(60.0, 7200.0, 13) if observed.of_kind("accel") else np.empty(0)
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        return Variant(tuple(decaying(observed, "accel", "mg", 1e-3 * G, 1e-3 * G, value)), value)

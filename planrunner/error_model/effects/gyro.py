@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Array, Shaped, Variant, per_axis, single
 from planrunner.error_model.effects.nominal import towards_others
 from planrunner.error_model.effects.products import products
+from planrunner.error_model.effects.warming import decaying, time_to_settle
 from planrunner.error_model.observed import Observed
 
 DEG = np.pi / 180
@@ -126,11 +125,6 @@ class GyroG2Sensitivity:
         return single(columns)
 
 
-def _waiting(tau: float) -> Mapping[str, str]:
-    """The time after which less than a hundredth of a warm-up with a time constant in s remains."""
-    return {"wait": f"{tau * np.log(100.0) / 60:.2g} min"}
-
-
 class GyroWarmUp(Shaped):
     """Output + a·exp(−t/τ) per axis, t since power-on."""
 
@@ -140,7 +134,7 @@ class GyroWarmUp(Shaped):
         "After power-on, the bias of each gyro approaches its final value exponentially.",
         Actor.PLAN,
         "Begin the first segment {wait} or more after power-on, or compensate the warm-up: {found}.",
-        _waiting,
+        time_to_settle,
     )
     shown_by, over_segments = "the same state at several times since power-on, beginning early", True
 
@@ -148,12 +142,7 @@ class GyroWarmUp(Shaped):
         return np.geomspace(60.0, 7200.0, 13) if observed.of_kind("gyro") else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        decay = np.exp(-(observed.time - observed.time[0]) / value)
-        left = max(
-            float(np.exp(-observed.time[0] / value)), 1e-300
-        )  # of the amplitude at power-on, when the recording begins
-        columns = per_axis(observed, "gyro", "a", "deg/s", DEG * left, 1e-2 * DEG, decay)
-        return Variant(tuple(columns), value)
+        return Variant(tuple(decaying(observed, "gyro", "deg/s", DEG, 1e-2 * DEG, value)), value)
 
 
 class GyroThermalHysteresis:
@@ -254,3 +243,21 @@ class GyroBiasDrift:
 
     def variants(self, observed: Observed) -> list[Variant]:
         return single(per_axis(observed, "gyro", "d", "deg/h/h", DEG / 3600**2, 1e-1 * DEG / 3600**2, observed.time))
+
+
+class GyroAngularAcceleration:
+    """Output + k·dω/dt per axis. To the first order, a delay of one axis by d is the same with k = −d."""
+
+    id, stage, hypothesis = "gyro_angular_acceleration", "sensor", False
+    about = About(
+        "gyro output depends on the angular acceleration",
+        "A term in proportion to the angular acceleration appears in the output of each gyro, as it does if single axes are late.",
+        Actor.SENSOR,
+        "Compensate with the derivative of the rate, or with the delay of the axis: {found}.",
+    )
+    shown_by = "rocking segments, or a recorded motion whose rate changes"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        if not observed.swing.any():
+            return []
+        return single(per_axis(observed, "gyro", "k", "ms", 1e-3, 1e-3, observed.swing))

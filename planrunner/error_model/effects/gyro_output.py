@@ -103,6 +103,26 @@ class GyroSaturation(Shaped):
         return _changed(observed, lambda y: np.clip(y, -value * DEG, value * DEG), value, largest > value * DEG)
 
 
+class GyroFoldOver(Shaped):
+    """Output beyond ±limit continues from the other end of the range: y − 2L·floor((y + L)/2L), as where a counter overflows."""
+
+    id, stage, hypothesis, shape_name, shape_unit = "gyro_fold_over", "output", False, "limit", "deg/s"
+    about = About(
+        "gyro output folds over at its limit",
+        "Beyond a limit the output of the gyros continues from the opposite limit, as where a counter overflows.",
+        Actor.PLAN,
+        "Keep the rates of the plan below the limit, or set a larger measurement range in the sensor: {found}.",
+    )
+
+    def grid(self, observed: Observed) -> Array:
+        return GyroSaturation().grid(observed)
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        limit = value * DEG
+        beyond = _largest(observed) > limit
+        return _changed(observed, lambda y: y - 2 * limit * np.floor((y + limit) / (2 * limit)), value, beyond)
+
+
 def _largest(observed: Observed) -> Array:
     """The largest nominal output of any gyro in each segment, (S,)."""
     whole = np.abs(observed.nominal_output[:, observed.of_kind("gyro")]).max(axis=1)

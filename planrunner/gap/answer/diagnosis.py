@@ -149,6 +149,9 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         )
         raise ObservationError(few, hint)
     effects = [effect for effect in hypotheses(options.effects) if effect.id not in options.nominal]
+    effects += hypotheses(
+        [name for name in options.given if name not in {e.id for e in effects} | set(options.nominal)]
+    )
     weighing = Weighing(observed, options.nominal)
     with_signatures = [effect for effect in effects if not isinstance(effect, ActsOnNoise)]
     candidates = candidates_of(weighing, with_signatures)
