@@ -319,6 +319,25 @@ def test_a_disk_that_may_be_too_small_is_said_at_the_beginning(lab: Path, monkey
     assert night(lab, sound).record["remarks"] == []
 
 
+def test_a_night_in_real_time_waits_for_its_tests_and_warm_ups(lab: Path) -> None:
+    bench = (ROOT / "plans" / "benches" / "virtual.yaml").read_text(encoding="utf-8")
+    (lab / "real.yaml").write_text(bench.replace("clock: virtual", "clock: wall"), encoding="utf-8")
+    text = """\
+benches: {a: {bench: real.yaml, warm_up: 1 s}, b: {bench: real.yaml}}
+devices: {D1: {benches: a, set: {device_serial: D1}}, D2: {benches: b, set: {device_serial: D2}}}
+plans: {x: {plan: p.yaml}, y: {plan: p.yaml, needs: x, set: {say: "1"}}}
+"""
+    (lab / "night.yaml").write_text(f"planrunner_suite: 1\ntitle: Night\nzone: UTC\n{text}", encoding="utf-8")
+    result = night(lab, check_suite(lab / "night.yaml", jobs=1).sound())
+    assert result.record["clock"] == "wall"
+    assert states(result) == {"x/D1/a": "passed", "x/D2/b": "passed", "y/D1/a": "failed", "y/D2/b": "failed"}
+    assert result.exit_code == 1
+    first = next(test for test in result.record["tests"] if test["test"] == "x/D1/a")
+    (warm_up,) = result.record["warm_ups"]
+    assert first["begins"] >= warm_up["ends"]
+    check_reports(result)
+
+
 def test_a_damaged_night_is_left_alone_and_a_torn_line_is_dropped(lab: Path) -> None:
     sound = suite_in(lab, ONE.format(say="0", more="retries: 0"))
     first = night(lab, sound)
