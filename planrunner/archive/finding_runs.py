@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from planrunner.archive.storage import ASIDE
 from planrunner.archive.verifying import SIGNS
 from planrunner.base.guarded_folder import Entry, GuardedFolder
 
@@ -35,7 +36,7 @@ def _search(folder: GuardedFolder, place: str) -> Iterator[FoundFolder]:
         yield FoundFolder(place or ".", folder.path, entries)
         return
     for name, entry in entries.items():
-        if entry.kind != "folder":
+        if entry.kind != "folder" or name.endswith(ASIDE):  # a run or a log whose creation was interrupted
             continue
         inner = f"{place}/{name}" if place else name
         if inner.count("/") >= DEEPEST:

@@ -29,6 +29,7 @@ SEAL_FORMAT = 2
 DIGESTS_FORMAT = 3
 """Format 2 contains the previous analysis, the seal and the head of the journal; format 3 also its own digest. Earlier formats can still
 be read."""
+HEAD_FORMAT = 1
 MOST_LEVELS = 64
 """Maximum nesting depth of a JSON file or line."""
 FROM_BACKUP = "take the run folder from a backup"

@@ -120,8 +120,8 @@ class JournalScan:
     """Reader of a journal. Iterate once over the events; afterwards `head`, `count`, `size`, `torn`, `heads` and `digests` are known.
 
     size: bytes of complete lines. torn: bytes of an incomplete last line. marks: event counts at which the head of the chain is stored in
-    `heads`, and the SHA-256 of the file up to this event in `digests`. name: of the file.
-    Raises `IntegrityError` if the chain is broken, and `OSError`.
+    `heads`, and the SHA-256 of the file up to this event in `digests`; both are also stored before each event `reopened`. name: of the
+    file. Raises `IntegrityError` if the chain is broken, and `OSError`.
     """
 
     def __init__(self, folder: GuardedFolder, marks: Collection[int] = (), name: str = NAME):
@@ -154,6 +154,9 @@ class JournalScan:
                     raise self._misplaced(event.get("seq"), file)
                 if event.get("previous") != self.head:
                     raise self._error("does not contain the digest of the preceding line")
+                if event.get("event") == "reopened":
+                    self.heads[self.count] = self.head
+                    self.digests[self.count] = self._whole.hexdigest()
                 self.head = hashlib.sha256(line[:-1]).hexdigest()
                 self.count += 1
                 self.size += len(line)

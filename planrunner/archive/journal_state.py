@@ -56,9 +56,9 @@ class Rejected:
 @dataclass(slots=True)
 class JournalState:
     """clock, states: values at the last acknowledged segment, to resume from. open: the segment in which the process ended.
-    sealed_before: whether the run had a seal when it was reopened, according to the journal. turning_times: number and time of the first
-    and the last event, and of the two events at each place where the time goes back. planned: number of segments of the schedule, 0 if the
-    run never started."""
+    earlier_seals: SHA-256 of each seal that the run had when it was reopened → number of events at that time. turning_times: number and
+    time of the first and the last event, and of the two events at each place where the time goes back. planned: number of segments of the
+    schedule, 0 if the run never started."""
 
     created: JsonObject = field(default_factory=dict)
     acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
@@ -69,7 +69,7 @@ class JournalState:
     clock: float = 0.0
     states: Mapping[str, Json] = field(default_factory=dict)
     finished: bool = False
-    sealed_before: bool = False
+    earlier_seals: dict[str, int] = field(default_factory=dict)
     failures: list[str] = field(default_factory=list)
     turning_times: list[tuple[int, str]] = field(default_factory=list)
     planned: int = 0
@@ -152,7 +152,8 @@ class JournalState:
 
     def _reopened(self, event: Mapping[str, Json]) -> None:
         self.finished = False
-        self.sealed_before = self.sealed_before or "seal" in event
+        if "seal" in event:
+            self.earlier_seals[event["seal"]] = event["seq"] - 1
 
 
 def read_state(folder: GuardedFolder, marks: Collection[int] = ()) -> tuple[JournalState, JournalScan]:

@@ -25,6 +25,7 @@ from planrunner.archive.lock import FolderLock
 from planrunner.archive.origin import leave_origin
 from planrunner.archive.provenance import versions
 from planrunner.archive.resuming import ResumePoint, settle_break
+from planrunner.archive.run_log import LogEvent, RunLog, require_growth
 from planrunner.archive.segment_file import (
     FOLDER,
     PART_BYTES,
@@ -94,8 +95,8 @@ class RunWriter:
         identity: the last part of its name, hexadecimal digits; random by default. A caller that must find the folder again, even if it
         is killed, chooses it.
 
-        info: JSON data given with the run (device serial, operator, ambient …). Raises `InputError` when it cannot be
-        written.
+        info: JSON data given with the run (device serial, operator, ambient …). If the folder has a log, the run is entered as begun.
+        Raises `InputError` when it cannot be written, and `IntegrityError` for a log that was changed.
         """
         storage = storage or Storage(durability)
         now = datetime.now(UTC)
@@ -110,8 +111,14 @@ class RunWriter:
             "versions": versions(),
             "info": dict(info),
         }
-        given = {RUN: formats.to_bytes(run), PLAN: plan_bytes, BENCH: bench_bytes}
         try:
+            log = RunLog.of(root, storage)
+            if log is not None:
+                content = log.read()
+                require_growth(content, log.path)
+                size = len(content.entries)
+                run["log"] = {"origin": content.origin, "size": size, "root": content.root(size)}
+            given = {RUN: formats.to_bytes(run), PLAN: plan_bytes, BENCH: bench_bytes}
             return cls._build(root, name, given, storage)
         except OSError as error:
             hint = "choose another folder for runs, or change its permissions"
@@ -146,7 +153,14 @@ class RunWriter:
             lock.release()
             raise
         journal = Journal(storage, file, head=created.head, count=created.count, size=file.tell())
-        return cls(folder, name, storage, lock, journal, ResumePoint(files=digests))
+        made = cls(folder, name, storage, lock, journal, ResumePoint(files=digests))
+        try:
+            made._enter("begun")
+        except BaseException:
+            made.close()
+            runs.remove_folder(name)
+            raise
+        return made
 
     @classmethod
     def reopen(
@@ -352,11 +366,11 @@ class RunWriter:
         self._journal.append("rejected", data)
 
     def finish(self) -> None:
-        """Every segment is acknowledged: write the last event and seal the folder."""
+        """Every segment is acknowledged: write the last event, enter the seal into the log of the archive, if any, and seal the folder."""
         self._journal.append("finished", {"finished": utc_now()})
-        seals.write_seal(
-            self.folder, self._name, self._storage, self._point.files, self._journal.head, self._journal.count
-        )
+        seal = seals.seal_of(self.folder, self._name, self._point.files, self._journal.head, self._journal.count)
+        self._enter("sealed", seal=digest(seal))
+        self._storage.write_whole(self.folder, seals.NAME, seal)
 
     def close(self) -> None:
         """Release the folder. A segment in progress stays as after a crash."""
@@ -372,6 +386,13 @@ class RunWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _enter(self, event: LogEvent, seal: str = "") -> None:
+        """Add an entry about the run to the log of its archive, if there is one. Raises `OSError`, and `IntegrityError` for a log that was
+        changed."""
+        log = RunLog.of(self.path.parent, self._storage)
+        if log is not None:
+            log.append(event, self._name, events=self._journal.count, head=self._journal.head, seal=seal)
 
     def _account(self, parts: list[Part]) -> None:
         """Record the end of the segment by an event that names its files."""

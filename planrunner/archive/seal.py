@@ -11,7 +11,7 @@ from planrunner.archive.journal import MOST_BYTES as MOST_OF_JOURNAL
 from planrunner.archive.journal import NAME as JOURNAL
 from planrunner.archive.journal import JournalScan, utc_now
 from planrunner.archive.journal_state import JournalState
-from planrunner.archive.storage import Storage, digest_of
+from planrunner.archive.storage import digest_of
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.guarded_folder import GuardedFolder
 
@@ -19,12 +19,10 @@ NAME = "seal.json"
 MOST_BYTES = 2**25
 
 
-def write_seal(
-    folder: GuardedFolder, run: str, storage: Storage, files: Mapping[str, str], head: str, events: int
-) -> None:
-    """Seal a run whose journal ends with `head` after `events` events. An existing seal is replaced.
+def seal_of(folder: GuardedFolder, run: str, files: Mapping[str, str], head: str, events: int) -> bytes:
+    """The text of the seal of a run whose journal ends with `head` after `events` events.
 
-    run: its name; files: name → SHA-256 of everything else that was recorded, as computed while it was written.
+    run: its name; files: name → SHA-256 of everything else that was recorded, as computed while it was written. Raises `OSError`.
     """
     with folder.open_file(JOURNAL, MOST_OF_JOURNAL) as journal:
         digests = {**files, JOURNAL: digest_of(journal)}
@@ -35,7 +33,7 @@ def write_seal(
         "journal": {"events": events, "head": head},
         "files": dict(sorted(digests.items())),
     }
-    storage.write_whole(folder, NAME, formats.digested(seal))
+    return formats.digested(seal)
 
 
 def parse_seal(data: bytes, path: Path) -> JsonObject:

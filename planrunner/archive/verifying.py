@@ -55,8 +55,8 @@ SampleCheck = Literal["sizes", "digests", "contents"]
 CLOCKS_DIFFER = timedelta(hours=1)
 """Largest expected difference between the clock of the computer that reads a run and of the one that wrote it."""
 
-Change = Literal["altered", "removed", "added", "reordered", "re-sealed", "cut", "back-dated"]
-"""What was done to a run folder after it was written."""
+Change = Literal["altered", "removed", "added", "reordered", "re-sealed", "cut", "back-dated", "replaced"]
+"""What was done to a run folder, or to the runs of an archive, after it was written."""
 CHANGES: Mapping[str, Change] = MappingProxyType(
     {
         "run-changed": "altered",
@@ -71,6 +71,12 @@ CHANGES: Mapping[str, Change] = MappingProxyType(
         "run-cut-short": "cut",
         "run-back-dated": "back-dated",
         "run-signature": "altered",
+        "log-changed": "altered",
+        "log-cut": "cut",
+        "log-signature": "altered",
+        "log-run-removed": "removed",
+        "log-run-added": "added",
+        "log-run-replaced": "replaced",
     }
 )
 """Code of a finding → the change that it reports."""
@@ -241,7 +247,7 @@ def _read_journal(found: Examined) -> bool:
         found.state, found.scan = read_state(found.folder, marks)
     if found.state is None:
         return False
-    found.sealed_before = found.sealed_before or found.state.sealed_before
+    found.sealed_before = found.sealed_before or bool(found.state.earlier_seals)
     return True
 
 

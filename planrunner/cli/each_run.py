@@ -26,10 +26,13 @@ def add_runs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("runs", metavar="RUN", nargs="+", type=Path, help="one or more run folders")
 
 
-def each_run(runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: bool) -> int:
+def each_run(
+    runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: bool, last: Callable[[], Done | None] | None = None
+) -> int:
     """Does the work on every run, even if others fail. A failure is printed; with `--json` it is in `findings` of its entry.
 
-    With several runs, the output of each begins with its name. The exit code is the highest of all.
+    With several runs, the output of each begins with its name. The exit code is the highest of all. last: gives what concerns
+    all runs together, which is the last entry.
     """
     entries, worst = [], 0
     for run in runs:
@@ -47,6 +50,10 @@ def each_run(runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: boo
             done = Done(failure.code, {"findings": [finding.to_json() for finding in failure.findings]})
         entries.append({"run": str(run), "exit_code": done.code, **done.found})
         worst = max(worst, done.code)
+    together = None if last is None else last()
+    if together is not None:
+        entries.append({"exit_code": together.code, **together.found})
+        worst = max(worst, together.code)
     if as_json:
         print_json(entries)
     return worst

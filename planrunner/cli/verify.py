@@ -5,42 +5,60 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from planrunner.archive.verifying import Examined
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done, add_runs, each_run
+from planrunner.cli.log import add_heads, heads_of, ring_of, show_log
 from planrunner.reporting.printable import printable
-from planrunner.signing.key_ring import read_ring
-from planrunner.tasks.verify import Verification, runs_beneath, verify_run
+from planrunner.tasks.run_log import log_of, missing_log, verify_log
+from planrunner.tasks.verify import Verification, runs_beneath, runs_in, verify_run
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_runs(parser)
     parser.add_argument("--all", action="store_true", help="RUN is an archive: verify every run folder in it")
-    parser.add_argument(
-        "--keys", metavar="RING", type=Path, help="key ring that the signatures of the runs are verified with"
-    )
+    add_heads(parser)
     parser.add_argument("--json", action="store_true", help="print a list of verifications as JSON, one entry per run")
 
 
 def run(args: argparse.Namespace) -> int:
     runs: list[Path] = args.runs
+    archive = runs[0]
     if args.all:
         if len(runs) > 1:
             message = "--all takes one folder"
             raise InputError.at(COMMAND_LINE, "command-usage", message, "give the folder that contains the runs")
-        runs = runs_beneath(runs[0])
-    ring = None if args.keys is None else read_ring(args.keys)
+        runs = runs_beneath(archive) if log_of(archive) is None else runs_in(archive)
+    elif args.head:
+        message = "--head belongs to the log of an archive"
+        raise InputError.at(COMMAND_LINE, "command-usage", message, "give the folder that contains the runs, and --all")
+    ring = ring_of(args)
+    heads = heads_of(args.head, ring)
     bad: list[Path] = []
+    examined: list[Examined] = []
 
     def one(folder: Path) -> Done:
         verification = verify_run(folder, ring)
+        examined.append(verification.found)
         if not args.json:
             _show("" if len(runs) > 1 else f"{folder}: ", verification)
         if verification.changes:
             bad.append(folder)
         return Done(exit_codes.INTEGRITY if verification.changes else exit_codes.DONE, verification.to_json())
 
-    code = each_run(runs, one, as_json=args.json)
+    def of_all() -> Done | None:
+        if not args.all:
+            return None
+        log = log_of(archive)
+        found = missing_log(archive, examined, heads) if log is None else verify_log(log, examined, ring, heads)
+        if found is None:
+            return None
+        if not args.json:
+            show_log(found)
+        return Done(exit_codes.INTEGRITY if found.changes else exit_codes.DONE, found.to_json())
+
+    code = each_run(runs, one, as_json=args.json, last=of_all)
     if len(runs) > 1 and not args.json:
         print(f"{len(runs)} runs: {len(bad)} changed" if bad else f"{len(runs)} runs: all unchanged")
     return code

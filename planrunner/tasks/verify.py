@@ -106,6 +106,17 @@ def verification(found: Examined, signatures: tuple[RunSignature, ...] = ()) -> 
 
 def runs_beneath(archive: Path) -> list[Path]:
     """All run folders in a folder and its subfolders, by name; links are not followed. Raises `InputError` if there is none."""
+    found = runs_in(archive)
+    if not found:
+        message, hint = "there is no run folder in this folder", "give the folder that contains the runs, such as runs/"
+        raise InputError.at(Mark(str(archive)), "verify-no-runs", message, hint)
+    return found
+
+
+def runs_in(archive: Path) -> list[Path]:
+    """As `runs_beneath`, but there may be none, and the folder need not exist."""
+    if not archive.exists():
+        return []
     try:
         found = list(find_runs(archive))
     except OSError as error:
@@ -113,9 +124,6 @@ def runs_beneath(archive: Path) -> list[Path]:
     for one in found:
         if one.fault:
             raise _unreadable(one.path, one.fault)
-    if not found:
-        message, hint = "there is no run folder in this folder", "give the folder that contains the runs, such as runs/"
-        raise InputError.at(Mark(str(archive)), "verify-no-runs", message, hint)
     return sorted(one.path for one in found)
 
 

@@ -1,0 +1,287 @@
+"""The log of an archive: an append-only Merkle tree (RFC 9162) over the runs in a folder, so that a removed or replaced run shows.
+
+    runs/.log/entries.jsonl   one entry per line, only ever appended: a run was begun, sealed, or taken out
+    runs/.log/head.json       the tree head: number of entries and root; replaced after each entry
+
+A leaf of the tree is a line without its line feed. An entry counts when its line is complete. A process that is killed between the two
+writes leaves a head that is one entry behind; the next entry brings it up to date. A seal is entered before it is written, so that every
+seal in the archive is in the log. If planrunner ends in between, the run is sealed again when it is resumed, and both entries name the same
+journal. In turn, run.json contains the tree head before the run, so that the runs show whether the log was removed or rewritten.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Literal, get_args
+
+from planrunner.archive import formats
+from planrunner.archive.formats import IntegrityError
+from planrunner.archive.journal import utc_now
+from planrunner.archive.merkle import complete_nodes, leaf_hash, root_of
+from planrunner.archive.storage import ASIDE, Storage
+from planrunner.base.documents import Json, JsonObject
+from planrunner.base.exclusive import ExclusiveFile, HeldError
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.guarded_folder import GuardedFolder
+
+FOLDER = ".log"
+ENTRIES, HEAD, LOCK = "entries.jsonl", "head.json", ".lock"
+MOST_BYTES = 2**28
+MOST_LINE = 4096
+"""Maximum size in bytes of all entries, and of one line."""
+MOST_HEAD = 2**14
+PATIENCE = 60.0
+"""Seconds to wait for another process that is writing an entry."""
+
+LogEvent = Literal["created", "begun", "sealed", "retired"]
+"""The log was created (the first entry); or a run was begun, sealed (possibly again), or taken out of the archive for a stated reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogEntry:
+    """One entry. seq: 1, 2, 3 …; at: UTC. events, head: number of events in the journal at that time, and SHA-256 of the last one; seal:
+    SHA-256 of seal.json, of a sealed run; why: reason for taking the run out of the archive."""
+
+    seq: int
+    at: str
+    event: LogEvent
+    run: str
+    events: int = 0
+    head: str = ""
+    seal: str = ""
+    why: str = ""
+
+    def to_json(self) -> JsonObject:
+        """Without the values that the entry does not have."""
+        value = {name: getattr(self, name) for name in self.__slots__}
+        return {name: item for name, item in value.items() if item not in (0, "")}
+
+    @property
+    def line(self) -> bytes:
+        """The leaf: the line of the file without its line feed."""
+        return json.dumps(self.to_json(), separators=(",", ":"), ensure_ascii=False).encode("utf-8", "backslashreplace")
+
+    @classmethod
+    def from_json(cls, value: Json) -> LogEntry | None:
+        """None if it is no entry."""
+        if not isinstance(value, dict) or not set(value) <= set(cls.__slots__):
+            return None
+        numbers, texts = ("seq", "events"), ("at", "event", "run", "head", "seal", "why")
+        right = all(type(value.get(name, 0)) is int for name in numbers)
+        if not right or not all(isinstance(value.get(name, ""), str) for name in texts):
+            return None
+        try:
+            entry = cls(**value)
+            datetime.fromisoformat(entry.at)
+        except (TypeError, ValueError):
+            return None
+        return entry if entry.event in get_args(LogEvent) and entry.run else None
+
+
+@dataclass(frozen=True, slots=True)
+class TreeHead:
+    """Number of entries, root as 64 hexadecimal digits, and the time at which the head was made, UTC."""
+
+    size: int
+    root: str
+    at: str
+
+    def to_json(self) -> JsonObject:
+        return {"planrunner_tree_head": formats.HEAD_FORMAT, "size": self.size, "root": self.root, "at": self.at}
+
+    def to_bytes(self) -> bytes:
+        return formats.digested(self.to_json())
+
+    @classmethod
+    def from_json(cls, value: Mapping[str, Json]) -> TreeHead:
+        return cls(value["size"], value["root"], value["at"])
+
+
+def parse_head(data: bytes, path: Path) -> TreeHead:
+    """The tree head in a file. Raises `IntegrityError`."""
+    value = formats.parse_json(data, path, "tree-head", "planrunner_tree_head", formats.HEAD_FORMAT)
+    formats.require_own_digest(data, value, path)
+    return TreeHead.from_json(value)
+
+
+@dataclass(frozen=True)
+class LogContent:
+    """Everything in a log. torn: bytes of an incomplete last line. stored: the head in `head.json`; None if there is none."""
+
+    entries: tuple[LogEntry, ...]
+    size: int
+    torn: int
+    stored: TreeHead | None
+
+    @cached_property
+    def leaves(self) -> tuple[bytes, ...]:
+        """Hashes of the entries."""
+        return tuple(leaf_hash(entry.line) for entry in self.entries)
+
+    @cached_property
+    def _levels(self) -> list[list[bytes]]:
+        return complete_nodes(self.leaves)
+
+    def root(self, size: int) -> str:
+        """Root of the tree of the first entries."""
+        return root_of(self._levels, size).hex()
+
+    @property
+    def origin(self) -> str:
+        """Hash of the first entry, which identifies the log; empty if there is none."""
+        return self.leaves[0].hex() if self.leaves else ""
+
+    def head(self) -> TreeHead:
+        """The head of all entries, made now."""
+        return TreeHead(len(self.entries), self.root(len(self.entries)), utc_now())
+
+
+class RunLog:
+    """The log in an archive. Several processes may append; each waits for the others."""
+
+    def __init__(self, folder: GuardedFolder, storage: Storage | None = None):
+        self.folder = folder
+        self._storage = storage or Storage()
+
+    @classmethod
+    def of(cls, archive: Path, storage: Storage | None = None) -> RunLog | None:
+        """The log of a folder with runs; None if it has none. Raises `OSError`."""
+        try:
+            above = GuardedFolder.open(archive)
+        except FileNotFoundError:
+            return None
+        entry = above.entry(FOLDER)
+        return None if entry is None else cls(above.folder(FOLDER), storage)
+
+    @classmethod
+    def create(cls, archive: Path, storage: Storage | None = None) -> RunLog:
+        """A new log. Its first entry has a random name, so that no other log begins with it.
+
+        Raises `InputError` if there is one already, or if it cannot be written.
+        """
+        storage = storage or Storage()
+        try:
+            archive.mkdir(parents=True, exist_ok=True)
+            above, aside = GuardedFolder.open(archive), FOLDER + ASIDE
+            if above.entry(FOLDER) is not None:
+                message, hint = "this archive has a log already", "a log is never begun again"
+                raise InputError.at(Mark(str(archive / FOLDER)), "log-exists", message, hint)
+            above.remove_folder(aside)
+            made = cls(storage.make_folder(above, aside), storage)
+            storage.write_whole(made.folder, ENTRIES, b"")
+            storage.write_whole(made.folder, HEAD, made.read().head().to_bytes())
+            made.append("created", f"log-{os.urandom(8).hex()}")
+            storage.rename(above, aside, FOLDER)
+            storage.sync_folder(above)
+            return cls(above.folder(FOLDER), storage)
+        except OSError as error:
+            raise unwritable(archive, error) from None
+
+    @property
+    def path(self) -> Path:
+        return self.folder.path
+
+    def read(self) -> LogContent:
+        """All entries and the stored head. Raises `IntegrityError` if they were changed, and `OSError`."""
+        try:  # the head first: entries can then only be more than it counts
+            stored = parse_head(self.folder.read(HEAD, MOST_HEAD), self.path / HEAD)
+        except FileNotFoundError:
+            stored = None
+        try:
+            data = self.folder.read(ENTRIES, MOST_BYTES)
+        except FileNotFoundError:
+            message = f"{self.path / ENTRIES}: the entries of the log are missing; {formats.FROM_BACKUP}"
+            raise IntegrityError(message, "log-cut") from None
+        entries: list[LogEntry] = []
+        size = 0
+        while (end := data.find(b"\n", size)) >= 0:
+            line = data[size:end]
+            entry = _parsed(line)
+            if entry is None or entry.line != line or entry.seq != len(entries) + 1:
+                message = f"{self.path / ENTRIES}:{len(entries) + 1}: this line was changed, moved or removed after it was written"
+                raise IntegrityError(f"{message}; {formats.FROM_BACKUP}", "log-changed")
+            entries.append(entry)
+            size = end + 1
+        return LogContent(tuple(entries), size, len(data) - size, stored)
+
+    def append(
+        self, event: LogEvent, run: str, *, events: int = 0, head: str = "", seal: str = "", why: str = ""
+    ) -> TreeHead:
+        """Adds an entry and replaces the tree head. Raises `IntegrityError` for a log that was changed, and `OSError`."""
+        with self.locked():
+            content = self.read()
+            require_growth(content, self.path)
+            entry = LogEntry(len(content.entries) + 1, utc_now(), event, run, events, head, seal, why)
+            line = entry.line + b"\n"
+            if len(line) > MOST_LINE or content.size + len(line) > MOST_BYTES:
+                raise OSError(f"{self.path}: the log is limited to {MOST_BYTES} bytes, and a line to {MOST_LINE} bytes")
+            with self._storage.open_existing(self.folder, ENTRIES) as file:
+                if content.torn:
+                    self._storage.truncate(file, content.size)
+                self._storage.write(file, line)
+                self._storage.sync(file)
+            grown = LogContent((*content.entries, entry), 0, 0, None).head()
+            self._storage.write_whole(self.folder, HEAD, grown.to_bytes())
+            return grown
+
+    def write_beside(self, name: str, data: bytes) -> None:
+        """Writes a file beside the entries, such as a signed head. The caller holds the lock. Raises `OSError`."""
+        self._storage.write_whole(self.folder, name, data)
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Excludes other writers. Raises `OSError` if another one does not end."""
+        until = time.monotonic() + PATIENCE
+        while True:
+            try:
+                lock = ExclusiveFile(self.path / LOCK, opened=self.folder.open_or_make(LOCK))
+                break
+            except HeldError:
+                if time.monotonic() > until:
+                    raise OSError(f"{self.path / LOCK}: another process keeps writing the log") from None
+                time.sleep(0.01)
+        try:
+            yield
+        finally:
+            lock.release()
+
+
+def require_growth(content: LogContent, path: Path) -> None:
+    """Checks the entries against the stored head. Raises `IntegrityError`."""
+    head = content.stored
+    if head is None:
+        message = f"{path / HEAD}: the tree head of the log is missing; {formats.FROM_BACKUP}"
+        raise IntegrityError(message, "log-cut")
+    for code, fault in head_faults(content, head, "its own tree head"):
+        raise IntegrityError(f"{path}: {fault}; {formats.FROM_BACKUP}", code)
+
+
+def head_faults(content: LogContent, head: TreeHead, named: str) -> Iterator[tuple[str, str]]:
+    """What contradicts a remembered head, as code and message. named: the head, in messages."""
+    if head.size > len(content.entries):
+        yield "log-cut", f"the log was cut: {named} counts {head.size} entries, the log has {len(content.entries)}"
+    elif content.root(head.size) != head.root:
+        yield "log-changed", f"the log was rewritten: its first {head.size} entries are not those of {named}"
+
+
+def unwritable(archive: Path, error: OSError) -> InputError:
+    """The error for a log that cannot be written."""
+    message = f"the log of the archive cannot be written: {error.strerror or error}"
+    return InputError.at(Mark(str(archive / FOLDER)), "log-unwritable", message, "make room, or change its permissions")
+
+
+def _parsed(line: bytes) -> LogEntry | None:
+    """The entry of a line; None if it is none."""
+    try:
+        value: Json = formats.from_bytes(line)
+    except ValueError:
+        return None
+    return LogEntry.from_json(value)
