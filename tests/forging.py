@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planrunner.archive.run_folder import RunWriter
+from planrunner.archive.run_folder import RunWriter, Witness
 from planrunner.archive.run_reader import RunReader
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Rest, Segment
@@ -21,10 +21,11 @@ MACHINERY = {".lock", ".origin"}
 """Files without evidence: the lock, and the mark of the computer."""
 
 
-def write_run(root: Path, analyses: int = 2) -> Path:
-    """A finished run of three segments in an archive."""
+def write_run(root: Path, analyses: int = 2, bench: bytes = b"name: bench\n", witness: Witness | None = None) -> Path:
+    """A finished run of three segments in an archive. witness: of its journal."""
     rng = np.random.default_rng(5)
-    with RunWriter.create(root, "p", b"title: plan\n", b"name: bench\n", {"operator": "A"}, "flushed") as writer:
+    with RunWriter.create(root, "p", b"title: plan\n", bench, {"operator": "A"}, "flushed") as writer:
+        writer.witness = witness
         for index in range(3):
             writer.begin(
                 Segment(index, f"P{index + 1}", None, "unknown", Rest(), dwell=1.0), float(index), {"x": "deg/s"}

@@ -67,6 +67,8 @@ class Journal:
         self._file = file
         self._state = (head, count, size)
         self._broken = False
+        self.last = b""
+        """The line that was added last, without its line feed; its SHA-256 is the head."""
 
     @property
     def head(self) -> str:
@@ -99,6 +101,7 @@ class Journal:
             if acknowledge:
                 self._storage.sync(self._file)
             self._state = (hashlib.sha256(line).hexdigest(), count + 1, size + len(line) + 1)
+            self.last = line
         except BaseException:
             self._take_back(before)
             raise
@@ -120,8 +123,8 @@ class JournalScan:
     """Reader of a journal. Iterate once over the events; afterwards `head`, `count`, `size`, `torn`, `heads` and `digests` are known.
 
     size: bytes of complete lines. torn: bytes of an incomplete last line. marks: event counts at which the head of the chain is stored in
-    `heads`, and the SHA-256 of the file up to this event in `digests`; both are also stored before each event `reopened`. name: of the
-    file. Raises `IntegrityError` if the chain is broken, and `OSError`.
+    `heads`, and the SHA-256 of the file up to this event in `digests`; both are also stored before each event `reopened`. times:
+    the times of the events at the marks. name: of the file. Raises `IntegrityError` if the chain is broken, and `OSError`.
     """
 
     def __init__(self, folder: GuardedFolder, marks: Collection[int] = (), name: str = NAME):
@@ -134,6 +137,7 @@ class JournalScan:
         self.torn = 0
         self.heads: dict[int, str] = {0: FIRST}
         self.digests: dict[int, str] = {}
+        self.times: dict[int, str] = {}
         self._whole = hashlib.sha256()
         self._marks = frozenset(marks)
 
@@ -164,6 +168,7 @@ class JournalScan:
                 if self.count in self._marks:
                     self.heads[self.count] = self.head
                     self.digests[self.count] = self._whole.hexdigest()
+                    self.times[self.count] = event["at"]
                 yield event
 
     def _event(self, line: bytes) -> JsonObject:

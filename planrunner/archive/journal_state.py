@@ -58,7 +58,8 @@ class JournalState:
     """clock, states: values at the last acknowledged segment, to resume from. open: the segment in which the process ended.
     earlier_seals: SHA-256 of each seal that the run had when it was reopened → number of events at that time. turning_times: number and
     time of the first and the last event, and of the two events at each place where the time goes back. planned: number of segments of the
-    schedule, 0 if the run never started."""
+    schedule, 0 if the run never started. stamped, unstamped: the events about time stamps; unstamped_ends: numbers of the events
+    `finished` before which the journal was not stamped to its end."""
 
     created: JsonObject = field(default_factory=dict)
     acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
@@ -73,6 +74,11 @@ class JournalState:
     failures: list[str] = field(default_factory=list)
     turning_times: list[tuple[int, str]] = field(default_factory=list)
     planned: int = 0
+    stamped: list[JsonObject] = field(default_factory=list)
+    unstamped: list[JsonObject] = field(default_factory=list)
+    unstamped_ends: list[int] = field(default_factory=list)
+    _covered: int = 0
+    _end_of_others: int = 0
 
     def files(self) -> Iterator[Part]:
         """Every file of samples listed in the journal, whether it counts or not."""
@@ -89,6 +95,8 @@ class JournalState:
         handler = getattr(self, f"_{kind}", None)
         if handler is not None:
             handler(event)
+        if kind not in ("stamped", "unstamped"):
+            self._end_of_others = event.get("seq", self._end_of_others)
 
     def take_time(self, number: int, at: str) -> None:
         """Events are written with times of one form, so that their texts are in the order of the times."""
@@ -149,6 +157,16 @@ class JournalState:
 
     def _finished(self, event: Mapping[str, Json]) -> None:
         self.finished = True
+        if self._covered < self._end_of_others:
+            self.unstamped_ends.append(event["seq"])
+
+    def _stamped(self, event: Mapping[str, Json]) -> None:
+        self.stamped.append(dict(event))
+        self._covered = max(self._covered, event["events"])
+
+    def _unstamped(self, event: Mapping[str, Json]) -> None:
+        self.unstamped.append(dict(event))
+        self._covered = max(self._covered, event["events"])
 
     def _reopened(self, event: Mapping[str, Json]) -> None:
         self.finished = False

@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from io import FileIO
 from pathlib import Path
+from typing import Protocol
 
 from planrunner.archive import formats
 from planrunner.archive import journal as journal_lines
@@ -35,6 +37,7 @@ from planrunner.archive.segment_file import (
     file_stem,
     safe_name,
 )
+from planrunner.archive.stamp_files import keep_stamp
 from planrunner.archive.storage import ASIDE, Durability, Storage, digest
 from planrunner.archive.summaries import METADATA, to_text
 from planrunner.archive.verifying import BENCH, MENDED, PLAN, RUN, Examined, examine, open_run
@@ -45,6 +48,29 @@ from planrunner.bench.watchdog_report import NAME as REPORT
 from planrunner.bench.watchdog_report import read_report
 from planrunner.instruments.interfaces import Block, SummaryChannels
 from planrunner.plan.schedule import Segment
+
+
+@dataclass(frozen=True, slots=True)
+class Witnessed:
+    """A time stamp of the journal after `events` events, to be kept in the run folder. token: the reply of the authority, in DER; None if
+    there is none for the reason `why`. at: time in the token, UTC."""
+
+    events: int
+    token: bytes | None
+    at: str = ""
+    why: str = ""
+
+
+class Witness(Protocol):
+    """Obtains time stamps of the journal while it grows, without making the run wait."""
+
+    def see(self, events: int, line: bytes, *, last: bool = False) -> None:
+        """The journal has now so many acknowledged events, and ends with this line. last: it is finished, so a stamp is due now."""
+        ...
+
+    def take(self, *, wait: bool = False) -> Sequence[Witnessed]:
+        """The stamps that have arrived since the last call. wait: wait for those that are missing."""
+        ...
 
 
 class RunWriter:
@@ -73,6 +99,7 @@ class RunWriter:
         self._attempt = 1
         self._samples: SegmentWriter | None = None
         self._parts: list[Part] = []
+        self.witness: Witness | None = None
 
     # -- opening -------------------------------------------------------------------------------------------------------
 
@@ -243,7 +270,7 @@ class RunWriter:
 
     def note(self, event: str, **data: Json) -> None:
         """Add an event about the run as a whole (`started`, `failed`, `stopped`, `safe`, `instruments` …)."""
-        self._journal.append(event, data)
+        self._append(event, data)
 
     def take_watchdog_report(self) -> None:
         """Enter the actions of a watchdog since the run ended into the journal. Raises `OSError`."""
@@ -295,7 +322,7 @@ class RunWriter:
         for part in self._samples.take_finished():
             self._parts.append(part)
             data = {"segment": self._segment.index, "attempt": self._attempt, "part": part.to_json(), "clock": clock}
-            self._journal.append("part", data)
+            self._append("part", data)
 
     def acknowledge(
         self,
@@ -325,7 +352,7 @@ class RunWriter:
             event["reason"] = reason
         if frames is not None:
             event["frames"] = frames
-        self._journal.append("segment", event)
+        self._append("segment", event)
         self._account(parts)
 
     def break_off(self, reason: str, clock: float, states: Mapping[str, Json]) -> None:
@@ -345,7 +372,7 @@ class RunWriter:
         assert segment is not None
         parts = self._keep_what_there_is()
         told: JsonObject = {} if frames is None else {"frames": frames}
-        self._journal.append(
+        self._append(
             "rejected",
             {
                 "segment": segment.index,
@@ -363,10 +390,13 @@ class RunWriter:
         item = self._point.acknowledged.pop(index)
         parts = [part.to_json() for part in item.parts]
         data = {"segment": index, "label": item.label, "attempt": item.attempt, "parts": parts, "reason": reason}
-        self._journal.append("rejected", data)
+        self._append("rejected", data)
 
     def finish(self) -> None:
         """Every segment is acknowledged: write the last event, enter the seal into the log of the archive, if any, and seal the folder."""
+        if self.witness is not None:
+            self.witness.see(self._journal.count, self._journal.last, last=True)
+            self._keep(self.witness.take(wait=True))
         self._journal.append("finished", {"finished": utc_now()})
         seal = seals.seal_of(self.folder, self._name, self._point.files, self._journal.head, self._journal.count)
         self._enter("sealed", seal=digest(seal))
@@ -386,6 +416,23 @@ class RunWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _append(self, event: str, data: Mapping[str, Json]) -> None:
+        """Add an acknowledged event, and the stamps that have arrived."""
+        self._journal.append(event, data)
+        if self.witness is not None:
+            self._keep(self.witness.take())
+            self.witness.see(self._journal.count, self._journal.last)
+
+    def _keep(self, stamps: Sequence[Witnessed]) -> None:
+        """Keep stamps of the journal, and record them in it."""
+        for stamp in stamps:
+            if stamp.token is None:
+                self._journal.append("unstamped", {"events": stamp.events, "reason": stamp.why})
+                continue
+            file = keep_stamp(self.folder, self._storage, f"after-{stamp.events}", stamp.token)
+            data = {"events": stamp.events, "file": file, "sha256": digest(stamp.token), "time": stamp.at}
+            self._journal.append("stamped", data)
 
     def _enter(self, event: LogEvent, seal: str = "") -> None:
         """Add an entry about the run to the log of its archive, if there is one. Raises `OSError`, and `IntegrityError` for a log that was

@@ -26,6 +26,8 @@ from planrunner.archive.lock import NAME as LOCK
 from planrunner.archive.origin import NAME as ORIGIN
 from planrunner.archive.segment_file import FOLDER as SEGMENTS
 from planrunner.archive.segment_file import MOST_BYTES, Part, check_part
+from planrunner.archive.stamp_files import FOLDER as STAMPS
+from planrunner.archive.stamp_files import stamp_names
 from planrunner.archive.storage import ASIDE, digest, digest_of
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark
@@ -71,6 +73,8 @@ CHANGES: Mapping[str, Change] = MappingProxyType(
         "run-cut-short": "cut",
         "run-back-dated": "back-dated",
         "run-signature": "altered",
+        "run-stamp": "altered",
+        "run-stamp-missing": "removed",
         "log-changed": "altered",
         "log-cut": "cut",
         "log-signature": "altered",
@@ -243,6 +247,8 @@ def _read_journal(found: Examined) -> bool:
     marks = {1} | {analysis.basis.events for analysis in found.analyses if analysis.basis is not None}
     if found.seal is not None:
         marks.add(found.seal["journal"]["events"])
+    with _collecting(found):
+        marks |= {one.events for one in stamp_names(found.folder) if one.events is not None}
     with _collecting(found):
         found.state, found.scan = read_state(found.folder, marks)
     if found.state is None:
@@ -473,7 +479,7 @@ def _check_names(found: Examined, standing: RecordedEntries) -> None:
                 found.error(
                     "run-changed", f"{path}: it is {entry.what}, but a file with a single name is expected here"
                 )
-        elif name == SIGNATURES and entry.kind == "folder":
+        elif name in (SIGNATURES, STAMPS) and entry.kind == "folder":
             continue
         elif name not in (SEGMENTS, stored.FOLDER) and not _aside(name, entry, "file"):
             found.unknown.append((path, entry))

@@ -21,6 +21,7 @@ from planrunner.bench.calibration import LINE, Calibration, Laboratory, check_da
 from planrunner.bench.protection import PROTECTION, Protection, kept_chamber, kept_table
 from planrunner.bench.simulation import SimulationSpec
 from planrunner.bench.specification import Specification
+from planrunner.bench.time_stamps import TimeStampsSpec, check_stamps
 from planrunner.instruments.interfaces import Counting, Driver, PlaysBack, Resumable, Watched
 from planrunner.instruments.models import ChamberModel, DataOrigin, SensorModel, TableModel
 from planrunner.physics.earth import Site
@@ -221,6 +222,12 @@ class Bench(Record):
         "Limits of the bench. Instruments that support such limits enforce them; plans must not exceed them.",
         {"rate": "320 deg/s", "hottest": "75 degC"},
         default_factory=Protection,
+    )
+    time_stamps: TimeStampsSpec | None = key(
+        RecordOf(TimeStampsSpec),
+        "Time stamps of the journal and the seal of every run, from an authority.",
+        {"url": "https://tsa.example.org/tsr", "every": "10 min", "certificate": "-----BEGIN CERTIFICATE----- …"},
+        default=None,
     )
     specification: Specification | None = key(
         RecordOf(Specification),
@@ -435,6 +442,8 @@ def _check(bench: Bench, log: Findings) -> None:
             _check_chamber(entry, log)
     for _, calibration in bench.calibrations():
         check_dates(calibration, log)
+    if bench.time_stamps is not None:
+        check_stamps(bench.time_stamps, log)
     _check_safe_order(bench, log)
 
 

@@ -43,6 +43,7 @@ COMMANDS = {
     "review": "list what a reviewer must judge before a run is released, and write the review page",
     "verify": "verify that run folders are as they were written, and say what was changed",
     "log": "begin the log of an archive, which shows removed and replaced runs; print its tree head, and make and verify proofs",
+    "stamp": "add the time stamp of the seal to runs that have none, because the authority did not answer",
     "sign": "sign a sealed run as reviewed, approved or released",
     "key": "make a key for signatures, show it, or add a public key to a key ring",
     "diagnose": "find where a recording differs from its simulation, which effect explains the difference, and what to measure "

@@ -11,7 +11,7 @@ from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.cli import exit_codes
 from planrunner.cli.operator import operator_of
 from planrunner.cli.outcome import finish, tell
-from planrunner.cli.printing import print_json
+from planrunner.cli.printing import print_findings, print_json
 from planrunner.cli.progress import reading_progress, run_progress
 from planrunner.cli.run import add_run_arguments
 
@@ -67,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if not outcome.ok:
         return tell(folder, outcome, as_json=args.json)
+    print_findings(outcome.remarks)
     with reading_progress(args.quiet) as notice:
         analysis = running.analyse_run(folder, notice=notice)
     return finish(analysis, as_json=args.json)

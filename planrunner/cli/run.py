@@ -9,6 +9,7 @@ from pathlib import Path
 from planrunner.cli.check import sound_plan
 from planrunner.cli.operator import add_live_page, operator_of
 from planrunner.cli.outcome import finish, tell
+from planrunner.cli.printing import print_findings
 from planrunner.cli.progress import reading_progress, run_progress
 from planrunner.plan.run_information import gather
 
@@ -87,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if not outcome.ok:
         return tell(folder, outcome, as_json=args.json)
+    print_findings(outcome.remarks)
     with reading_progress(args.quiet) as notice:
         analysis = running.analyse_run(folder, checked=sound, notice=notice)
     return finish(analysis, as_json=args.json)

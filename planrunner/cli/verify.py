@@ -6,11 +6,13 @@ import argparse
 from pathlib import Path
 
 from planrunner.archive.verifying import Examined
-from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.findings import COMMAND_LINE, InputError, Mark
 from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done, add_runs, each_run
 from planrunner.cli.log import add_heads, heads_of, ring_of, show_log
+from planrunner.plan.source import read_bytes
 from planrunner.reporting.printable import printable
+from planrunner.signing.time_stamps import StampAuthority, parse_authority
 from planrunner.tasks.run_log import log_of, missing_log, verify_log
 from planrunner.tasks.verify import Verification, runs_beneath, runs_in, verify_run
 
@@ -19,6 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_runs(parser)
     parser.add_argument("--all", action="store_true", help="RUN is an archive: verify every run folder in it")
     add_heads(parser)
+    parser.add_argument(
+        "--authority", metavar="CERT", type=Path, help="certificate in PEM that time stamps are verified with"
+    )
     parser.add_argument("--json", action="store_true", help="print a list of verifications as JSON, one entry per run")
 
 
@@ -35,11 +40,12 @@ def run(args: argparse.Namespace) -> int:
         raise InputError.at(COMMAND_LINE, "command-usage", message, "give the folder that contains the runs, and --all")
     ring = ring_of(args)
     heads = heads_of(args.head, ring)
+    authority = None if args.authority is None else _authority(args.authority)
     bad: list[Path] = []
     examined: list[Examined] = []
 
     def one(folder: Path) -> Done:
-        verification = verify_run(folder, ring)
+        verification = verify_run(folder, ring, authority)
         examined.append(verification.found)
         if not args.json:
             _show("" if len(runs) > 1 else f"{folder}: ", verification)
@@ -64,6 +70,14 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
+def _authority(path: Path) -> StampAuthority:
+    try:
+        return parse_authority(read_bytes(path))
+    except ValueError as error:
+        hint = "give the certificate of the time stamp authority, or of its root"
+        raise InputError.at(Mark(str(path)), "bench-stamp-certificate", str(error), hint) from None
+
+
 def _show(name: str, verification: Verification) -> None:
     """name: of the folder; empty where it is already printed."""
     found = verification.found
@@ -84,6 +98,12 @@ def _show(name: str, verification: Verification) -> None:
             standing = f"valid, key of {one.owner}" if one.standing == "valid" else f"NOT VERIFIED: {one.why}"
             result = f"{one.result}, analyses 1 to {one.analyses}" if one.analyses > 1 else one.result
             _say(f"    {one.meaning} by {one.name}, {one.signed} ({result}): {standing} ({one.key})")
+    dated = [one for one in verification.stamps if one.standing != "invalid" and one.time]
+    if dated:
+        valid = all(one.standing == "valid" for one in dated)
+        times = sorted(one.time for one in dated)
+        standing = "valid" if valid else "NOT VERIFIED: by the certificate in the bench file of the run only"
+        _say(f"    {len(dated)} time stamps, {times[0]} to {times[-1]}: {standing}")
     for finding in verification.remarks:
         _say(f"    {finding.message}")
     for hint in dict.fromkeys(finding.hint for _, finding in verification.changes if finding.hint):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from planrunner.base.findings import Finding
 from planrunner.instruments.interfaces import InstrumentError
 
 
@@ -35,7 +36,7 @@ class Failure:
 class Outcome:
     """completed: number of segments acknowledged in this execution; segments: number in the schedule. stopped: how the run was stopped
     on request. unsafe: failures to make instruments safe. untouched: instruments that were never commanded and therefore left as found.
-    finished: every segment is acknowledged and the folder is sealed."""
+    finished: every segment is acknowledged and the folder is sealed. remarks: what the user must know although the run is complete."""
 
     completed: int
     segments: int
@@ -44,6 +45,7 @@ class Outcome:
     failures: tuple[Failure, ...] = ()
     unsafe: tuple[str, ...] = ()
     untouched: tuple[str, ...] = ()
+    remarks: tuple[Finding, ...] = ()
 
     @property
     def ok(self) -> bool:

@@ -57,6 +57,7 @@ from planrunner.tasks.amendment import (
 from planrunner.tasks.certify import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
 from planrunner.tasks.check import Document, Sound, check_plan
 from planrunner.tasks.report import report_context
+from planrunner.tasks.stamp import after_sealing, stamper_of
 
 RESULTS = NAME
 
@@ -230,7 +231,10 @@ def _require_made_here(reader: RunReader, sound: Sound) -> None:
             return
     except OriginUnknownError as error:
         why = f"planrunner cannot determine whether this run folder was made on this computer: {error}"
-    reached = ", ".join(f"{name} at {address}" for name, address in addresses(sound.bench).items())
+    known = addresses(sound.bench)
+    if sound.bench.time_stamps is not None:
+        known["time_stamps"] = sound.bench.time_stamps.url
+    reached = ", ".join(f"{name} at {address}" for name, address in known.items())
     message = f"{why}; its bench file {f'connects to {reached}' if reached else 'does not connect to any address'}"
     hint = "read it, then add --trust-bench; or give your own bench file with --bench"
     raise InputError.at(Mark(str(reader.path / "bench.yaml")), "run-not-made-here", message, hint)
@@ -250,6 +254,7 @@ def _carry_out(
     ended: tuple[Path, Outcome] | None = None
     try:
         with _ready(sound, data_root, seed, progress) as bench, open_writer() as writer:
+            writer.witness = stamper = stamper_of(sound.bench)
             if bench.watchdog is not None:
                 bench.watchdog.report_to(writer.path)
             outcome = execute(
@@ -261,6 +266,8 @@ def _carry_out(
                 start_at=writer.next_segment,
                 operator=operator,
             )
+            if outcome.finished:
+                outcome = replace(outcome, remarks=after_sealing(writer.folder, sound.bench, stamper))
             ended = writer.path, outcome
     except NotSafeError as error:
         if ended is None:

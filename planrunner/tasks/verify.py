@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from planrunner.archive.finding_runs import find_runs
 from planrunner.archive.formats import IntegrityError
+from planrunner.archive.stamp_files import FOLDER as STAMPS
 from planrunner.archive.verifying import CHANGES, SIGNATURES, Change, Examined, examine, open_run
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, InputError, Mark
 from planrunner.signing.key_ring import KeyRing
 from planrunner.signing.run_signatures import RunSignature, signature_faults, signatures_of
+from planrunner.signing.run_stamps import RunStamp, verify_stamps
+from planrunner.signing.time_stamps import StampAuthority
 from planrunner.tasks.amendment import in_words, stored_amendment
 
 FORMAT = 1
@@ -23,13 +26,14 @@ FORMAT = 1
 class Verification:
     """Result of the verification of a run folder. changes: each change with the finding that describes it; remarks: findings that are not
     changes, such as that the run is not sealed; amendments: number of an analysis → who amended which analysis, and why;
-    signatures: all electronic signatures; an invalid one is a change too."""
+    signatures, stamps: all electronic signatures and time stamps; an invalid one is a change too."""
 
     found: Examined
     changes: tuple[tuple[Change, Finding], ...]
     remarks: tuple[Finding, ...]
     amendments: Mapping[int, str] = field(default_factory=dict)
     signatures: tuple[RunSignature, ...] = ()
+    stamps: tuple[RunStamp, ...] = ()
 
     @property
     def sealed(self) -> bool:
@@ -60,13 +64,21 @@ class Verification:
                 for one in found.analyses
             ],
             "signatures": [one.to_json() for one in self.signatures],
+            "stamps": [one.to_json() for one in self.stamps],
         }
 
 
-def verify_run(run: Path, ring: KeyRing | None = None) -> Verification:
-    """Verifies a run folder with all samples and signatures. ring: the known keys. Raises `InputError` if it is not a run folder."""
+def verify_run(run: Path, ring: KeyRing | None = None, authority: StampAuthority | None = None) -> Verification:
+    """Verifies a run folder with all samples, signatures and time stamps. ring: the known keys; authority: the certificates that time
+    stamps are verified with. Raises `InputError` if it is not a run folder."""
     found = examine(open_run(run), samples="digests")
-    return verification(found, _signatures(found, ring))
+    signatures = _signatures(found, ring)
+    stamps: tuple[RunStamp, ...] = ()
+    try:
+        stamps = verify_stamps(found, authority)
+    except OSError as error:
+        found.error("run-stamp", f"{found.folder.path / STAMPS}: {error.strerror}")
+    return replace(verification(found, signatures), stamps=stamps)
 
 
 def _signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignature, ...]:
