@@ -27,6 +27,7 @@ NAMES = (
     "check_speed",
     "plan_difference",
     "executor_steps",
+    "verify_speed",
     "virtual_run",
     "least_squares_fit",
     "recording_memory",

@@ -79,7 +79,7 @@ class ReportContext:
     the bench (name, description …); instruments: role → identity as the instrument gave it. failures: estimates that could not be made →
     reason. provenance: versions, hashes of plan, bench, journal head and seal, number of the analysis, UTC times. probability: coverage
     probability of the expanded uncertainties. certificate: additional data for certificates. on_top: the most important facts: item,
-    operator, date, duration, analysis. origin: source of the samples, if known.
+    operator, date, duration, analysis. origin: source of the samples, if known. seal: SHA-256 of seal.json, if the run is sealed.
     """
 
     title: str
@@ -99,6 +99,7 @@ class ReportContext:
     certificate: CertificateFacts | None = None
     on_top: Mapping[str, str] = field(default_factory=dict)
     origin: DataOrigin | None = None
+    seal: str = ""
 
     @property
     def headline(self) -> Headline:

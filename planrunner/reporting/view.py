@@ -45,6 +45,7 @@ from planrunner.reporting.budgets import budget_views, freedom, shown_unit
 from planrunner.reporting.certificate import certificate_view, guard_band
 from planrunner.reporting.context import ReportContext, site_facts
 from planrunner.reporting.rounding import format_pair
+from planrunner.reporting.seal_code import seal_code
 from planrunner.reporting.segment_tables import segment_table, segment_tables
 from planrunner.reporting.templates import render
 from planrunner.reporting.verdict import Stamp, stamp
@@ -80,6 +81,7 @@ def report_view(context: ReportContext) -> JsonObject:
         "notes": list(context.notes),
         "provenance": named(context.provenance),
         "certificate": certificate_view(context),
+        "seal": {"digest": context.seal, "code": Picture(partial(seal_code, context.seal))} if context.seal else None,
     }
 
 

@@ -57,6 +57,7 @@ def report_context(
         on_top=dict(_on_top(reader, segments, analysis)) | ({"amendment": amendment} if amendment else {}),
         origin=sound.models.origin,
         certificate=certificate,
+        seal=reader.basis.seal or "",
     )
 
 
