@@ -13,7 +13,7 @@ BUILD ?= build
 DIST ?= dist
 CAMPAIGN ?= build/blind-$(SEED)-$(CASES)
 
-.PHONY: all demo test test-slow lint schemas catalogues wheel lock sbom benchmark campaign campaign-real worlds faults fuzz clean
+.PHONY: all demo test test-slow lint schemas catalogues wheel lock sbom benchmark campaign campaign-real worlds faults tampering fuzz clean
 
 all: $(READY)
 
@@ -83,6 +83,11 @@ campaign-real: $(READY)
 # Every fault of the table and 200 random ones on a simulated bench, in processes (an hour or so). See docs/fault-campaign.md.
 faults: $(READY)
 	PLANRUNNER_FAULTS=all $(BIN)/pytest -n $(JOBS) -m 'slow or not slow' tests/faults
+
+# Changes of runs and of the log of an archive: 10 000 random flips, and a writer killed at every write (a quarter of an hour).
+tampering: $(READY)
+	PLANRUNNER_FLIPS=10000 PLANRUNNER_KILLS=1 $(BIN)/pytest -n $(JOBS) -m 'slow or not slow' tests/tasks/test_verify.py \
+	  tests/tasks/test_run_log.py tests/tasks/test_time_stamps.py tests/archive/test_verifying_by_hand.py
 
 # Mutated plans: 30 000 checked, 60 000 held against the schema, 30 000 compared with their originals (an hour or so). Then 20 000 plans,
 # checked and run (an hour or two).

@@ -168,7 +168,7 @@ class JournalScan:
                 if self.count in self._marks:
                     self.heads[self.count] = self.head
                     self.digests[self.count] = self._whole.hexdigest()
-                    self.times[self.count] = event["at"]
+                    self.times[self.count] = str(event.get("at", ""))  # not yet checked against the schema
                 yield event
 
     def _event(self, line: bytes) -> JsonObject:

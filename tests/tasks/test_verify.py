@@ -130,6 +130,18 @@ def test_one_flip_in_each_file(run: Path) -> None:
     assert not kinds(run)
 
 
+@pytest.mark.parametrize("key", ["seq", "at", "event", "previous"])
+def test_a_line_without_one_of_the_common_keys_is_found(run: Path, key: str) -> None:
+    """The first line and the last, at which the verification keeps the time."""
+    for number in (0, -1):
+        before = (run / "journal.jsonl").read_bytes()
+        changed = before.splitlines(keepends=True)
+        changed[number] = changed[number].replace(f'"{key}":'.encode(), f'"{key}_":'.encode())
+        (run / "journal.jsonl").write_bytes(b"".join(changed))
+        assert kinds(run)
+        (run / "journal.jsonl").write_bytes(before)
+
+
 @pytest.mark.slow
 def test_flips_of_every_byte_position_of_the_small_files(run: Path) -> None:
     """Every byte of the seal and of a list of digests, whose bytes no other file has to repeat."""
