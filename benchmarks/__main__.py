@@ -42,6 +42,7 @@ NAMES = (
     "sensor_streaming",
     "diagnosis",
     "night_overhead",
+    "archive_site",
 )
 README = Path(__file__).with_name("README.md")
 START, END = "<!-- figures -->", "<!-- end of figures -->"

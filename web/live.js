@@ -187,7 +187,7 @@
       }
       put(held.caption, `${channel.name}${channel.unit ? `, ${channel.unit}` : ""}, over the sensor's time in s`);
       held.host.setAttribute("aria-label", `${channel.name}: course of mean and extremes; the table above gives the numbers`);
-      held.data = [time, channel.strip.least, channel.strip.mean, channel.strip.greatest];
+      held.data = [time, channel.strip.least, channel.strip.greatest, channel.strip.mean];
       if (time.length > 1) held.strip.set(held.data);
     }
 

@@ -21,7 +21,7 @@ const strips = (() => {
     return values.map((value) => (large >= 1e6 || (large > 0 && large < 1e-4) ? value.toExponential(Math.max(0, Math.min(6, Math.ceil(Math.log10(large / step))))) : value.toFixed(places)));
   };
 
-  // The extremes and the mean of a channel over time, in s.
+  // Least, greatest and mean value of a channel over time, in s.
   const strip = (host, height) => {
     let chart = null;
     const make = (data) => {
@@ -36,10 +36,10 @@ const strips = (() => {
           series: [
             {},
             { stroke: colour("--band"), width: 1, points: { show: false } },
-            { stroke: colour("--line"), width: 1.5 },
             { stroke: colour("--band"), width: 1, points: { show: false } },
+            { stroke: colour("--line"), width: 1.5, points: { show: false } },
           ],
-          bands: [{ series: [3, 1], fill: colour("--band") }],
+          bands: [{ series: [2, 1], fill: colour("--band") }],
         },
         data,
         host,

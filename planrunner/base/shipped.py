@@ -14,3 +14,8 @@ def shipped(folder: str) -> Path:
         if path.is_dir():
             return path
     raise FileNotFoundError(2, "planrunner was installed without this folder; install it again", folder)
+
+
+def shipped_bytes(folder: str, name: str) -> bytes:
+    """A file of one of these folders, byte for byte."""
+    return (shipped(folder) / name).read_bytes()

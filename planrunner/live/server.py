@@ -20,7 +20,7 @@ from types import MappingProxyType
 from planrunner import __version__
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError, Mark
-from planrunner.base.shipped import shipped
+from planrunner.base.shipped import shipped_bytes
 from planrunner.live.monitor import Activity, Monitor
 
 LOOPBACK = "127.0.0.1"
@@ -207,7 +207,7 @@ class _Handler(BaseHTTPRequestHandler):
         file = FILES.get(self.path)
         if file is not None:
             name, kind = file
-            self._send_bytes(http.HTTPStatus.OK, (shipped("web") / name).read_bytes(), kind)
+            self._send_bytes(http.HTTPStatus.OK, shipped_bytes("web", name), kind)
             return
         self._authorised()
         if self.path == "/api/activity":

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browser import chromium, opened, overhang, violations
 from playwright.sync_api import Browser, expect
 from running_run import HOSTILE, QUESTION, RunningRun, close_all
 
@@ -15,6 +14,7 @@ from planrunner.archive.live import LiveNotice, take_answer
 from planrunner.archive.pausing import asked_to_pause
 from planrunner.live.monitor import Monitor
 from planrunner.live.server import LiveServer
+from tests.browser import chromium, opened, overhang, violations
 
 pytestmark = pytest.mark.slow
 expect.set_options(timeout=120_000)

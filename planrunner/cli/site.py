@@ -1,0 +1,34 @@
+"""`planrunner site`: the static site of an archive."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from planrunner.cli import exit_codes
+from planrunner.cli.printing import print_json
+from planrunner.cli.progress import reading_progress
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("archive", metavar="ARCHIVE", type=Path, help="folder that contains the run folders")
+    parser.add_argument("out", metavar="OUT", type=Path, help="folder of the site: a new one, or a site to replace")
+    parser.add_argument("--index", metavar="INDEX", help="file or URL of the index (default: a file of this user)")
+    parser.add_argument("--no-refresh", action="store_true", help="take the index as it is, without reading new runs")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def run(args: argparse.Namespace) -> int:
+    from planrunner.night.history.index import Index
+    from planrunner.night.site import build_site
+
+    with reading_progress(args.quiet) as notice, Index.open(args.archive, args.index) as index:
+        if not args.no_refresh:
+            index.refresh(notice=notice)
+        built = build_site(index, args.out, notice)
+    if args.json:
+        print_json({"page": str(built.page), "runs": built.runs, "devices": built.devices})
+    else:
+        print(built.page)
+    return exit_codes.DONE

@@ -1,0 +1,239 @@
+"""The static site of an archive: runs, devices, benches and coefficients over time, as files that a browser opens without a server.
+
+Browsers do not let a page read files from a file share, but they load scripts from it. So the data are scripts that hand JSON to the page:
+`data-<digest>/runs-0.js` and so on, in chunks, and one file for each device. `data.js` names them and is replaced last, so that a reader
+sees the old site or the new one. Texts are data: they reach the page as JSON strings in ASCII, and the page shows them as text.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path, PurePosixPath
+from urllib.parse import quote
+
+from planrunner import __version__
+from planrunner.archive import analyses as stored
+from planrunner.archive import formats
+from planrunner.archive.storage import Storage
+from planrunner.base.documents import Json, JsonObject
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.base.progress import Announce, Pace
+from planrunner.base.shipped import shipped_bytes
+from planrunner.night import record
+from planrunner.night.history.index import Index
+from planrunner.night.history.rows import CoefficientRow, LimitRow, RunRow
+
+FORMAT = 1
+NIGHTS = 30
+"""Number of nights that the wall offers."""
+MOST_RECORD = 2**24
+"""Maximum size in bytes of the record of a night."""
+CHUNK = 1000
+"""Number of runs in one file."""
+NIGHT = timedelta(hours=24)
+"""The wall shows the runs of this time up to the newest run."""
+ENTRY = "data.js"
+"""Makes a folder known as a site, too: only such a folder, or an empty one, is written to."""
+DATA = re.compile(r"data-[0-9a-f]{16}")
+PAGE = ("site.html", "site.js", "strip.js", "page.css")
+VENDORED = ("uPlot.iife.min.js", "uPlot.min.css", "uPlot.LICENSE")
+REPORTS = (".html", ".md")
+"""Endings of the files of an analysis to which the site links."""
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltSite:
+    """page: the file to open. runs, devices: their numbers."""
+
+    page: Path
+    runs: int
+    devices: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Point:
+    """A coefficient of one run. run: its place in the list of runs."""
+
+    run: int
+    row: CoefficientRow
+    limits: tuple[LimitRow, ...]
+
+
+def build_site(index: Index, out: Path, notice: Announce | None = None) -> BuiltSite:
+    """Write the site of an archive into `out`, which is created if absent. Raises `InputError` if `out` holds anything but a site."""
+    runs = index.runs()
+    links = _archive_link(index.archive, out)
+    devices = sorted({run.device for run in runs if run.device})
+    files: dict[str, Json] = {}
+    pace = Pace("reading the runs", len(runs), notice)
+    points: dict[str, dict[tuple[str, str], list[_Point]]] = {device: {} for device in devices}
+    rows: list[Json] = []
+    for place, run in enumerate(runs):
+        rows.append(_run(run, index.archive))
+        if run.device:
+            limits = index.limits(run.folder)
+            for row in index.coefficients(run.folder):
+                own = tuple(limit for limit in limits if limit.quantity == row.quantity)
+                points[run.device].setdefault((row.quantity, row.unit), []).append(_Point(place, row, own))
+        pace.reached(place + 1)
+    for number, begin in enumerate(range(0, len(rows), CHUNK)):
+        files[f"runs-{number}"] = rows[begin : begin + CHUNK]
+    for number, device in enumerate(devices):
+        files[f"device-{number}"] = [
+            _series(quantity, unit, found) for (quantity, unit), found in sorted(points[device].items())
+        ]
+    texts = {name: _script(name, value) for name, value in files.items()}
+    whole = hashlib.sha256(b"".join(texts[name] for name in sorted(texts))).hexdigest()[:16]
+    entry: JsonObject = {
+        "planrunner_site": FORMAT,
+        "version": __version__,
+        "archive": index.archive.name or str(index.archive),
+        "link": links,
+        "data": f"data-{whole}",
+        "chunks": math.ceil(len(rows) / CHUNK),
+        "runs": len(rows),
+        "devices": devices,
+        "night_since": _night(runs),
+        "nights": list(_nights(index.archive)),
+        "faults": [[fault.folder, fault.message] for fault in index.faults()],
+    }
+    _write(out, f"data-{whole}", texts, _script("entry", entry))
+    return BuiltSite(out / "index.html", len(runs), len(devices))
+
+
+def _night(runs: Sequence[RunRow]) -> str:
+    """The moment from which the wall shows runs; the newest run is the first."""
+    if not runs:
+        return ""
+    return (datetime.fromisoformat(runs[0].created) - NIGHT).isoformat(timespec="microseconds")
+
+
+def _nights(archive: Path) -> Iterator[Json]:
+    """The newest nights: what became of each test, and why. A record that is damaged is left out; `verify` is for that."""
+    from jsonschema import Draft202012Validator
+
+    validator = Draft202012Validator(formats.schema("night"))
+    try:
+        nights = GuardedFolder.open(archive).folder(record.FOLDER)
+        names = sorted(nights.entries(), reverse=True)
+    except OSError:
+        return
+    left = NIGHTS
+    for name in names:
+        if not left:
+            return
+        try:
+            night = formats.from_bytes(nights.folder(name).read(record.RECORD, MOST_RECORD))
+        except (OSError, ValueError):
+            continue
+        if validator.is_valid(night):
+            left -= 1
+            yield {
+                key: night[key]
+                for key in ("night", "title", "state", "begins", "ends", "exit_code", "counts", "remarks")
+            } | {
+                "tests": [
+                    [test[key] for key in ("test", "device", "bench", "state", "reason", "run")]
+                    for test in night["tests"]
+                ]
+            }
+
+
+def _run(run: RunRow, archive: Path) -> Json:
+    """A run as a row; the order is that of `RUN` in site.js."""
+    return [
+        run.folder,
+        run.created,
+        run.plan,
+        run.title,
+        run.device,
+        run.bench,
+        run.operator,
+        run.verdict,
+        run.state,
+        run.analysis,
+        run.warnings,
+        run.origin,
+        list(_reports(archive, run)),
+    ]
+
+
+def _reports(archive: Path, run: RunRow) -> Iterator[str]:
+    """Names of the reports of the newest analysis."""
+    if not run.analysis:
+        return
+    folder = archive.joinpath(*PurePosixPath(run.folder).parts, stored.FOLDER, str(run.analysis))
+    try:
+        with os.scandir(folder) as listed:
+            found = sorted(
+                item.name for item in listed if item.name.endswith(REPORTS) and item.is_file(follow_symlinks=False)
+            )
+    except OSError:
+        return
+    yield from found
+
+
+def _series(quantity: str, unit: str, found: Sequence[_Point]) -> Json:
+    """A coefficient of a device over time, the oldest run first, with the limits of the plans."""
+    ordered = list(reversed(found))
+    return {
+        "quantity": quantity,
+        "unit": unit,
+        "run": [point.run for point in ordered],
+        "value": [_finite(point.row.value) for point in ordered],
+        "u": [_finite(point.row.standard_uncertainty) for point in ordered],
+        "plan_lower": [_finite(max((one.lower for one in point.limits), default=math.nan)) for point in ordered],
+        "plan_upper": [_finite(min((one.upper for one in point.limits), default=math.nan)) for point in ordered],
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _script(name: str, value: Json) -> bytes:
+    """A script that hands data to the page: a call with JSON in ASCII, which is the same in JavaScript."""
+    text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return f"planrunnerData({json.dumps(name)},{text});\n".encode("ascii")
+
+
+def _archive_link(archive: Path, out: Path) -> str | None:
+    """The archive as a relative address from the site; None if there is none, as between two drives of Windows."""
+    try:
+        way = os.path.relpath(archive.absolute(), out.absolute())
+    except ValueError:
+        return None
+    return quote(Path(way).as_posix())
+
+
+def _write(out: Path, data: str, texts: dict[str, bytes], entry: bytes) -> None:
+    storage = Storage("flushed")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        folder = GuardedFolder.open(out)
+        present = folder.entries()
+        if present and ENTRY not in present:
+            message = "this folder is not empty, and is not a site that planrunner made"
+            raise InputError.at(Mark(str(out)), "site-not-empty", message, "choose a new folder")
+        for name in PAGE:
+            storage.write_whole(folder, "index.html" if name == "site.html" else name, shipped_bytes("web", name))
+        for name in VENDORED:
+            storage.write_whole(folder, name, shipped_bytes("web", f"vendor/{name}"))
+        inner = folder.folder(data) if data in present else folder.make_folder(data)
+        for name, text in texts.items():
+            storage.write_whole(inner, f"{name}.js", text)
+        storage.write_whole(folder, ENTRY, entry)
+        for name in present:
+            if DATA.fullmatch(name) and name != data:
+                folder.remove_folder(name)
+    except OSError as error:
+        message = f"the site cannot be written: {error.strerror or error}"
+        raise InputError.at(Mark(str(out)), "site-unwritable", message, "make room, or choose another folder") from None
