@@ -26,6 +26,7 @@ from benchmarks.measuring import ROOT, ProcessFailedError, figures_of, measured
 NAMES = (
     "check_speed",
     "plan_difference",
+    "history_index",
     "executor_steps",
     "verify_speed",
     "virtual_run",

@@ -42,6 +42,10 @@ COMMANDS = {
     "amend": "evaluate a run again for a stated reason, as a new analysis that names the person and the analysis it amends",
     "report": "write the reports of an analysis again",
     "review": "list what a reviewer must judge before a run is released, and write the review page",
+    "runs": "list the runs of an archive, by device, plan, bench, verdict or date",
+    "history": "show a coefficient of a device over time, with control charts, changes, drift and the next calibration",
+    "compare": "compare the coefficients of several runs",
+    "gauge": "repeatability and reproducibility of a coefficient over devices, operators and benches",
     "verify": "verify that run folders are as they were written, and say what was changed",
     "log": "begin the log of an archive, which shows removed and replaced runs; print its tree head, and make and verify proofs",
     "stamp": "add the time stamp of the seal to runs that have none, because the authority did not answer",
@@ -149,7 +153,7 @@ def _imported(name: str) -> ModuleType:
             gc.enable()
 
 
-_ONE_THREAD = ("check", "show")
+_ONE_THREAD = ("check", "show", "runs", "history", "compare", "gauge")
 """Commands whose matrices are so small that the threads of OpenBLAS only take time to start."""
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache, partial
@@ -55,11 +55,11 @@ _SCHEMA = (
        run TEXT NOT NULL, created TEXT NOT NULL, plan TEXT NOT NULL, title TEXT NOT NULL, device TEXT NOT NULL, bench TEXT NOT NULL,
        laboratory TEXT NOT NULL, operator TEXT NOT NULL, origin TEXT NOT NULL, state TEXT NOT NULL, verdict TEXT NOT NULL,
        analysis INTEGER NOT NULL, warnings INTEGER NOT NULL, circumstances TEXT NOT NULL, info TEXT NOT NULL, UNIQUE (archive, folder))""",
-    "CREATE INDEX IF NOT EXISTS runs_of_device ON runs (archive, device, created)",
+    "CREATE INDEX IF NOT EXISTS runs_of_device ON runs (archive, device, created, folder)",
     "CREATE INDEX IF NOT EXISTS runs_in_time ON runs (archive, created)",
     """CREATE TABLE IF NOT EXISTS coefficients (run_id BIGINT NOT NULL, quantity TEXT NOT NULL, value DOUBLE PRECISION, unit TEXT NOT NULL,
        standard_uncertainty DOUBLE PRECISION, degrees_of_freedom DOUBLE PRECISION, role TEXT NOT NULL, period DOUBLE PRECISION,
-       PRIMARY KEY (run_id, quantity))""",
+       PRIMARY KEY (run_id, quantity)){clustered}""",
     """CREATE TABLE IF NOT EXISTS limits (run_id BIGINT NOT NULL, quantity TEXT NOT NULL, requirement TEXT NOT NULL, verdict TEXT NOT NULL,
        unit TEXT NOT NULL, lower DOUBLE PRECISION, upper DOUBLE PRECISION, probability DOUBLE PRECISION)""",
     "CREATE INDEX IF NOT EXISTS limits_of_run ON limits (run_id, quantity)",
@@ -124,7 +124,8 @@ class Index:
         return self._database.name
 
     def _make_tables(self) -> None:
-        with self._database.transaction():
+        database = self._database
+        with database.transaction():
             self._database.query(_SCHEMA[0])
             known = self._database.query("SELECT format FROM formats")
             if known == [(FORMAT,)]:
@@ -132,7 +133,9 @@ class Index:
             for table in _TABLES:
                 self._database.query(f"DROP TABLE IF EXISTS {table}")
             for statement in _SCHEMA:
-                self._database.query(statement.replace("{identity}", self._database.identity))
+                self._database.query(
+                    statement.replace("{identity}", database.identity).replace("{clustered}", database.clustered)
+                )
             self._database.query("INSERT INTO formats VALUES (?)", (FORMAT,))
 
     # -- keeping it up to date ---------------------------------------------------------------------------------------
@@ -255,6 +258,24 @@ class Index:
         )
         return tuple(map(_limit_row, found))
 
+    def all_coefficients(self) -> list[tuple[str, CoefficientRow]]:
+        """Folder and coefficient of all runs, by folder and name."""
+        found = self._database.query(
+            f"SELECT folder, {_named(_COEFFICIENT, 'c')} FROM runs JOIN coefficients c ON c.run_id = runs.id "
+            "WHERE archive = ? ORDER BY folder, quantity",
+            (self._name,),
+        )
+        return [(str(folder), _coefficient_row(tuple(row))) for folder, *row in found]
+
+    def all_limits(self) -> list[tuple[str, LimitRow]]:
+        """Folder and limit of all runs, by folder and quantity."""
+        found = self._database.query(
+            f"SELECT folder, {_named(_LIMIT, 'l')} FROM runs JOIN limits l ON l.run_id = runs.id "
+            "WHERE archive = ? ORDER BY folder, quantity, requirement",
+            (self._name,),
+        )
+        return [(str(folder), _limit_row(tuple(row))) for folder, *row in found]
+
     def devices(self) -> list[DeviceSummary]:
         """The devices by serial number; runs that state none have an empty one."""
         found = self._database.query(
@@ -293,9 +314,9 @@ class Index:
             points.append(HistoryPoint(run, _coefficient_row(one[_RUN_COLUMNS:]), tuple(limits.get(run.folder, ()))))
         return points
 
-    def history(self, device: str, quantity: str) -> list[HistoryPoint]:
-        """A coefficient of a device over time, the oldest first."""
-        return self.points(quantity, RunFilter(device=_literal(device)))
+    def history(self, device: str, quantity: str, since: str = "") -> list[HistoryPoint]:
+        """A coefficient of a device over time, the oldest first. since: first day or moment; empty for all."""
+        return self.points(quantity, RunFilter(device=_literal(device), since=since))
 
     def faults(self) -> list[FaultRow]:
         """Folders that are not in the index, by name."""
@@ -394,13 +415,22 @@ def _run_row(row: SqlRow) -> RunRow:
         cast(int, analysis),
         cast(int, warnings),
         _circumstances(str(circumstances)),
-        json.loads(str(info)),
+        dict(_info(str(info))),
     )
+
+
+@lru_cache(maxsize=4096)
+def _info(text: str) -> Mapping[str, str]:
+    found: dict[str, str] = json.loads(text)
+    return found
 
 
 @lru_cache(maxsize=4096)  # the runs of a device mostly share them
 def _circumstances(text: str) -> tuple[Circumstance, ...]:
     return tuple(Circumstance(CircumstanceKind(kind), name, value) for kind, name, value in json.loads(text))
+
+
+_ROLES = {role.value: role for role in CoefficientRole}
 
 
 def _coefficient_row(row: SqlRow) -> CoefficientRow:
@@ -411,7 +441,7 @@ def _coefficient_row(row: SqlRow) -> CoefficientRow:
         str(unit),
         _number(u),
         _number(freedom),
-        CoefficientRole(str(role)),
+        _ROLES[str(role)],
         _number(period),
     )
 

@@ -1,0 +1,39 @@
+"""`planrunner compare`: the coefficients of several runs side by side."""
+
+from __future__ import annotations
+
+import argparse
+
+from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.cli import exit_codes
+from planrunner.cli.each_run import add_runs
+from planrunner.cli.printing import print_json
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_runs(parser)
+    parser.add_argument("--json", action="store_true", help="print the comparison as JSON")
+    parser.epilog = "Exit codes: 0 all coefficients agree with the first run (|E_n| ≤ 1), 1 some do not, 2 wrong input."
+
+
+def run(args: argparse.Namespace) -> int:
+    from planrunner.night.history.comparison import compare_runs
+
+    if len(args.runs) < 2:
+        hint = "write `planrunner compare RUN RUN`"
+        raise InputError.at(COMMAND_LINE, "command-usage", "at least two runs are needed", hint)
+    found = compare_runs(args.runs)
+    if args.json:
+        print_json(found.to_json())
+    else:
+        from planrunner.reporting import terminal
+        from planrunner.reporting.history_tables import comparison_table
+        from planrunner.reporting.printable import printable
+
+        for number, (name, row) in enumerate(zip(found.names, found.runs, strict=True), start=1):
+            about = (
+                f"run {number}: {name} ({row.device or 'no device'}, {row.bench}, {row.created[:10]}, {row.verdict})"
+            )
+            print(printable(about, keep=""))
+        terminal.console().print(terminal.data_table(comparison_table(found)))
+    return exit_codes.LIMIT_FAILED if found.differs else exit_codes.DONE

@@ -1,0 +1,66 @@
+"""`planrunner history`: a coefficient of a device over time, with control charts, changes, drift and the next calibration."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from planrunner.cli import exit_codes
+from planrunner.cli.history_arguments import add_index, opened_index
+from planrunner.cli.printing import print_json, write_file
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("device", metavar="DEVICE", help="serial number of the device")
+    parser.add_argument(
+        "coefficient", metavar="COEFFICIENT", nargs="?", help="estimate.coefficient; without it, the names are listed"
+    )
+    parser.add_argument(
+        "--runs", metavar="ARCHIVE", type=Path, default=Path("runs"), help="folder of the runs (default: runs)"
+    )
+    parser.add_argument(
+        "--tolerance", metavar="QUANTITY", help="permissible deviation for the next calibration, such as '0.5 deg/h'"
+    )
+    parser.add_argument(
+        "--since", default="", metavar="DATE", help="use runs from this day on (UTC), such as after an accepted change"
+    )
+    parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with the control charts")
+    add_index(parser)
+    parser.add_argument("--json", action="store_true", help="print the history as JSON")
+    parser.epilog = "Exit codes: 0 in control, 1 the newest value is outside a control limit, 2 wrong input."
+
+
+def run(args: argparse.Namespace) -> int:
+    from planrunner.reporting.printable import printable
+    from planrunner.tasks.history import coefficients_of, trend_of
+
+    with opened_index(args, args.runs) as index:
+        if args.coefficient is None:
+            names = coefficients_of(index, args.device)
+            if args.json:
+                print_json(names)
+            else:
+                print(printable("\n".join(names)))
+            return exit_codes.DONE
+        found = trend_of(index, args.device, args.coefficient, args.tolerance, args.since)
+    if args.html is not None:
+        from planrunner.reporting.history_page import render_history
+
+        write_file(args.html, render_history(found))
+        print(args.html, file=sys.stderr if args.json else sys.stdout)
+    if args.json:
+        print_json(found.to_json())
+    else:
+        from planrunner.reporting import terminal
+        from planrunner.reporting.history_tables import agreement_table, plot_lines, points_table, sentences
+
+        console = terminal.console()
+        console.print(terminal.data_table(points_table(found)))
+        for line in (*plot_lines(found), *sentences(found)):
+            print(printable(line, keep=""))
+        for title, participants in (("benches", found.benches), ("laboratories", found.laboratories)):
+            if participants:
+                console.print(terminal.data_table(agreement_table(title, participants, found.unit)))
+    charts = found.charts
+    return exit_codes.LIMIT_FAILED if charts is not None and charts.out_of_control else exit_codes.DONE

@@ -1,0 +1,77 @@
+"""`planrunner runs`: the runs of an archive, filtered; also brings the index up to date, rebuilds or exports it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from planrunner.cli import exit_codes
+from planrunner.cli.history_arguments import add_index, opened_index
+from planrunner.cli.printing import print_json
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "archive",
+        metavar="ARCHIVE",
+        nargs="?",
+        type=Path,
+        default=Path("runs"),
+        help="folder of the runs (default: runs)",
+    )
+    parser.add_argument(
+        "--device", default="", metavar="SERIAL", help="serial number; * and ? stand for any characters"
+    )
+    parser.add_argument("--plan", default="", metavar="NAME", help="name of the plan, also as a pattern")
+    parser.add_argument("--bench", default="", metavar="NAME", help="name of the bench, also as a pattern")
+    parser.add_argument("--operator", default="", metavar="NAME", help="name of the operator, also as a pattern")
+    parser.add_argument(
+        "--verdict",
+        default="",
+        choices=("pass", "warned", "fail", "none", "not analysed"),
+        help="verdict on the limits",
+    )
+    parser.add_argument("--since", default="", metavar="DATE", help="runs from this day or moment on (UTC)")
+    parser.add_argument("--until", default="", metavar="DATE", help="runs up to this day or moment (UTC)")
+    parser.add_argument("--limit", type=int, metavar="N", help="list only the newest N runs")
+    parser.add_argument(
+        "--export",
+        metavar="FILE",
+        type=Path,
+        help="write the whole index to FILE.duckdb, or to a folder of Parquet files",
+    )
+    add_index(parser)
+    parser.add_argument("--json", action="store_true", help="print the list as JSON")
+    parser.epilog = "Exit codes: 0 done, 2 wrong input, 4 some folders are damaged and are not listed."
+
+
+def run(args: argparse.Namespace) -> int:
+    from planrunner.night.history.rows import RunFilter
+    from planrunner.tasks.history import list_runs
+
+    wanted = RunFilter(
+        args.device, args.plan, args.bench, args.operator, args.verdict, args.since, args.until, args.limit
+    )
+    with opened_index(args, args.archive) as index:
+        found = list_runs(index, wanted)
+        if args.export is not None:
+            from planrunner.night.history.export import export_index
+
+            export_index(index, args.export)
+    if args.json:
+        print_json(found.to_json())
+    else:
+        from planrunner.reporting import terminal
+        from planrunner.reporting.history_tables import runs_table
+        from planrunner.reporting.printable import printable
+
+        if found.runs:
+            terminal.console().print(terminal.data_table(runs_table(found.runs)))
+        more = f", {len(found.runs)} shown" if len(found.runs) < found.total else ""
+        print(f"{found.total} run{'' if found.total == 1 else 's'}{more}")
+        for fault in found.faults:
+            print(printable(f"not in the index: {fault.folder}: {fault.message}", keep=""), file=sys.stderr)
+        if args.export is not None:
+            print(args.export)
+    return exit_codes.INTEGRITY if found.faults else exit_codes.DONE

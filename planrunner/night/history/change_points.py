@@ -1,0 +1,134 @@
+"""Changes of the level of a coefficient, and what else changed at the same time.
+
+Model: x_i ~ N(μ of its stretch, σ_i²) with σ_i known. For a change between values k and k + 1, the likelihood ratio is that of two means,
+
+    T_k = (m₂ − m₁)² / (1/W₁ + 1/W₂),    W = Σ 1/σ_i²,  m = Σ x_i/σ_i² / W
+
+The most likely place has the largest T_k (Hawkins, Journal of the American Statistical Association 72, 1977). Its p-value is bounded by
+the sum over all places (Bonferroni), p ≤ (n − 1)·P(χ²₁ > T): a change is reported too rarely rather than too often. Each side is then
+searched again (binary segmentation; Scott and Knott, Biometrics 30, 1974).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.night.history.rows import Circumstance, CircumstanceKind
+
+Array = NDArray[np.float64]
+LEVEL = 0.01
+"""Largest p-value of a change that is reported."""
+
+
+@dataclass(frozen=True, slots=True)
+class CauseCandidate:
+    """A circumstance that changed with the level. before, after: its values in the last run before the change and in the first after it.
+    shared: fraction of the runs of both stretches in which it had the value of its side; 1 means that it tells both stretches apart."""
+
+    kind: CircumstanceKind
+    name: str
+    before: str
+    after: str
+    shared: float
+
+    @property
+    def words(self) -> str:
+        return f"{self.kind.value} {self.name}".strip()
+
+
+@dataclass(frozen=True, slots=True)
+class ChangePoint:
+    """A change of the level. index: of the first value after it. step, standard_uncertainty: in the unit of the values; p: its p-value.
+    begin, end: the two stretches that it divides are [begin, index) and [index, end)."""
+
+    index: int
+    step: float
+    standard_uncertainty: float
+    p: float
+    begin: int
+    end: int
+    causes: tuple[CauseCandidate, ...] = ()
+
+
+def change_points(values: Array, sigma: Array, level: float = LEVEL) -> tuple[ChangePoint, ...]:
+    """All changes in the order of time. values, sigma: (n,), with sigma positive."""
+    found = sorted(_search(values, sigma, 0, len(values), level))
+    edges = [0, *found, len(values)]
+    points = []
+    for before, index, end in zip(edges, edges[1:], edges[2:], strict=False):
+        step, u = _step(values, sigma, before, index, end)
+        points.append(ChangePoint(index, step, u, _p(step / u, end - before), before, end))
+    return tuple(points)
+
+
+def _search(values: Array, sigma: Array, begin: int, end: int, level: float) -> Iterator[int]:
+    n = end - begin
+    if n < 2:
+        return
+    weight = 1 / sigma[begin:end] ** 2
+    sums, weights = np.cumsum(weight * values[begin:end]), np.cumsum(weight)
+    before, after = weights[:-1], weights[-1] - weights[:-1]
+    steps = (sums[-1] - sums[:-1]) / after - sums[:-1] / before
+    T = steps**2 / (1 / before + 1 / after)
+    k = int(np.argmax(T))
+    if _p(math.sqrt(T[k]), n) > level:
+        return
+    index = begin + k + 1
+    yield index
+    yield from _search(values, sigma, begin, index, level)
+    yield from _search(values, sigma, index, end, level)
+
+
+def _step(values: Array, sigma: Array, begin: int, index: int, end: int) -> tuple[float, float]:
+    sides = []
+    for part in (slice(begin, index), slice(index, end)):
+        weight = 1 / sigma[part] ** 2
+        sides.append((float(np.average(values[part], weights=weight)), 1 / float(weight.sum())))
+    (first, v1), (second, v2) = sides
+    return second - first, math.sqrt(v1 + v2)
+
+
+def _p(z: float, n: int) -> float:
+    return min(1.0, (n - 1) * math.erfc(abs(z) / math.sqrt(2)))
+
+
+def steps_fit_better(values: Array, sigma: Array, days: Array, changes: Sequence[ChangePoint]) -> bool:
+    """Whether levels with these changes describe the values better than one straight line over time, by the Bayesian information
+    criterion χ² + p·log n (Schwarz, Annals of Statistics 6, 1978). All arrays (n,). A drift also looks like a series of changes; it has
+    no cause at any of them."""
+    n, w = len(values), 1 / sigma**2
+    edges = [0, *(one.index for one in changes), n]
+    steps = sum(_misfit(values[a:b], w[a:b], np.ones((b - a, 1))) for a, b in pairwise(edges))
+    line = _misfit(values, w, np.column_stack([np.ones(n), days - days.mean()]))
+    return steps + (2 * len(changes) + 1) * math.log(n) < line + 2 * math.log(n)
+
+
+def _misfit(values: Array, weight: Array, design: Array) -> float:
+    """χ² of the weighted fit."""
+    root = np.sqrt(weight)
+    fit = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
+    return float((weight * (values - design @ fit) ** 2).sum())
+
+
+def causes(point: ChangePoint, circumstances: Sequence[Sequence[Circumstance]]) -> tuple[CauseCandidate, ...]:
+    """What else changed at a change of the level, the circumstances that tell both stretches apart best first. circumstances: of every
+    run, in the order of the values."""
+    known = [{(one.kind, one.name): one.value for one in run} for run in circumstances[point.begin : point.end]]
+    split = point.index - point.begin
+    before, after = known[split - 1], known[split]
+    bench = (CircumstanceKind.BENCH, "")
+    moved = before.get(bench) != after.get(bench)
+    found = []
+    for kind, name in sorted({*before, *after}, key=lambda key: (key[0].value, key[1])):
+        old, new = before.get((kind, name), ""), after.get((kind, name), "")
+        if old == new or (kind is CircumstanceKind.BENCH and name and moved):  # another bench has another file
+            continue
+        held = sum(one.get((kind, name), "") == (old if k < split else new) for k, one in enumerate(known))
+        found.append(CauseCandidate(kind, name, old, new, held / len(known)))
+    return tuple(sorted(found, key=lambda one: -one.shared))

@@ -1,0 +1,100 @@
+"""Several runs side by side: their coefficients, and E_n of each run with the first one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from planrunner.archive.verifying import open_run
+from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import JsonObject
+from planrunner.base.findings import InputError, Mark
+from planrunner.night.history.agreement import ParticipantAgreement, agreement
+from planrunner.night.history.reading import read_run
+from planrunner.night.history.rows import CoefficientRow, IndexedRun, RunRow
+
+COMPARISON_FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedCoefficient:
+    """One coefficient in several runs. values: (value, standard uncertainty) by run, None where a run lacks it or has another unit.
+    agreement: of every run that has it with the first one."""
+
+    quantity: str
+    unit: str
+    values: tuple[tuple[float, float] | None, ...]
+    agreement: tuple[ParticipantAgreement, ...]
+
+    @property
+    def largest_en(self) -> float | None:
+        found = [abs(one.en) for one in self.agreement if one.en == one.en]
+        return max(found, default=None)
+
+
+@dataclass(frozen=True, slots=True)
+class RunComparison:
+    """runs: the compared runs, the first of which is the reference; names: as the user gave them."""
+
+    names: tuple[str, ...]
+    runs: tuple[RunRow, ...]
+    coefficients: tuple[ComparedCoefficient, ...]
+
+    @property
+    def differs(self) -> bool:
+        """Whether |E_n| > 1 for any coefficient."""
+        return any(one.largest_en is not None and one.largest_en > 1 for one in self.coefficients)
+
+    def to_json(self) -> JsonObject:
+        """See schemas/comparison.schema.json."""
+        return {
+            "planrunner_comparison": COMPARISON_FORMAT,
+            "runs": [{**run.to_json(), "folder": name} for name, run in zip(self.names, self.runs, strict=True)],
+            "coefficients": [
+                {
+                    "quantity": one.quantity,
+                    "unit": one.unit,
+                    "values": [
+                        None
+                        if found is None
+                        else {"value": found[0], "standard_uncertainty": found[1] if found[1] == found[1] else None}
+                        for found in one.values
+                    ],
+                    "largest_en": one.largest_en,
+                }
+                for one in self.coefficients
+            ],
+        }
+
+
+def compare_runs(runs: Sequence[Path]) -> RunComparison:
+    """The coefficients of several runs side by side. Raises `InputError`, for a run without an analysis too."""
+    found = [_read(run) for run in runs]
+    rows = [one.run for one in found if one.run is not None]
+    held = [{row.quantity: row for row in one.coefficients} for one in found]
+    quantities = list(dict.fromkeys(name for one in held for name in one))
+    compared = tuple(_compared(name, [one.get(name) for one in held]) for name in quantities)
+    return RunComparison(tuple(map(str, runs)), tuple(rows), compared)
+
+
+def _read(run: Path) -> IndexedRun:
+    open_run(run)
+    found = read_run(run, ".")
+    if found.fault:
+        raise InputError.at(Mark(str(run)), "compare-run", found.fault, "run `planrunner verify` on this folder")
+    if found.run is not None and not found.run.analysis:
+        hint = "make an analysis with `planrunner estimate`"
+        raise InputError.at(Mark(str(run)), "analysis-missing", "this run has no analysis yet", hint)
+    return found
+
+
+def _compared(quantity: str, rows: Sequence[CoefficientRow | None]) -> ComparedCoefficient:
+    unit = next(row.unit for row in rows if row is not None)
+    values = tuple(
+        (row.value, row.standard_uncertainty)
+        if row is not None and row.unit == unit and row.value == row.value
+        else None
+        for row in rows
+    )
+    places = {str(place): [one] for place, one in enumerate(values) if one is not None and one[1] == one[1]}
+    return ComparedCoefficient(quantity, unit, values, agreement(places, "0") if "0" in places else ())

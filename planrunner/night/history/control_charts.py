@@ -1,0 +1,155 @@
+"""Control charts of a coefficient over time, with the standard uncertainty of every value.
+
+The variance of value i about the mean is σ_i² = u_i² + τ². u_i is its stated standard uncertainty; τ is the scatter from run to run that
+the stated uncertainties do not include, such as that of mounting and switch-on. τ² is what the mean moving range of neighbours shows
+beyond the u_i, so that a shift or a drift of the mean hardly enters it:
+
+    τ² = max(0, (mean |x_i − x_{i−1}| / d₂)² − mean u_i²),    d₂ = 2/√π
+
+With u = 0 the charts are those of the NIST/SEMATECH e-Handbook of Statistical Methods, 6.3.2.2 (individuals), 6.3.2.3 (CUSUM) and 6.3.2.4
+(EWMA). The run lengths of EWMA and CUSUM are those of Lucas and Saccucci (Technometrics 32, 1990) and of Montgomery (Introduction to
+Statistical Quality Control, chapter 9).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+
+Array = NDArray[np.float64]
+
+D2 = 2 / math.sqrt(math.pi)
+"""Mean range of two normal values with σ = 1."""
+SHEWHART = 3.0
+"""Half-width of the limits of a Shewhart chart in σ."""
+LAMBDA, EWMA_WIDTH = 0.2, 2.962
+"""Weight of the newest value, and half-width of the limits in σ of the average: 500 values on average to a false alarm."""
+ALLOWANCE, DECISION = 0.5, 5.0
+"""k and h of the CUSUM chart in σ, for a shift of 1 σ: 465 values on average to a false alarm."""
+BASELINE = 20
+"""Number of values from which mean and τ are taken, if there are more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Centre:
+    """What is normal. mean: weighted with 1/σ_i²; standard_uncertainty: of the mean; between: τ; values: number it was taken from. All in
+    the unit of the values."""
+
+    mean: float
+    standard_uncertainty: float
+    between: float
+    values: int
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """A chart of n values. statistic, lower, upper: (n,), of the value, its moving average or the sum; alarms: (n,), whether the
+    statistic is outside its limits."""
+
+    statistic: Array
+    lower: Array
+    upper: Array
+    alarms: NDArray[np.bool_]
+
+    @property
+    def first_alarm(self) -> int | None:
+        found = np.flatnonzero(self.alarms)
+        return int(found[0]) if len(found) else None
+
+
+@dataclass(frozen=True, slots=True)
+class ControlCharts:
+    """sigma: (n,), standard deviation of each value about the mean. The two sums of the CUSUM chart are in units of σ; the lower one counts
+    downwards."""
+
+    centre: Centre
+    sigma: Array
+    shewhart: Chart
+    ewma: Chart
+    cusum_up: Chart
+    cusum_down: Chart
+
+    @property
+    def out_of_control(self) -> bool:
+        """Whether the newest value lies outside the limits of any chart."""
+        return any(bool(chart.alarms[-1]) for chart in (self.shewhart, self.ewma, self.cusum_up, self.cusum_down))
+
+
+def between_runs(values: Array, u: Array) -> float:
+    """τ from the moving ranges of the values, (n,), with standard uncertainties (n,)."""
+    if len(values) < 2:
+        return 0.0
+    sigma = float(np.abs(np.diff(values)).mean()) / D2
+    return math.sqrt(max(0.0, sigma**2 - float(np.mean(u**2))))
+
+
+def centre_of(values: Array, u: Array, baseline: int = BASELINE) -> Centre:
+    """The centre of the first `baseline` values, all (n,)."""
+    x, s = values[:baseline], u[:baseline]
+    tau = between_runs(x, s)
+    variance = s**2 + tau**2
+    weight = 1 / variance if (variance > 0).all() else np.ones(len(x))
+    mean = float(np.average(x, weights=weight))
+    return Centre(mean, math.sqrt(1 / float(weight.sum())) if (variance > 0).all() else 0.0, tau, len(x))
+
+
+def shewhart(values: Array, mean: float, sigma: Array, width: float = SHEWHART) -> Chart:
+    """Limits at mean ± width·σ_i. values, sigma: (n,)."""
+    half = width * sigma
+    return _chart(values, np.broadcast_to(mean - half, values.shape), np.broadcast_to(mean + half, values.shape))
+
+
+def ewma(
+    values: Array, mean: float, sigma: Array, weight: float = LAMBDA, width: float = EWMA_WIDTH, *, steady: bool = False
+) -> Chart:
+    """Exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. values: (n, …); sigma: (n,) or like values.
+
+    Its variance V_i = λ² σ_i² + (1 − λ)² V_{i−1} begins with 0, so that the first limits are narrower. steady: it begins with its final
+    value for σ_0 instead, λ/(2 − λ) σ², as the handbook draws the limits.
+    """
+    sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
+    average, half = np.empty_like(values), np.empty_like(values)
+    last = np.full(values.shape[1:], mean)
+    variance = weight / (2 - weight) * sigma[0] ** 2 if steady else np.zeros(values.shape[1:])
+    for i, (x, s) in enumerate(zip(values, sigma, strict=True)):
+        last = weight * x + (1 - weight) * last
+        variance = (1 - weight) ** 2 * variance + weight**2 * s**2
+        average[i], half[i] = last, width * np.sqrt(variance)
+    return _chart(average, mean - half, mean + half)
+
+
+def cusum(
+    values: Array, mean: float, sigma: Array, allowance: float = ALLOWANCE, decision: float = DECISION
+) -> tuple[Chart, Chart]:
+    """Tabular sums S⁺_i = max(0, S⁺_{i−1} + z_i − k) and S⁻_i = min(0, S⁻_{i−1} + z_i + k) of z_i = (x_i − mean)/σ_i, with the limits ±h.
+    values: (n, …); sigma: (n,) or like values, all positive."""
+    sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
+    up, down = np.empty_like(values), np.empty_like(values)
+    high, low = np.zeros(values.shape[1:]), np.zeros(values.shape[1:])
+    for i, z in enumerate((values - mean) / sigma):
+        high = np.maximum(0.0, high + z - allowance)
+        low = np.minimum(0.0, low + z + allowance)
+        up[i], down[i] = high, low
+    none = np.zeros_like(values)
+    return _chart(up, none, none + decision), _chart(down, none - decision, none)
+
+
+def control_charts(values: Sequence[float], u: Sequence[float], baseline: int = BASELINE) -> ControlCharts | None:
+    """All charts of n ≥ 2 values in the order of time, with their standard uncertainties. None if the values do not scatter at all and
+    state no uncertainty, so that there are no limits."""
+    x, s = np.asarray(values, dtype=float), np.asarray(u, dtype=float)
+    centre = centre_of(x, s, baseline)
+    sigma = np.sqrt(s**2 + centre.between**2)
+    if len(x) < 2 or not (sigma > 0).all():
+        return None
+    up, down = cusum(x, centre.mean, sigma)
+    return ControlCharts(centre, sigma, shewhart(x, centre.mean, sigma), ewma(x, centre.mean, sigma), up, down)
+
+
+def _chart(statistic: Array, lower: Array, upper: Array) -> Chart:
+    return Chart(statistic, lower, upper, (statistic < lower) | (statistic > upper))

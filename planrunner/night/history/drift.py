@@ -1,0 +1,97 @@
+"""Drift of a coefficient against its uncertainty, and the date by which the device should be calibrated again.
+
+The drift is a weighted straight line through the values, x = a + b·(t − t̄), with the covariance of its two parameters. At a later time t
+the value is predicted with the variance
+
+    u²(t) = u_line²(t) + τ² + ū²,    u_line² = var a + (t − t̄)² var b
+
+where τ is the scatter from run to run and ū the root mean square of the stated uncertainties. The next calibration is due when the
+predicted deviation from the last value, together with its expanded uncertainty, reaches the permissible deviation:
+
+    |b|·(t − t_last) + k·√(u_line²(t) + τ² + ū²) = permissible
+
+This is method 2, the control chart, of ILAC-G24:2022 / OIML D 10:2022 (7.3): the interval follows from the scatter and the drift of
+successive calibrations; NCSLI RP-1 describes the same idea as the variables-data method. Without a permissible deviation, the date is
+given at which the drift alone exceeds the expanded uncertainty of a value, k·√(τ² + ū²): from then on the last calibration no longer
+describes the device.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+
+Array = NDArray[np.float64]
+COVERAGE = 2.0
+"""Coverage factor k of expanded uncertainties, about 95 %."""
+HORIZON = 3653.0
+"""Longest interval [days] that is given; what lies beyond it is beyond the experience of the fit."""
+LEAST = 3
+"""Values that a drift needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriftLine:
+    """slope, slope_uncertainty: unit per day. level: at the mean time `middle` [days]. between: τ; stated: ū. times in days."""
+
+    slope: float
+    slope_uncertainty: float
+    level: float
+    level_uncertainty: float
+    middle: float
+    last: float
+    between: float
+    stated: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether the drift exceeds its expanded uncertainty."""
+        return abs(self.slope) > COVERAGE * self.slope_uncertainty
+
+    def uncertainty(self, time: float) -> float:
+        """Standard uncertainty of the predicted value at a time in days."""
+        line = self.level_uncertainty**2 + ((time - self.middle) * self.slope_uncertainty) ** 2
+        return math.sqrt(line + self.between**2 + self.stated**2)
+
+
+def drift_line(days: Array, values: Array, u: Array, between: float) -> DriftLine | None:
+    """The weighted straight line. days, values, u: (n,); between: τ. None if there are too few values or they have one time."""
+    if len(values) < LEAST or float(np.ptp(days)) == 0:
+        return None
+    variance = u**2 + between**2
+    if not (variance > 0).all():
+        return None
+    w = 1 / variance
+    middle = float(np.average(days, weights=w))
+    level = float(np.average(values, weights=w))
+    moment = float((w * (days - middle) ** 2).sum())
+    slope = float((w * (days - middle) * values).sum()) / moment
+    stated = math.sqrt(float(np.mean(u**2)))
+    return DriftLine(
+        slope, math.sqrt(1 / moment), level, math.sqrt(1 / float(w.sum())), middle, float(days[-1]), between, stated
+    )
+
+
+def days_left(line: DriftLine, permissible: float | None = None) -> float:
+    """Days from the last value to the next calibration, 0 if it is due at once, `HORIZON` if it is later. permissible: largest
+    deviation."""
+
+    def due(later: float) -> bool:
+        change = abs(line.slope) * later
+        if permissible is None:
+            return change > COVERAGE * math.hypot(line.between, line.stated)
+        return change + COVERAGE * line.uncertainty(line.last + later) > permissible
+
+    if due(0.0):
+        return 0.0
+    if not due(HORIZON):
+        return HORIZON
+    low, high = 0.0, HORIZON  # it grows with time
+    while high - low > 0.01:
+        middle = (low + high) / 2
+        low, high = (low, middle) if due(middle) else (middle, high)
+    return low

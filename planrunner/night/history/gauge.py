@@ -1,0 +1,220 @@
+"""Gauge repeatability and reproducibility: the variance of a measurement by device, operator, bench and repetition.
+
+A balanced, fully crossed random-effects model with all interactions, for one to three factors. Each mean square has the expectation
+
+    E(MS_S) = σ² + r·Σ_{T ⊇ S} σ_T²·∏_{f ∉ T} a_f
+
+with r repetitions and a_f levels of factor f. The variance components follow from it; a negative one counts as zero. Reproducibility is
+all that is not device or repeatability. Intervals are those of the modified large-sample method: Graybill and Wang (Journal of the
+American Statistical Association 75, 1980) for sums of mean squares, and Ting et al. (Journal of Statistical Computation and Simulation
+35, 1990) for differences, as Burdick, Borror and Montgomery (Design and Analysis of Gauge R&R Studies, 2005) apply them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, f
+
+from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import JsonObject
+
+Array = NDArray[np.float64]
+CONFIDENCE = 0.95
+
+
+class UnbalancedError(ValueError):
+    """The values do not fill the design. The message says what is missing."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeanSquare:
+    """factors: of the effect; empty for the repetitions. df: degrees of freedom."""
+
+    factors: tuple[str, ...]
+    sum_of_squares: float
+    df: int
+
+    @property
+    def value(self) -> float:
+        return self.sum_of_squares / self.df
+
+
+@dataclass(frozen=True, slots=True)
+class VarianceComponent:
+    """variance: in the squared unit of the values, not below zero; lower, upper: limits of its 95 % interval."""
+
+    name: str
+    variance: float
+    lower: float
+    upper: float
+
+    @property
+    def standard_deviation(self) -> float:
+        return math.sqrt(self.variance)
+
+
+GAUGE_FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class GaugeStudy:
+    """components: repeatability, every factor and interaction, reproducibility, gauge (both together), and total. levels: factor → number
+    of levels; repetitions: in each cell; unused: number of values beyond those repetitions."""
+
+    anova: tuple[MeanSquare, ...]
+    components: tuple[VarianceComponent, ...]
+    levels: Mapping[str, int]
+    repetitions: int
+    unused: int
+
+    def to_json(self, quantity: str, unit: str) -> JsonObject:
+        """See schemas/gauge.schema.json."""
+        return {
+            "planrunner_gauge": GAUGE_FORMAT,
+            "quantity": quantity,
+            "unit": unit,
+            "levels": dict(self.levels),
+            "repetitions": self.repetitions,
+            "unused": self.unused,
+            "anova": [
+                {"factors": list(one.factors), "sum_of_squares": one.sum_of_squares, "degrees_of_freedom": one.df}
+                for one in self.anova
+            ],
+            "components": [
+                {"name": one.name, "variance": one.variance, "lower": one.lower, "upper": one.upper}
+                for one in self.components
+            ],
+        }
+
+
+def gauge_study(
+    factors: Mapping[str, Sequence[str]], values: Sequence[float], item: str = "device", *, pooled: bool = False
+) -> GaugeStudy:
+    """The study of n values. factors: name → label of each value (n); a factor with one level is left out. item: the factor that is
+    measured. In a cell with more values than the others the first ones count. pooled: interactions are counted as repeatability, as where
+    they are not significant. Raises `UnbalancedError`."""
+    used = {name: list(labels) for name, labels in factors.items() if len(set(labels)) > 1}
+    levels = {name: sorted(set(labels)) for name, labels in used.items()}
+    cells: dict[tuple[int, ...], list[float]] = {}
+    for k, value in enumerate(values):
+        key = tuple(levels[name].index(labels[k]) for name, labels in used.items())
+        cells.setdefault(key, []).append(value)
+    shape = tuple(len(found) for found in levels.values())
+    for key in np.ndindex(*shape):
+        if key not in cells:
+            place = ", ".join(f"{name} {levels[name][k]}" for name, k in zip(levels, key, strict=True))
+            raise UnbalancedError(f"there is no value of {place}")
+    r = min(map(len, cells.values()))
+    if r < 2:
+        raise UnbalancedError("a combination has one value only; repeatability needs two of each")
+    data = np.empty((*shape, r))
+    for key, found in cells.items():
+        data[key] = found[:r]
+    unused = len(values) - data.size
+    anova = _anova(data, tuple(levels))
+    if pooled:
+        anova = _pooled(anova)
+    return GaugeStudy(
+        tuple(anova),
+        tuple(_components(anova, dict(zip(levels, shape, strict=True)), r, item)),
+        dict(zip(levels, shape, strict=True)),
+        r,
+        unused,
+    )
+
+
+def _anova(data: Array, names: tuple[str, ...]) -> list[MeanSquare]:
+    """Sums of squares of all effects of a full table (a₁, …, a_m, r)."""
+    m = len(names)
+    effects: dict[tuple[int, ...], Array] = {}
+    found = []
+    for size in range(m + 1):
+        for axes in combinations(range(m), size):
+            others = tuple(axis for axis in range(data.ndim) if axis not in axes)
+            mean = data.mean(axis=others, keepdims=True)
+            effect = mean - sum((effects[part] for n in range(size) for part in combinations(axes, n)), np.zeros(()))
+            effects[axes] = effect
+            if axes:
+                share = data.size / effect.size
+                df = math.prod(data.shape[axis] - 1 for axis in axes)
+                found.append(MeanSquare(tuple(names[axis] for axis in axes), float(share * (effect**2).sum()), df))
+    rest = data - data.mean(axis=-1, keepdims=True)
+    return [*found, MeanSquare((), float((rest**2).sum()), data.size - data.size // data.shape[-1])]
+
+
+def _pooled(anova: Sequence[MeanSquare]) -> list[MeanSquare]:
+    inner = [one for one in anova if len(one.factors) != 1]
+    error = MeanSquare((), sum(one.sum_of_squares for one in inner), sum(one.df for one in inner))
+    return [*(one for one in anova if len(one.factors) == 1), error]
+
+
+def _components(anova: Sequence[MeanSquare], levels: Mapping[str, int], r: int, item: str) -> list[VarianceComponent]:
+    """Each component is a linear combination of mean squares: solves the expectations from the highest interaction down."""
+    squares = {one.factors: one for one in anova}
+    combos: dict[tuple[str, ...], dict[tuple[str, ...], float]] = {(): {(): 1.0}}
+    for factors in sorted((one for one in squares if one), key=len, reverse=True):
+        terms = {factors: 1.0, (): -1.0}
+        for wider in combos:
+            if wider and set(factors) < set(wider):
+                for key, c in combos[wider].items():
+                    terms[key] = terms.get(key, 0.0) - r * _cells(wider, levels) * c
+        size = r * _cells(factors, levels)
+        combos[factors] = {key: c / size for key, c in terms.items()}
+    found = [_estimated("repeatability", combos[()], squares)]
+    found += [_estimated(" × ".join(one.factors), combos[one.factors], squares) for one in anova if one.factors]
+    gauge = [key for key in combos if key and key != (item,)]
+    for name, parts in (("reproducibility", gauge), ("gauge R&R", [(), *gauge]), ("total", list(combos))):
+        if parts:
+            found.append(_estimated(name, _sum([combos[part] for part in parts]), squares))
+    return found
+
+
+def _cells(factors: tuple[str, ...], levels: Mapping[str, int]) -> int:
+    return math.prod(count for name, count in levels.items() if name not in factors)
+
+
+def _sum(combos: Sequence[Mapping[tuple[str, ...], float]]) -> dict[tuple[str, ...], float]:
+    found: dict[tuple[str, ...], float] = {}
+    for one in combos:
+        for key, c in one.items():
+            found[key] = found.get(key, 0.0) + c
+    return found
+
+
+def _estimated(
+    name: str, combo: Mapping[tuple[str, ...], float], squares: Mapping[tuple[str, ...], MeanSquare]
+) -> VarianceComponent:
+    terms = [(c, squares[key].value, squares[key].df) for key, c in combo.items() if abs(c) > 1e-12]
+    estimate = sum(c * ms for c, ms, _ in terms)
+    lower, upper = _interval(terms, estimate)
+    return VarianceComponent(name, max(0.0, estimate), max(0.0, lower), max(0.0, upper))
+
+
+def _interval(terms: Sequence[tuple[float, float, int]], estimate: float) -> tuple[float, float]:
+    """Two-sided limits of Σ c·E(MS): the modified large-sample method. terms: (c, MS, degrees of freedom)."""
+    a = (1 - CONFIDENCE) / 2
+    plus, minus = [t for t in terms if t[0] > 0], [t for t in terms if t[0] < 0]
+    below = sum((_g(a, n) * c * ms) ** 2 for c, ms, n in plus) + sum((_h(a, n) * c * ms) ** 2 for c, ms, n in minus)
+    above = sum((_h(a, n) * c * ms) ** 2 for c, ms, n in plus) + sum((_g(a, n) * c * ms) ** 2 for c, ms, n in minus)
+    for c, ms, n in plus:
+        for d, other, k in minus:
+            product = c * abs(d) * ms * other
+            high, low = float(f.isf(a, n, k)), float(f.ppf(a, n, k))
+            below += ((high - 1) ** 2 - (_g(a, n) * high) ** 2 - _h(a, k) ** 2) / high * product
+            above += ((1 - low) ** 2 - (_h(a, n) * low) ** 2 - _g(a, k) ** 2) / low * product
+    return estimate - math.sqrt(max(0.0, below)), estimate + math.sqrt(max(0.0, above))
+
+
+def _g(a: float, n: int) -> float:
+    """1 − 1/F(1 − a; n, ∞)."""
+    return 1 - n / float(chi2.isf(a, n))
+
+
+def _h(a: float, n: int) -> float:
+    """1/F(a; n, ∞) − 1."""
+    return n / float(chi2.ppf(a, n)) - 1

@@ -1,0 +1,244 @@
+"""Tables, sentences and a plot of characters for the commands `runs`, `history` and `compare`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from datetime import datetime
+
+from planrunner.estimators.interface import Cell, Role, Table, TableColumn
+from planrunner.instruments.models import DataOrigin
+from planrunner.night.history.agreement import ParticipantAgreement
+from planrunner.night.history.comparison import RunComparison
+from planrunner.night.history.control_charts import EWMA_WIDTH, SHEWHART
+from planrunner.night.history.drift import HORIZON
+from planrunner.night.history.gauge import GaugeStudy
+from planrunner.night.history.rows import RunRow
+from planrunner.night.history.trend import Trend
+from planrunner.reporting import words
+from planrunner.reporting.verdict import stamp
+
+_NOT_MEASURED: tuple[DataOrigin, ...] = ("simulated", "replayed")
+HEIGHT, WIDTH = 13, 72
+"""Rows and columns of the plot on the terminal."""
+
+
+def runs_table(runs: Sequence[RunRow]) -> Table:
+    titles = ("run", "made (UTC)", "device", "bench", "operator", "plan", "verdict", "state")
+    rows = tuple(
+        (
+            run.folder,
+            run.created[:16].replace("T", " "),
+            run.device,
+            run.bench,
+            run.operator,
+            run.plan,
+            run.verdict,
+            run.state,
+        )
+        for run in runs
+    )
+    return Table("Runs", tuple(map(TableColumn, titles)), rows)
+
+
+def points_table(found: Trend) -> Table:
+    """One row for each value, with its place in the control charts."""
+    columns = (
+        TableColumn("made (UTC)"),
+        TableColumn("bench"),
+        TableColumn("operator"),
+        TableColumn("value", Role.VALUE, found.unit),
+        TableColumn("u", Role.STANDARD_UNCERTAINTY, found.unit),
+        TableColumn("verdict"),
+        TableColumn("alarms"),
+        TableColumn("run"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for k, point in enumerate(found.points):
+        run = point.run
+        rows.append(
+            (
+                run.created[:16].replace("T", " "),
+                run.bench,
+                run.operator,
+                found.values[k],
+                found.standard_uncertainties[k],
+                run.verdict,
+                ", ".join(alarms(found, k)),
+                run.folder,
+            )
+        )
+    return Table(f"{found.quantity} of {found.device}", columns, tuple(rows))
+
+
+def alarms(found: Trend, k: int) -> list[str]:
+    """The charts that value k is outside the limits of."""
+    charts = found.charts
+    if charts is None:
+        return []
+    named = {
+        "Shewhart": charts.shewhart,
+        "EWMA": charts.ewma,
+        "CUSUM up": charts.cusum_up,
+        "CUSUM down": charts.cusum_down,
+    }
+    return [name for name, chart in named.items() if chart.alarms[k]]
+
+
+def agreement_table(title: str, found: Sequence[ParticipantAgreement], unit: str) -> Table:
+    columns = (
+        TableColumn(title),
+        TableColumn("runs", Role.COUNT),
+        TableColumn("mean", Role.VALUE, unit),
+        TableColumn("u", Role.STANDARD_UNCERTAINTY, unit),
+        TableColumn("mean of the others", Role.NUMBER, unit),
+        TableColumn("E_n"),
+        TableColumn("agreement"),
+    )
+    rows = tuple(
+        (
+            one.name,
+            float(one.runs),
+            one.value,
+            one.standard_uncertainty,
+            one.reference,
+            f"{one.en:.2f}",
+            "yes" if one.agrees else "NO",
+        )
+        for one in found
+    )
+    return Table(f"Agreement of {title} (ISO 13528: |E_n| ≤ 1)", columns, rows)
+
+
+def comparison_table(found: RunComparison) -> Table:
+    """One row for each coefficient, one column for each run."""
+    columns = [TableColumn("coefficient"), TableColumn("unit")]
+    for number in range(1, len(found.runs) + 1):
+        columns.append(TableColumn(f"run {number}"))
+    columns.append(TableColumn("largest |E_n|"))
+    rows = []
+    for one in found.coefficients:
+        cells = [
+            "—" if pair is None else f"{words.number(pair[0])} ± {words.number(2 * pair[1], 2)}" for pair in one.values
+        ]
+        rows.append((one.quantity, one.unit, *cells, "—" if one.largest_en is None else f"{one.largest_en:.2f}"))
+    return Table("Coefficients with expanded uncertainties (k = 2)", tuple(columns), tuple(rows))
+
+
+def gauge_table(found: GaugeStudy, unit: str) -> Table:
+    """Standard deviations of the components with their intervals, and the share of the total variance."""
+    total = found.components[-1].variance
+    columns = (
+        TableColumn("component"),
+        TableColumn("standard deviation", Role.NUMBER, unit),
+        TableColumn("95 % from", Role.NUMBER, unit),
+        TableColumn("to", Role.NUMBER, unit),
+        TableColumn("share of variance", Role.SHARE),
+    )
+    rows = tuple(
+        (
+            one.name,
+            one.standard_deviation,
+            one.lower**0.5,
+            one.upper**0.5,
+            one.variance / total if total else 0.0,
+        )
+        for one in found.components
+    )
+    return Table("Gauge R&R", columns, rows)
+
+
+def sentences(found: Trend) -> list[str]:
+    """What the history shows, in sentences."""
+    unit = f" {found.unit}" if found.unit not in ("", "1") else ""
+    said = list(_stamps(found))
+    charts = found.charts
+    if charts is None:
+        said.append("There are too few values, or values without uncertainty, for control charts.")
+    else:
+        centre = charts.centre
+        said.append(
+            f"Mean of the first {centre.values} values: {words.number(centre.mean)}{unit} "
+            f"(u = {words.number(centre.standard_uncertainty, 2)}{unit}); "
+            f"scatter from run to run beyond the stated uncertainties: {words.number(centre.between, 2)}{unit}."
+        )
+        now = alarms(found, len(found.points) - 1)
+        outside = f"outside the limits of {', '.join(now)}" if now else "within all control limits"
+        said.append(f"The newest value is {outside} (Shewhart ±{SHEWHART:g} σ, EWMA ±{EWMA_WIDTH:g} σ, CUSUM).")
+    for change in found.changes:
+        before, after = found.points[change.index - 1].run, found.points[change.index].run
+        said.append(
+            f"The level changed by {words.number(change.step, 3)}{unit} (u = {words.number(change.standard_uncertainty, 2)}{unit}, "
+            f"p = {change.p:.1g}) between {before.created[:10]} and {after.created[:10]}."
+        )
+        if change.causes:
+            listed = "; ".join(f"{one.words}: {one.before or 'none'} → {one.after or 'none'}" for one in change.causes)
+            said.append(f"At the same time these changed: {listed}.")
+        else:
+            said.append("No recorded circumstance changed at the same time.")
+    said += _drift(found, unit)
+    if found.left_out:
+        said.append(f"{len(found.left_out)} runs are left out: their value has another dimension, or is not finite.")
+    return said
+
+
+def _stamps(found: Trend) -> Iterator[str]:
+    """Runs whose samples were not measured in them."""
+    origins = [point.run.origin for point in found.points]
+    for origin in _NOT_MEASURED:
+        mark = stamp(origin)
+        if mark is not None and origin in origins:
+            yield f"{mark.word} ({origins.count(origin)} of {len(origins)} runs): {mark.about}"
+
+
+def _drift(found: Trend, unit: str) -> list[str]:
+    line = found.drift
+    if line is None:
+        return ["There are too few values since the last change for a drift."] if found.changes else []
+    slope, u = (words.number(x * 365.25, 3) for x in (line.slope, 2 * line.slope_uncertainty))
+    significant = "" if line.significant else ", which is not significant"
+    since = f" since {found.points[found.changes[-1].index].run.created[:10]}" if found.changes else ""
+    said = [f"Drift{since}: {slope} ± {u}{unit} per year (k = 2){significant}."]
+    due = found.next_calibration
+    on = f"more than {HORIZON / 365.25:.0f} years after the last run" if due is None else due.date().isoformat()
+    what = (
+        "the drift exceeds the expanded uncertainty of a value"
+        if found.tolerance is None
+        else f"drift and expanded uncertainty reach {words.number(found.tolerance)}{unit}"
+    )
+    said.append(f"Next calibration (ILAC-G24 method 2), when {what}: {on}.")
+    return said
+
+
+def plot_lines(found: Trend) -> list[str]:
+    """The values over time in characters: `●` a value, `○` one with an alarm, `─` the mean, `┄` the Shewhart limits of the newest value."""
+    if len(found.values) < 2:
+        return []
+    times = [_seconds(point.run) for point in found.points]
+    charts = found.charts
+    marks = (
+        []
+        if charts is None
+        else [charts.centre.mean, float(charts.shewhart.lower[-1]), float(charts.shewhart.upper[-1])]
+    )
+    low, high = min([*found.values, *marks]), max([*found.values, *marks])
+    span, length = (high - low) or 1.0, (times[-1] - times[0]) or 1.0
+
+    def row(value: float) -> int:
+        return round((high - value) / span * (HEIGHT - 1))
+
+    grid = [[" "] * WIDTH for _ in range(HEIGHT)]
+    for value, sign in zip(marks, "─┄┄", strict=False):
+        grid[row(value)] = [sign] * WIDTH
+    for k, (time, value) in enumerate(zip(times, found.values, strict=True)):
+        grid[row(value)][round((time - times[0]) / length * (WIDTH - 1))] = "○" if alarms(found, k) else "●"
+    labels = {0: words.number(high, 5), HEIGHT - 1: words.number(low, 5)}
+    if charts is not None:
+        labels.setdefault(row(charts.centre.mean), words.number(charts.centre.mean, 5))
+    wide = max(map(len, labels.values()))
+    lines = [f"{labels.get(number, ''):>{wide}} │{''.join(cells)}" for number, cells in enumerate(grid)]
+    first, last = found.points[0].run.created[:10], found.points[-1].run.created[:10]
+    return [*lines, f"{'':>{wide}} └{'─' * WIDTH}", f"{'':>{wide}}  {first}{last:>{WIDTH - len(first)}}"]
+
+
+def _seconds(run: RunRow) -> float:
+    return datetime.fromisoformat(run.created).timestamp()

@@ -1,0 +1,118 @@
+"""The history of an archive, for the commands `runs`, `history` and `compare` and for programs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from planrunner.base.documents import JsonObject
+from planrunner.base.findings import COMMAND_LINE, InputError, closest
+from planrunner.base.progress import Announce
+from planrunner.night.history.gauge import GaugeStudy, UnbalancedError, gauge_study
+from planrunner.night.history.index import Index
+from planrunner.night.history.rows import FaultRow, RunFilter, RunRow
+from planrunner.night.history.trend import Trend, trend
+from planrunner.plan.quantity import parse_quantity
+
+RUNS_FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class RunList:
+    """runs: those that pass the filter, the newest first; total: their number without its limit; faults: folders that are not in the
+    index."""
+
+    runs: tuple[RunRow, ...]
+    total: int
+    faults: tuple[FaultRow, ...]
+
+    def to_json(self) -> JsonObject:
+        """See schemas/runs.schema.json."""
+        return {
+            "planrunner_runs": RUNS_FORMAT,
+            "total": self.total,
+            "runs": [run.to_json() for run in self.runs],
+            "faults": [{"folder": fault.folder, "message": fault.message} for fault in self.faults],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Freshness:
+    """How an index is brought up to date before it is asked. refresh: new and changed runs are read; rebuild: all runs are."""
+
+    refresh: bool = True
+    rebuild: bool = False
+    notice: Announce | None = None
+
+
+def opened(archive: Path, index: str | None, fresh: Freshness) -> Index:
+    """The index of an archive, up to date. Close it. Raises `InputError`."""
+    found = Index.open(archive, index)
+    try:
+        if fresh.refresh or fresh.rebuild:
+            found.refresh(rebuild=fresh.rebuild, notice=fresh.notice)
+    except BaseException:
+        found.close()
+        raise
+    return found
+
+
+def list_runs(index: Index, wanted: RunFilter) -> RunList:
+    return RunList(tuple(index.runs(wanted)), index.count(wanted), tuple(index.faults()))
+
+
+def coefficients_of(index: Index, device: str) -> list[str]:
+    """The coefficients that any run of a device has. Raises `InputError` for an unknown device."""
+    known = index.quantities(device)
+    if not known:
+        devices = [one.device for one in index.devices() if one.device]
+        message = f"no run in {index.archive} has results of a device '{device[:60]}'"
+        raise InputError.at(COMMAND_LINE, "history-unknown-device", message, closest(device, devices))
+    return known
+
+
+def trend_of(index: Index, device: str, quantity: str, tolerance: str | None = None, since: str = "") -> Trend:
+    """The trend of a coefficient of a device. tolerance: permissible deviation, such as `0.5 deg/h`. Raises `InputError` for an unknown
+    device or coefficient."""
+    known = coefficients_of(index, device)
+    if quantity not in known:
+        message = f"no run of '{device}' has a coefficient '{quantity[:60]}'"
+        raise InputError.at(COMMAND_LINE, "history-unknown-coefficient", message, closest(quantity, known))
+    points = index.history(device, quantity, since)
+    found = trend(device, quantity, points)
+    if tolerance is None:
+        return found
+    return trend(device, quantity, points, _tolerance(tolerance, found.unit))
+
+
+def gauge_of(index: Index, quantity: str, wanted: RunFilter) -> tuple[GaugeStudy, str]:
+    """The gauge study of a coefficient in the runs that pass the filter, and its unit. Raises `InputError` if they do not fill a design."""
+    points = [point for point in index.points(quantity, wanted) if math.isfinite(point.coefficient.value)]
+    units = {point.coefficient.unit for point in points}
+    hint = "choose runs with --device, --plan, --since and --until that have every combination at least twice"
+    if len(units) != 1:
+        what = f"no run has a coefficient '{quantity[:60]}'" if not units else "the runs state different units"
+        raise InputError.at(COMMAND_LINE, "gauge-design", what, hint)
+    labels = {
+        "device": [point.run.device for point in points],
+        "operator": [point.run.operator for point in points],
+        "bench": [point.run.bench for point in points],
+    }
+    try:
+        return gauge_study(labels, [point.coefficient.value for point in points]), units.pop()
+    except UnbalancedError as error:
+        raise InputError.at(COMMAND_LINE, "gauge-design", f"the runs are no balanced study: {error}", hint) from None
+
+
+def _tolerance(text: str, unit: str) -> float:
+    from planrunner.plan.units import unit as unit_of
+
+    try:
+        stated, own = parse_quantity(text), unit_of(unit)
+        if stated.unit.dimension == own.dimension and stated.value > 0:
+            return own.from_si(stated.value) - own.from_si(0.0)
+    except ValueError:
+        pass
+    message = f"'{text[:40]}' is not a permissible deviation in {unit}"
+    raise InputError.at(COMMAND_LINE, "command-usage", message, f"write for example --tolerance '0.5 {unit}'")
