@@ -297,7 +297,7 @@
     return moments.map((seconds) => new Date(1000 * seconds).toISOString().slice(whole ? 0 : 5, whole ? 10 : 16).replace("T", " "));
   };
 
-  // A coefficient over time: values with U = 2u, and the limits of the plans.
+  // A coefficient over time: values with U = 2u, the limits of the plans, and the control limits.
   const course = (host, one) => {
     const chart = make("div", { role: "img", "aria-label": `${one.quantity} over time; the table below gives the numbers` });
     const fit = (value, u, side) => (value === null ? null : value + side * 2 * (u || 0));
@@ -315,15 +315,17 @@
           cell(digits(one.u[index] === null ? null : 2 * one.u[index], 3), "number"),
           cell(digits(one.plan_lower[index], 6), "number"),
           cell(digits(one.plan_upper[index], 6), "number"),
+          cell(digits(one.control_lower[index], 6), "number"),
+          cell(digits(one.control_upper[index], 6), "number"),
           cell(runs[place].bench || "–"),
           cell(verdict(runs[place])),
         ),
       )
       .reverse();
-    const titles = [["Run"], ["Value", "number"], ["U (k = 2)", "number"], ["Limit of the plan, lower", "number"], ["upper", "number"], ["Bench"], ["Verdict"]];
+    const titles = [["Run"], ["Value", "number"], ["U (k = 2)", "number"], ["Limit of the plan, lower", "number"], ["upper", "number"], ["Control limit, lower", "number"], ["upper", "number"], ["Bench"], ["Verdict"]];
     host.replaceChildren(
       make("figure", { cls: "chart" }, make("figcaption", { text: `${one.quantity}${one.unit ? `, ${one.unit}` : ""}` }), chart),
-      make("p", { cls: "soft", text: "Points: values. Band: U = 2u. Dotted: limits of the plans." }),
+      make("p", { cls: "soft", text: "Points: values. Band: U = 2u. Dashed: Shewhart control limits. Dotted: limits of the plans." }),
       table(`${one.quantity}${one.unit ? ` in ${one.unit}` : ""}, the newest first`, titles, rows.slice(0, 500)),
     );
     new uPlot(
@@ -339,12 +341,14 @@
           line("U", "--band"),
           line("U", "--band"),
           { label: "value", stroke: colour("--line"), width: 1, points: { show: true, size: 5, fill: colour("--line") } },
+          line("control limit", "--care", [8, 5]),
+          line("control limit", "--care", [8, 5]),
           line("limit of the plan", "--bad", [2, 4]),
           line("limit of the plan", "--bad", [2, 4]),
         ],
         bands: [{ series: [2, 1], fill: colour("--band") }],
       },
-      [when, low, high, one.value, one.plan_lower, one.plan_upper],
+      [when, low, high, one.value, one.control_lower, one.control_upper, one.plan_lower, one.plan_upper],
       chart,
     );
   };

@@ -28,6 +28,7 @@ from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.base.progress import Announce, Pace
 from planrunner.base.shipped import shipped_bytes
 from planrunner.night import record
+from planrunner.night.history.control_charts import control_charts
 from planrunner.night.history.index import Index
 from planrunner.night.history.rows import CoefficientRow, LimitRow, RunRow
 
@@ -182,8 +183,9 @@ def _reports(archive: Path, run: RunRow) -> Iterator[str]:
 
 
 def _series(quantity: str, unit: str, found: Sequence[_Point]) -> Json:
-    """A coefficient of a device over time, the oldest run first, with the limits of the plans."""
+    """A coefficient of a device over time, the oldest run first, with the limits of the plans and control limits."""
     ordered = list(reversed(found))
+    lower, upper = _control_limits([point.row for point in ordered])
     return {
         "quantity": quantity,
         "unit": unit,
@@ -192,7 +194,23 @@ def _series(quantity: str, unit: str, found: Sequence[_Point]) -> Json:
         "u": [_finite(point.row.standard_uncertainty) for point in ordered],
         "plan_lower": [_finite(max((one.lower for one in point.limits), default=math.nan)) for point in ordered],
         "plan_upper": [_finite(min((one.upper for one in point.limits), default=math.nan)) for point in ordered],
+        "control_lower": lower,
+        "control_upper": upper,
     }
+
+
+def _control_limits(rows: Sequence[CoefficientRow]) -> tuple[list[Json], list[Json]]:
+    """Lower and upper Shewhart limits of each value; None where a value or its uncertainty is missing, or if there are no limits."""
+    usable = [k for k, row in enumerate(rows) if math.isfinite(row.value) and math.isfinite(row.standard_uncertainty)]
+    lower: list[Json] = [None] * len(rows)
+    upper: list[Json] = [None] * len(rows)
+    charts = None
+    if len(usable) > 1:
+        charts = control_charts([rows[k].value for k in usable], [rows[k].standard_uncertainty for k in usable])
+    if charts is not None:
+        for k, low, high in zip(usable, charts.shewhart.lower.tolist(), charts.shewhart.upper.tolist(), strict=True):
+            lower[k], upper[k] = low, high
+    return lower, upper
 
 
 def _finite(value: float) -> float | None:

@@ -88,6 +88,23 @@ def test_a_coefficient_has_its_values_and_limits_in_order(index: Index, tmp_path
     assert series["plan_lower"] == [-0.5] * 3 and series["plan_upper"] == [0.5] * 3
 
 
+def test_control_limits_are_those_of_the_handbook(index: Index, tmp_path: Path) -> None:
+    """Without stated uncertainty: mean ± 3 MR/1.128 (NIST/SEMATECH e-Handbook, 6.3.2.2, with its example of ten flow rates)."""
+    rates = (49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1)
+    rows = []
+    for day, rate in enumerate((*rates, float("nan")), 1):
+        folder = f"202601{day:02d}T000000Z-flow-{day:06d}"
+        created = f"2026-01-{day:02d}T00:00:00.000000+00:00"
+        row = RunRow(folder, folder, created, "flow", "", "A", "b", "", "", "", "sealed", "none", 1, 0)
+        rows.append(IndexedRun(folder, "", row, (CoefficientRow("flow.rate", rate, "l/h", 0.0, 9.0),)))
+    index._write(rows)
+    build_site(index, tmp_path / "site")
+    (series,) = data_of(tmp_path / "site")["device-0"]
+    assert series["control_lower"][:10] == pytest.approx([45.8] * 10, abs=0.06)  # 50.81 - 3 * 1.8778 / 1.128
+    assert series["control_upper"][:10] == pytest.approx([55.8] * 10, abs=0.06)
+    assert series["control_lower"][10] is series["control_upper"][10] is None
+
+
 def test_a_site_is_replaced_and_nothing_else_is(index: Index, tmp_path: Path) -> None:
     place = tmp_path / "site"
     filled(index, 3)
