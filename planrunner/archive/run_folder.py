@@ -1,7 +1,7 @@
 """Writing a run folder: created atomically, extended event by event and segment by segment, then sealed.
 
     runs/<UTC time>-<plan name>-<short id>/
-      run.json  plan.yaml  bench.yaml  journal.jsonl  segments/  seal.json  analyses/
+      run.json  plan.yaml  bench.yaml  approvals.json  journal.jsonl  segments/  seal.json  analyses/
 
 Acknowledged data are never changed or removed. An interrupted segment keeps its finished parts. They count if the plan says `on_break:
 keep`; otherwise they are kept with the reason, in addition to the repeated segment.
@@ -40,7 +40,7 @@ from planrunner.archive.segment_file import (
 from planrunner.archive.stamp_files import keep_stamp
 from planrunner.archive.storage import ASIDE, Durability, Storage, digest
 from planrunner.archive.summaries import METADATA, to_text
-from planrunner.archive.verifying import BENCH, MENDED, PLAN, RUN, Examined, examine, open_run
+from planrunner.archive.verifying import APPROVALS, BENCH, MENDED, PLAN, RUN, Examined, examine, open_run
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
@@ -116,14 +116,16 @@ class RunWriter:
         seed: int | None = None,
         storage: Storage | None = None,
         identity: str | None = None,
+        approvals: bytes | None = None,
     ) -> RunWriter:
         """A new run folder in `root`, which is created if absent.
 
         identity: the last part of its name, hexadecimal digits; random by default. A caller that must find the folder again, even if it
         is killed, chooses it.
 
-        info: JSON data given with the run (device serial, operator, ambient …). If the folder has a log, the run is entered as begun.
-        Raises `InputError` when it cannot be written, and `IntegrityError` for a log that was changed.
+        info: JSON data given with the run (device serial, operator, ambient …). approvals: content of approvals.json, if the bench requires
+        approvals. If the folder has a log, the run is entered as begun. Raises `InputError` when it cannot be written, and
+        `IntegrityError` for a log that was changed.
         """
         storage = storage or Storage(durability)
         now = datetime.now(UTC)
@@ -146,6 +148,8 @@ class RunWriter:
                 size = len(content.entries)
                 run["log"] = {"origin": content.origin, "size": size, "root": content.root(size)}
             given = {RUN: formats.to_bytes(run), PLAN: plan_bytes, BENCH: bench_bytes}
+            if approvals is not None:
+                given[APPROVALS] = approvals
             return cls._build(root, name, given, storage)
         except OSError as error:
             hint = "choose another folder for runs, or change its permissions"

@@ -16,7 +16,7 @@ from planrunner.archive.recording import RecordedSegment, WatcherOf
 from planrunner.archive.segment_file import SegmentData
 from planrunner.archive.statistics import statistics_of
 from planrunner.archive.summaries import summarised
-from planrunner.archive.verifying import BENCH, MENDED, PLAN, Examined, examine, open_run
+from planrunner.archive.verifying import APPROVALS, BENCH, MENDED, PLAN, Examined, examine, open_run
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding
 from planrunner.base.guarded_folder import GuardedFolder
@@ -32,6 +32,7 @@ class RunReader:
 
     run: the content of run.json. torn: bytes of an incomplete last line of the journal. first: digest of its first line. basis: the data
     that an analysis is made from. analyses: oldest first. findings: warnings, such as that the run is not sealed.
+    approvals: content of approvals.json, if the bench required approvals.
     """
 
     folder: GuardedFolder
@@ -45,6 +46,7 @@ class RunReader:
     basis: Basis
     analyses: tuple[StoredAnalysis, ...]
     findings: tuple[Finding, ...]
+    approvals: bytes | None = None
 
     @classmethod
     def open(cls, path: Path, *, to_reopen: bool = False) -> RunReader:
@@ -72,6 +74,7 @@ class RunReader:
             found.basis,
             found.analyses,
             tuple(found.findings),
+            found.given.get(APPROVALS),
         )
 
     # -- what was run --------------------------------------------------------------------------------------------------

@@ -34,10 +34,25 @@ from planrunner.base.findings import Finding, Findings, InputError, Mark
 from planrunner.base.guarded_folder import Entry, GuardedFolder, NotOrdinaryError
 from planrunner.bench.watchdog_report import NAME as WATCHDOG
 
-RUN, PLAN, BENCH = "run.json", "plan.yaml", "bench.yaml"
+RUN, PLAN, BENCH, APPROVALS = "run.json", "plan.yaml", "bench.yaml", "approvals.json"
 MOST_GIVEN = 2**20
 """Maximum size in bytes of run.json, the plan and the bench."""
-FILES = {RUN, PLAN, BENCH, JOURNAL, seals.NAME, LOCK, pausing.NAME, live.NAME, live.ANSWER, ORIGIN, WATCHDOG}
+MOST_OF_APPROVALS = 2**26
+"""Maximum size in bytes of approvals.json, which contains the meaning of the plan segment by segment."""
+FILES = {
+    RUN,
+    PLAN,
+    BENCH,
+    APPROVALS,
+    JOURNAL,
+    seals.NAME,
+    LOCK,
+    pausing.NAME,
+    live.NAME,
+    live.ANSWER,
+    ORIGIN,
+    WATCHDOG,
+}
 SIGNATURES = "signatures"
 """Folder of the electronic signatures; `planrunner.signing.run_signatures` verifies its contents."""
 FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # files that they create in every folder that is opened
@@ -81,6 +96,7 @@ CHANGES: Mapping[str, Change] = MappingProxyType(
         "log-run-removed": "removed",
         "log-run-added": "added",
         "log-run-replaced": "replaced",
+        "run-approval": "altered",
     }
 )
 """Code of a finding → the change that it reports."""
@@ -171,7 +187,7 @@ def examine(folder: GuardedFolder, *, samples: SampleCheck = "sizes") -> Examine
     _read_analyses(found, standing)
     if not _read_journal(found):
         return found
-    _check_given(found)
+    _check_given(found, standing)
     _check_seal(found, standing)
     _check_chain(found)
     _check_times(found)
@@ -257,17 +273,17 @@ def _read_journal(found: Examined) -> bool:
     return True
 
 
-def _check_given(found: Examined) -> None:
-    """Checks plan, bench and run.json against the first event of the journal."""
+def _check_given(found: Examined, standing: RecordedEntries) -> None:
+    """Checks plan, bench, run.json and approvals against the first event of the journal."""
     assert found.state is not None
     for name, expected in found.state.created["files"].items():
-        if name not in (RUN, PLAN, BENCH):
+        if name not in (RUN, PLAN, BENCH, APPROVALS):
             found.error(
                 "run-changed",
                 f"{found.folder.path / JOURNAL}:1: it names a file that is not part of the start of a run, {name[:60]!r}",
             )
             continue
-        data = _read(found, name, MOST_GIVEN)
+        data = _read(found, name, MOST_OF_APPROVALS if name == APPROVALS else MOST_GIVEN)
         if data is None:
             continue
         own = digest(data)
@@ -281,6 +297,8 @@ def _check_given(found: Examined) -> None:
                 found.error(fault.code, str(fault), hint="")
             continue
         found.given[name] = data
+    if APPROVALS not in found.state.created["files"] and APPROVALS in standing:
+        found.error("run-unknown-file", f"{found.folder.path / APPROVALS}: this run began without approvals")
     if RUN in found.given:
         path = found.folder.path / RUN
         with _collecting(found):

@@ -17,6 +17,7 @@ from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, InputError, Mark, closest, nearest
 from planrunner.base.shipped import shipped
+from planrunner.bench.approval_rule import APPROVALS, ApprovalRule
 from planrunner.bench.calibration import LINE, Calibration, Laboratory, check_dates
 from planrunner.bench.protection import PROTECTION, Protection, kept_chamber, kept_table
 from planrunner.bench.simulation import SimulationSpec
@@ -227,6 +228,12 @@ class Bench(Record):
         RecordOf(TimeStampsSpec),
         "Time stamps of the journal and the seal of every run, from an authority.",
         {"url": "https://tsa.example.org/tsr", "every": "10 min", "certificate": "-----BEGIN CERTIFICATE----- …"},
+        default=None,
+    )
+    approvals: ApprovalRule | None = key(
+        APPROVALS,
+        "Approvals that a plan needs before it may run on this bench; without this key, plans need none.",
+        {"keys": "lab-keys.yaml", "required": 2, "roles": ["reviewer"]},
         default=None,
     )
     specification: Specification | None = key(

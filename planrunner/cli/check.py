@@ -19,6 +19,7 @@ from planrunner.cli.printing import columns, print_findings, print_json
 from planrunner.cli.progress import reading_progress
 from planrunner.cli.suites import add_suite_arguments, checked_suite, require_usable, suite_summary
 from planrunner.reporting.budgets import shown_unit
+from planrunner.reporting.printable import printable
 from planrunner.reporting.words import duration
 from planrunner.tasks.check import Checked, Sound, check_plan
 from planrunner.tasks.check_suite import is_suite
@@ -125,6 +126,9 @@ def summary(checked: Checked, looked_over: bool = True) -> str:
     prompts = sum(len(segment.prompts) for segment in checked.schedule.segments)
     if prompts and not runs_on_virtual_clock(checked.bench):
         lines.append(f"  asks the operator {_count(prompts, 'time')}")
+    if checked.approvals is not None:
+        names = ", ".join(one.name for one in checked.approvals.approvals)
+        lines.append(f"  approved by {printable(names, keep='')}")
     lines.append("  safe state in this order: " + ", ".join(safe_order(checked.bench)))
     return "\n".join(lines)
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from datetime import date
 from pathlib import Path
 
 from planrunner.base.findings import COMMAND_LINE, InputError, Mark
 from planrunner.cli import exit_codes
+from planrunner.cli.dates import day_of
 from planrunner.cli.passphrase import add_passphrase, passphrase
 from planrunner.cli.printing import print_json, write_file, write_new
 
@@ -54,7 +54,8 @@ def _show(args: argparse.Namespace) -> int:
 def _add(args: argparse.Namespace) -> int:
     import re
 
-    from planrunner.signing.key_ring import NAME, ROLE, entry_text, read_ring
+    from planrunner.bench.approval_rule import ROLE
+    from planrunner.signing.key_ring import NAME, entry_text, read_ring
     from planrunner.signing.keys import read_public
 
     key = read_public(args.file)
@@ -63,12 +64,7 @@ def _add(args: argparse.Namespace) -> int:
         message = f"'{(wrong or [args.name])[0]}' is not a name for a key ring"
         hint = "use letters, digits, - and _, beginning with a letter; roles are in lower case"
         raise InputError.at(COMMAND_LINE, "key-name", message, hint)
-    if args.until is not None:
-        try:
-            date.fromisoformat(args.until)
-        except ValueError:
-            message = f"'{args.until}' is not a calendar date"
-            raise InputError.at(COMMAND_LINE, "meaning-date", message, "write for example 2028-12-31") from None
+    day_of(args.until)
     text = "planrunner_keys: 1\nkeys:\n"
     if args.ring.exists():
         from planrunner.plan.source import read_text

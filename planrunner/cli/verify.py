@@ -104,6 +104,13 @@ def _show(name: str, verification: Verification) -> None:
         times = sorted(one.time for one in dated)
         standing = "valid" if valid else "NOT VERIFIED: by the certificate in the bench file of the run only"
         _say(f"    {len(dated)} time stamps, {times[0]} to {times[-1]}: {standing}")
+    for approval in verification.approvals:
+        known = approval.judged.key
+        if approval.judged.standing == "counts":
+            owner = (
+                f"valid, key of {known.name}" if known and approval.verified else "NOT VERIFIED: no key ring was given"
+            )
+            _say(f"    plan approved by {approval.words()}: {owner}")
     for finding in verification.remarks:
         _say(f"    {finding.message}")
     for hint in dict.fromkeys(finding.hint for _, finding in verification.changes if finding.hint):

@@ -98,6 +98,7 @@ __all__ = [
     "FILE_NAME",
     "MOVE",
     "NAME",
+    "PERSON",
     "POSITION",
     "STATE_KEYS",
     "EstimateSpec",
@@ -118,6 +119,8 @@ __all__ = [
     "Turns",
 ]
 
+PERSON = r"[A-Za-z][A-Za-z0-9_.@-]{0,59}"
+"""Name of a person or a key in the key ring of a laboratory."""
 FILE_NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}"
 
 
@@ -308,6 +311,12 @@ class Plan(Record):
     )
     description: str = key(
         Text(), "What the test is for, for reviewers.", "Torquer currents at rest in eight positions.", default=""
+    )
+    author: tuple[str, ...] = key(
+        ListOf(Text(PERSON, "a name in the key ring"), single=True),
+        "Who wrote the plan, by the names in the key ring of the laboratory. A bench can require that other persons approve the plan.",
+        "carla",
+        default_factory=tuple,
     )
     bench: str = key(
         Text(r"[^\x00-\x1f]{1,200}", "a bench's name or file"),

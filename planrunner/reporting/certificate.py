@@ -24,8 +24,7 @@ from planrunner.uncertainty.decision import coverage_factor
 
 def certificate_view(context: ReportContext) -> JsonObject:
     """Keys: number, number_css (a CSS string), laboratory, told, corrected, references, conditions, events, performed, issued, plan_digest,
-    run, analysis, duration, before_run, simulated, replayed, results, has_before, rules,
-    conformity, warnings."""
+    approvals, run, analysis, duration, before_run, simulated, replayed, results, has_before, rules, conformity, warnings."""
     facts = context.certificate
     if facts is None:
         facts = CertificateFacts("")
@@ -49,6 +48,7 @@ def certificate_view(context: ReportContext) -> JsonObject:
         "performed": _span(*facts.performed),
         "issued": facts.issued,
         "plan_digest": facts.plan_digest,
+        "approvals": list(facts.approvals),
         "run": facts.run,
         "analysis": context.provenance.get("analysis", ""),
         "duration": words.duration(facts.duration) if facts.duration else "",

@@ -34,9 +34,9 @@ class CertificateFacts:
 
     laboratory: the bench file's `laboratory`. told: run information, from the run and from the issue of the certificate; corrected: names
     that were changed at the issue → value recorded with the run. performed: first and last day of the run. conditions: (name, text).
-    events: deviations from the method, as (kind, segment, reason) with the kinds truncated, rejected, fault. before: estimates of the run
-    before the adjustment, by name. duration: time from the first to the last sample, s. simulated: no real item was measured; replayed: a
-    recording was played back.
+    events: deviations from the method, as (kind, segment, reason) with the kinds truncated, rejected, fault. approvals: of the plan, each
+    with person, time and key. before: estimates of the run before the adjustment, by name. duration: time from the first to the last
+    sample, s. simulated: no real item was measured; replayed: a recording was played back.
     """
 
     run: str
@@ -49,6 +49,7 @@ class CertificateFacts:
     performed: tuple[str, str] = ("", "")
     issued: str = ""
     plan_digest: str = ""
+    approvals: tuple[str, ...] = ()
     before: Mapping[str, Estimate] = field(default_factory=dict)
     before_run: str = ""
     duration: float | None = None

@@ -127,7 +127,8 @@ def meaning_of_plan(plan: Plan, bench: Bench | None = None) -> Meaning:
         "diagnosis": _selecting(plan.diagnosis or DiagnosisSpec(), labels, names),
         "report": _in_order([_of(name) for name in dict.fromkeys(plan.report)]),
     }
-    return Meaning("plan", content, {"title": plan.title, "description": plan.description})
+    texts = {"title": plan.title, "description": plan.description, "author": ", ".join(plan.author)}
+    return Meaning("plan", content, texts)
 
 
 def meaning_of_bench(bench: Bench) -> Meaning:
@@ -138,6 +139,18 @@ def meaning_of_bench(bench: Bench) -> Meaning:
     content["clock"] = _of("virtual" if runs_on_virtual_clock(bench) else "wall")
     content["safe_order"] = [_of(name) for name in safe_order(bench)]
     return Meaning("bench", content, {"description": bench.description})
+
+
+def procedure_of(plan: Plan) -> Meaning:
+    """The meaning of a plan apart from its bench: what an approval covers, together with the benches that it names. Raises `InputError`."""
+    meaning = meaning_of_plan(plan)
+    return replace(meaning, content={name: part for name, part in meaning.content.items() if name != "bench"})
+
+
+def equipment_of(bench: Bench) -> Meaning:
+    """The meaning of a bench apart from the approvals that it requires: a change of the rules does not change what was approved."""
+    meaning = meaning_of_bench(bench)
+    return replace(meaning, content={name: part for name, part in meaning.content.items() if name != "approvals"})
 
 
 def plain(branch: Branch) -> Json:

@@ -15,12 +15,13 @@ from datetime import date
 from pathlib import Path
 
 from planrunner.base.findings import Findings, InputError
+from planrunner.bench.approval_rule import ROLE
 from planrunner.plan import source
 from planrunner.plan.kinds import ListOf, MapOf, Number, Record, RecordOf, Text, key
+from planrunner.plan.model import PERSON
 from planrunner.signing.keys import PublicKey, parse_public
 
-NAME = r"[A-Za-z][A-Za-z0-9_.@-]{0,59}"
-ROLE = r"[a-z][a-z0-9_-]{0,39}"
+NAME = PERSON
 _DATE = r"[0-9]{4}-[0-9]{2}-[0-9]{2}"
 _DAY = Text(_DATE, "a date", "write for example 2026-03-01")
 
@@ -35,6 +36,12 @@ class KeyEntry(Record):
     )
     roles: tuple[str, ...] = key(
         ListOf(Text(ROLE, "a role")), "Roles of the owner.", ["reviewer"], default_factory=tuple
+    )
+    person: str | None = key(
+        Text(NAME, "a name in the key ring"),
+        "Name of the person, if the person has several keys; by default the name of the entry.",
+        "anna",
+        default=None,
     )
     from_: str | None = key(_DAY, "First day on which the key is valid.", "2026-01-01", default=None, name="from")
     until: str | None = key(_DAY, "Last day on which the key is valid.", "2028-12-31", default=None)
@@ -57,7 +64,7 @@ class KeyRingFile(Record):
 
 @dataclass(frozen=True, slots=True)
 class KnownKey:
-    """A key of the ring with its owner. Dates are None where the ring gives none."""
+    """A key of the ring with its owner. Dates are None where the ring gives none. owner: the person, if not the name of the key."""
 
     name: str
     public: PublicKey
@@ -65,6 +72,12 @@ class KnownKey:
     begins: date | None = None
     ends: date | None = None
     revoked: date | None = None
+    owner: str = ""
+
+    @property
+    def person(self) -> str:
+        """Who has the key: several keys may belong to one person."""
+        return self.owner or self.name
 
     def objection(self, day: date) -> str:
         """Why a signature that gives this day does not count; empty if it counts.
@@ -89,6 +102,11 @@ class KeyRing:
     def find(self, fingerprint: str) -> KnownKey | None:
         return self.keys.get(fingerprint)
 
+    def person(self, name: str) -> str | None:
+        """The person with this name, or with a key of this name; None if the ring has neither."""
+        named = {one.name: one.person for one in self.keys.values()}
+        return named.get(name, name if name in named.values() else None)
+
 
 def read_ring(path: Path) -> KeyRing:
     """The key ring in a file. Raises `InputError` with all faults, among them keys that occur twice."""
@@ -103,7 +121,7 @@ def parse_ring(text: str, shown: str) -> KeyRing:
         raise InputError(log)
     found: dict[str, KnownKey] = {}
     for name, entry in file.keys.items():
-        days = [_day(entry, stated, log) for stated in ("from", "until", "revoked")]
+        begins, ends, revoked = (_day(entry, stated, log) for stated in ("from", "until", "revoked"))
         try:
             public = parse_public(entry.public)
         except ValueError as error:
@@ -113,7 +131,7 @@ def parse_ring(text: str, shown: str) -> KeyRing:
             other = found[public.fingerprint].name
             message = f"this is the key of '{other}' too"
             log.error("key-twice", entry.at("public"), message, "each key has one owner: remove one of them")
-        found[public.fingerprint] = KnownKey(name, public, entry.roles, *days)
+        found[public.fingerprint] = KnownKey(name, public, entry.roles, begins, ends, revoked, entry.person or "")
     if log.errors:
         raise InputError(log)
     return KeyRing(found)

@@ -172,7 +172,24 @@ def parse_public(line: str) -> PublicKey:
     key = PublicKey(blob[-32:])
     if blob != key.blob:
         raise ValueError("this is not an Ed25519 public key")
+    if bytes([*key.raw[:-1], key.raw[-1] & 0x7F]) in _OF_SMALL_ORDER:
+        raise ValueError("this public key is weak: anybody can make signatures that match it")
     return key
+
+
+_OF_SMALL_ORDER = frozenset(
+    bytes.fromhex(text)
+    for text in (
+        "00" * 32,
+        "01" + "00" * 31,
+        "26e8958fc2b227b045c3f489f2ef98f0d5dfac05d3c63339b13802886d53fc05",
+        "c7176a703d4dd84fba3c0b760d10670f2a2053fa2c39ccc64ec7fd7792ac037a",
+        "ec" + "ff" * 30 + "7f",
+        "ed" + "ff" * 30 + "7f",
+        "ee" + "ff" * 30 + "7f",
+    )
+)
+"""Encodings of the points of order 1, 2, 4 and 8, without the bit of the sign. RFC 8032 does not exclude them as public keys."""
 
 
 def _read(path: Path) -> bytes:

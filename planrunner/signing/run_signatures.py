@@ -21,20 +21,14 @@ from planrunner.archive.journal import NAME as JOURNAL
 from planrunner.archive.journal import utc_now
 from planrunner.archive.storage import ASIDE, Storage, digest_of
 from planrunner.archive.verifying import BENCH, MOST_GIVEN, PLAN, RUN, SIGNATURES
-from planrunner.base.documents import Json, JsonObject
-from planrunner.base.findings import InputError, Mark
+from planrunner.base.documents import JsonObject
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.signing.envelope import Envelope, EnvelopeError, parse_envelope, seal_envelope
 from planrunner.signing.key_ring import KeyRing
 from planrunner.signing.keys import Signer
+from planrunner.signing.statement import MOST_BYTES, PAYLOAD, STATEMENT, payload_of, read_statement, require_line
 
-PAYLOAD = "application/vnd.in-toto+json"
-STATEMENT = "https://in-toto.io/Statement/v1"
 PREDICATE = "https://in-toto.io/attestation/test-result/v0.1"
-MOST_BYTES = 2**20
-"""Maximum size in bytes of a signature."""
-MOST_LETTERS = 200
-"""Maximum length of the name of a signer and of a comment."""
 
 SignatureMeaning = Literal["reviewed", "approved", "released"]
 MEANINGS: tuple[SignatureMeaning, ...] = get_args(SignatureMeaning)
@@ -98,12 +92,10 @@ def sign_run(
 
     run: its name. Raises `InputError` for a name or comment that cannot be printed, and `OSError`.
     """
-    for what, text, least in (("name", name, 1), ("comment", comment, 0)):
-        if not least <= len(text.strip()) or len(text) > MOST_LETTERS or not text.isprintable():
-            message = f"the {what} must be one line of printable text with at most {MOST_LETTERS} characters"
-            raise InputError.at(Mark(str(folder.path)), "sign-text", message, "shorten it, or correct it")
+    require_line(str(folder.path), "name", name, 1)
+    require_line(str(folder.path), "comment", comment)
     made = statement(run, _subjects(folder), result, meaning, name, comment)
-    envelope = seal_envelope(PAYLOAD, _payload(made), signer)
+    envelope = seal_envelope(PAYLOAD, payload_of(made), signer)
     storage = Storage()
     if folder.entry(SIGNATURES) is None:
         storage.make_folder(folder, SIGNATURES)
@@ -172,11 +164,7 @@ def _with(claimed: RunSignature, standing: SignatureStanding, why: str, owner: s
 
 def _read(file: str, envelope: Envelope) -> tuple[dict[str, str], RunSignature, str]:
     """Subjects, claims and name of the run of an envelope. Raises ValueError, KeyError or TypeError for any other form."""
-    value = from_bytes(envelope.payload)
-    if not isinstance(value, dict) or _payload(value) != envelope.payload:
-        raise ValueError
-    if value["_type"] != STATEMENT or value["predicateType"] != PREDICATE:
-        raise ValueError
+    value = read_statement(envelope.payload, PREDICATE)
     listed = [(one["name"], one["digest"]["sha256"]) for one in value["subject"]]
     predicate = value["predicate"]
     told = predicate["signature"]
@@ -243,10 +231,3 @@ def _subjects(folder: GuardedFolder, before: str | None = None) -> dict[str, str
 def _digest(folder: GuardedFolder, name: str, limit: int) -> str:
     with folder.open_file(name, limit) as file:
         return digest_of(file)
-
-
-def _payload(value: Json) -> bytes:
-    """Canonical JSON (RFC 8785)."""
-    import rfc8785
-
-    return rfc8785.dumps(value)

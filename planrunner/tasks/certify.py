@@ -29,6 +29,7 @@ from planrunner.reporting.certificate_requirements import (
     room_condition,
 )
 from planrunner.reporting.context import CertificateFacts, Traced
+from planrunner.tasks.approvals import approved_by
 from planrunner.tasks.check import Sound
 
 ISSUED = "issued.json"  # stored with a certificate: its number, and the certificate that it amends
@@ -60,6 +61,7 @@ def facts(
         performed=(_day(reader.run["created"]), _day(reader.seal["sealed"]) if reader.seal else ""),
         issued=told.get("date_issued") or datetime.now(UTC).date().isoformat(),
         plan_digest=str(reader.state.created["files"]["plan.yaml"]),
+        approvals=tuple(text for _, text in approved_by(reader)),
         before=dict(before or {}),
         before_run=before_run,
         duration=duration_of(item.statistics for item in segments),

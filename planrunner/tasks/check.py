@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import field
-from datetime import date
+from datetime import date, datetime, time
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, InputError, Mark, closest
@@ -35,6 +36,9 @@ from planrunner.reporting.certificate_requirements import check_certificate
 from planrunner.reporting.sandbox import available
 from planrunner.uncertainty.stated_inputs import check_backed, check_vertical, stated_inputs
 
+if TYPE_CHECKING:
+    from planrunner.review.approval_files import KeptApprovals
+
 # Belsley, Kuh & Welsch (1980): condition indices of scaled columns above 30 mean strong dependence between terms.
 ILL_CONDITIONED = 30.0
 HOPELESS = 1e6
@@ -42,7 +46,8 @@ HOPELESS = 1e6
 
 @dataclass(slots=True)
 class Checked:
-    """A plan as far as it could be read and checked. plan_bytes, bench_bytes: the exact bytes read."""
+    """A plan as far as it could be read and checked. plan_bytes, bench_bytes: the exact bytes read. approvals: those that the bench
+    requires, if the plan has them."""
 
     file: str
     findings: Findings
@@ -54,6 +59,7 @@ class Checked:
     judged: dict[str, tuple[Identifiability, ...]] = field(default_factory=dict)
     plan_bytes: bytes = b""
     bench_bytes: bytes = b""
+    approvals: KeptApprovals | None = None
 
     @property
     def setup(self) -> Setup:
@@ -94,12 +100,14 @@ class Checked:
             self.setup,
             self.plan_bytes,
             self.bench_bytes,
+            self.approvals,
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Sound:
-    """A plan that passed its checks (warnings may remain in `findings`)."""
+    """A plan that passed its checks (warnings may remain in `findings`). approvals: those that the bench requires; a plan without them does
+    not run on such a bench."""
 
     file: str
     findings: Findings
@@ -112,6 +120,7 @@ class Sound:
     setup: Setup
     plan_bytes: bytes
     bench_bytes: bytes
+    approvals: KeptApprovals | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +136,8 @@ def check_plan(
 ) -> Checked:
     """All checks of a plan before it runs. Never raises because of the content of the files.
 
-    plan_file: path of the plan, or the plan itself; its bench is then sought relative to the shown name. bench: replaces the plan's bench:
+    plan_file: path of the plan, or the plan itself; its bench is then sought relative to the shown name. Approvals are sought beside a
+    path only: without it, a plan for a bench that requires approvals passes, but does not run. bench: replaces the plan's bench:
     a shipped name or a file relative to the working folder, exactly this path, or the bench itself. today: the day on which calibrations
     must be valid, by default the current day.
     """
@@ -158,7 +168,20 @@ def check_plan(
             if checked.models is not None:
                 check_backed(checked.bench, checked.models, log)
                 check_vertical(checked.bench, checked.models, log)
+            if isinstance(plan_file, Path):
+                _check_approvals(checked, plan_file, plan, checked.bench, today)
     return checked
+
+
+def _check_approvals(checked: Checked, plan_file: Path, plan: Plan, bench: Bench, today: date | None) -> None:
+    """A plan with errors is not judged: it cannot run, and correcting it may change its meaning."""
+    if bench.approvals is None or checked.findings.errors:
+        return
+    from planrunner.tasks.approvals import required_approvals
+
+    moment = datetime.now() if today is None else datetime.combine(today, time(23, 59, 59))
+    args = plan_file, checked.plan_bytes, plan, bench, moment.astimezone(), checked.findings
+    checked.approvals = required_approvals(*args)
 
 
 _OTHER_PAGES = ("show", "design", "diagnosis", "difference", "timetable")

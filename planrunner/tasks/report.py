@@ -11,6 +11,7 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.base.documents import Json
 from planrunner.reporting import words
 from planrunner.reporting.context import CertificateFacts, ReportContext, SegmentSummary
+from planrunner.tasks.approvals import approved_by
 
 if TYPE_CHECKING:
     from planrunner.estimators.analysis import Results
@@ -53,7 +54,7 @@ def report_context(
         limits=tuple(results.limits),
         failures=results.failures,
         warnings=tuple(reader.warnings(len(sound.schedule.segments))),
-        provenance=provenance(reader, analysis, moment, seeded=_seeded(sound)),
+        provenance=provenance(reader, analysis, moment, seeded=_seeded(sound)) | _approvals(reader),
         on_top=dict(_on_top(reader, segments, analysis)) | ({"amendment": amendment} if amendment else {}),
         origin=sound.models.origin,
         certificate=certificate,
@@ -95,8 +96,15 @@ def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str
     lasted = duration_of(item.statistics for item in segments if item.statistics is not None)
     if lasted is not None:
         yield "duration of the measurements", words.duration(lasted)
+    if reader.approvals is not None:
+        yield "plan approved by", ", ".join(name for name, _ in approved_by(reader))
     if analysis:
         yield "analysis", f"{analysis} (of {max(int(analysis), len(reader.analyses))} when this report was written)"
+
+
+def _approvals(reader: RunReader) -> dict[str, str]:
+    """The approvals of the plan, under which it ran."""
+    return {f"approval {number} of the plan": text for number, (_, text) in enumerate(approved_by(reader), 1)}
 
 
 def _minute(moment: str, before: str = "") -> str:

@@ -19,6 +19,7 @@ from planrunner.observation.screening import watch_of
 from planrunner.reporting.certificate_requirements import references
 from planrunner.reporting.review_page import DigestedFile, ReviewContext, RunDeviation
 from planrunner.tasks.amendment import in_words, stored_amendment
+from planrunner.tasks.approvals import run_approvals
 from planrunner.tasks.check import Sound
 from planrunner.tasks.report import report_context
 from planrunner.tasks.run import evaluated_as, stored_results
@@ -35,6 +36,7 @@ def review_of(run: Path, number: int | None = None, notice: Announce | None = No
     """
     found = examine(open_run(run), samples="digests")
     reader = RunReader.of(found)
+    run_approvals(found, None)
     known = {one.number: one for one in reader.analyses}
     number = max(known, default=0) if number is None else number
     if number not in known:

@@ -54,6 +54,7 @@ from planrunner.tasks.amendment import (
     in_words,
     require_same_measurement,
 )
+from planrunner.tasks.approvals import still_approved
 from planrunner.tasks.certify import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
 from planrunner.tasks.check import Document, Sound, check_plan
 from planrunner.tasks.report import report_context
@@ -114,15 +115,15 @@ def start(
     None for an unattended run. identity: end of the folder's name, hexadecimal digits. Raises `InputError` and `InstrumentError` for
     obstacles to the start.
     """
+    kept = _approved(sound)
     operator = _attended(sound, operator)
     seed = sound.bench.seed if seed is None else seed
     require_space(runs, recording_bytes(sound.schedule, sound.sensor.sample_rate, len(sound.sensor.outputs) + 1))
     name = Path(sound.file).stem
 
     def create() -> RunWriter:
-        return RunWriter.create(
-            runs, name, sound.plan_bytes, sound.bench_bytes, info, durability, seed=seed, identity=identity
-        )
+        files = sound.plan_bytes, sound.bench_bytes
+        return RunWriter.create(runs, name, *files, info, durability, seed=seed, identity=identity, approvals=kept)
 
     return _carry_out(sound, data_root, seed, create, stop, progress, operator)
 
@@ -158,6 +159,19 @@ def resume(
         lock.release()
 
 
+def _approved(sound: Sound) -> bytes | None:
+    """The approvals that the run folder keeps; None if the bench requires none. Raises `InputError` if they are lacking: every run comes
+    here, however its plan was checked."""
+    bench = sound.bench
+    if bench.approvals is None:
+        return None
+    if sound.approvals is None:
+        message = f"the bench '{bench.name}' requires approvals, and this plan was not checked for them"
+        hint = "run a plan file that is approved for this bench, or use another bench"
+        raise InputError.at(bench.at("approvals"), "approval-missing", message, hint)
+    return sound.approvals.to_bytes()
+
+
 def _lock(run: GuardedFolder) -> FolderLock:
     """Raises `InputError` if another process writes to the folder, or if it cannot be written."""
     try:
@@ -189,6 +203,7 @@ def _resume(
     sound = sound_run(reader, date.today(), file)
     if file is None and not trust_bench:
         _require_made_here(reader, sound)
+    still_approved(reader, sound.plan, sound.bench, None if file is None else Path(file.shown))
     again = () if retake is None else _chosen(reader, retake.labels)
     operator = _attended(sound, operator)
     reason = None if retake is None else retake.reason

@@ -18,6 +18,7 @@ from planrunner.signing.run_signatures import (
     signature_faults,
     signatures_of,
 )
+from planrunner.tasks.approvals import run_approvals
 from planrunner.tasks.run import stored_results
 
 _RESULTS: dict[VerdictKind, TestResult] = {"pass": "PASSED", "warned": "WARNED", "fail": "FAILED", "none": "WARNED"}
@@ -37,6 +38,7 @@ def sign(run: Path, signer: Signer, meaning: SignatureMeaning, name: str, commen
         raise InputError.at(Mark(str(run)), "run-unwritable", message, "change its permissions") from None
     try:
         found = examine(folder, samples="digests")
+        run_approvals(found, None)
         found.require_whole()
         faults = [*signature_faults(folder)]
         faults += [f"{one.file}: {one.why}" for one in signatures_of(folder) if one.standing == "invalid"]

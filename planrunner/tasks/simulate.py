@@ -54,6 +54,12 @@ def simulation(plan: Path, bench: str | None, effects: Sequence[str]) -> Simulat
     if not effects:
         return Simulation(sound, ())
     additions = additions_to(sound, [parsed(text) for text in effects], OPTION)
+    if sound.bench.approvals is not None:
+        message = (
+            f"the bench '{sound.bench.name}' requires approvals, and with effects it is not the bench that was approved"
+        )
+        hint = "name a bench without `approvals` with --bench"
+        raise InputError.at(sound.bench.at("approvals"), "approval-other-bench", message, hint)
     shown = sound.bench.origin.mark.file
     text = with_effects(source.decode(sound.bench_bytes, shown), additions)
     added = Document(text.encode(), shown)

@@ -18,6 +18,7 @@ from planrunner.signing.run_signatures import RunSignature, signature_faults, si
 from planrunner.signing.run_stamps import RunStamp, verify_stamps
 from planrunner.signing.time_stamps import StampAuthority
 from planrunner.tasks.amendment import in_words, stored_amendment
+from planrunner.tasks.approvals import RunApproval, run_approvals
 
 FORMAT = 1
 
@@ -26,7 +27,8 @@ FORMAT = 1
 class Verification:
     """Result of the verification of a run folder. changes: each change with the finding that describes it; remarks: findings that are not
     changes, such as that the run is not sealed; amendments: number of an analysis → who amended which analysis, and why;
-    signatures, stamps: all electronic signatures and time stamps; an invalid one is a change too."""
+    signatures, stamps, approvals: all electronic signatures, time stamps, and approvals under which the plan ran; an invalid one is a
+    change too."""
 
     found: Examined
     changes: tuple[tuple[Change, Finding], ...]
@@ -34,6 +36,7 @@ class Verification:
     amendments: Mapping[int, str] = field(default_factory=dict)
     signatures: tuple[RunSignature, ...] = ()
     stamps: tuple[RunStamp, ...] = ()
+    approvals: tuple[RunApproval, ...] = ()
 
     @property
     def sealed(self) -> bool:
@@ -65,6 +68,7 @@ class Verification:
             ],
             "signatures": [one.to_json() for one in self.signatures],
             "stamps": [one.to_json() for one in self.stamps],
+            "approvals": [{**one.judged.to_json(), "verified": one.verified} for one in self.approvals],
         }
 
 
@@ -78,7 +82,7 @@ def verify_run(run: Path, ring: KeyRing | None = None, authority: StampAuthority
         stamps = verify_stamps(found, authority)
     except OSError as error:
         found.error("run-stamp", f"{found.folder.path / STAMPS}: {error.strerror}")
-    return replace(verification(found, signatures), stamps=stamps)
+    return replace(verification(found, signatures, run_approvals(found, ring)), stamps=stamps)
 
 
 def _signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignature, ...]:
@@ -97,7 +101,9 @@ def _signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignature, ..
     return signatures
 
 
-def verification(found: Examined, signatures: tuple[RunSignature, ...] = ()) -> Verification:
+def verification(
+    found: Examined, signatures: tuple[RunSignature, ...] = (), approvals: tuple[RunApproval, ...] = ()
+) -> Verification:
     """The changes that an examination found. An error without a kind of its own counts as an alteration."""
     changes, remarks = [], []
     for finding in found.findings:
@@ -113,7 +119,7 @@ def verification(found: Examined, signatures: tuple[RunSignature, ...] = ()) -> 
             amendment = stored_amendment(analysis)
             if amendment is not None:
                 amendments[analysis.number] = in_words(amendment)
-    return Verification(found, tuple(changes), tuple(remarks), amendments, signatures)
+    return Verification(found, tuple(changes), tuple(remarks), amendments, signatures, approvals)
 
 
 def runs_beneath(archive: Path) -> list[Path]:

@@ -22,6 +22,7 @@ PLACES = {
     "at": 1,
     "Finding": 1,
     "Remark": 0,
+    "_Reason": 0,
     "_Known": 1,
     "IntegrityError": 1,
     "_error": 1,

@@ -20,8 +20,9 @@ from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.signing.envelope import Envelope, EnvelopeError, pae, parse_envelope, seal_envelope
 from planrunner.signing.key_ring import KeyRing, KnownKey, entry_text, parse_ring, read_ring
 from planrunner.signing.keys import PrivateKey, PublicKey, parse_public, read_private, write_private
-from planrunner.signing.run_signatures import PAYLOAD, sign_run, signatures_of
+from planrunner.signing.run_signatures import sign_run, signatures_of
 from planrunner.signing.ssh_agent import AgentKey
+from planrunner.signing.statement import PAYLOAD
 from planrunner.tasks.verify import verify_run
 from tests.in_process import planrunner
 
@@ -300,3 +301,61 @@ def test_a_key_in_ssh_agent_signs(agent: dict[str, str], monkeypatch: pytest.Mon
     monkeypatch.delenv("SSH_AUTH_SOCK")
     with pytest.raises(InputError, match="no ssh-agent"):
         AgentKey(public).sign(b"message")
+
+
+# -- weak keys ---------------------------------------------------------------------------------------------------------
+
+P = 2**255 - 19
+D = -121665 * pow(121666, -1, P) % P
+
+
+def decoded(raw: bytes) -> tuple[int, int] | None:
+    """A point of edwards25519 (RFC 8032, 5.1.3), y taken modulo p; None if there is none."""
+    number = int.from_bytes(raw, "little")
+    y, sign = (number & (2**255 - 1)) % P, number >> 255
+    square = (y * y - 1) * pow(D * y * y + 1, -1, P) % P
+    x = pow(square, (P + 3) // 8, P)
+    if x * x % P != square:
+        x = x * pow(2, (P - 1) // 4, P) % P
+    if x * x % P != square:
+        return None
+    return (P - x if x % 2 != sign else x) % P, y
+
+
+def doubled(point: tuple[int, int]) -> tuple[int, int]:
+    """RFC 8032, 5.1.4, in affine coordinates, for a point added to itself."""
+    x, y = point
+    t = D * x * x * y * y
+    return 2 * x * y * pow(1 + t, -1, P) % P, (y * y + x * x) * pow(1 - t, -1, P) % P
+
+
+def of_small_order(raw: bytes) -> bool:
+    point = decoded(raw)
+    return point is not None and doubled(doubled(doubled(point))) == (0, 1)
+
+
+def test_keys_of_small_order_are_refused() -> None:
+    """All encodings of the points of order 1, 2, 4 and 8, found by the curve's own formulas: y = 0, 1, −1 and the two of order 8, each
+    with both signs, and those that exceed the modulus."""
+    order_8 = int.from_bytes(
+        bytes.fromhex("26e8958fc2b227b045c3f489f2ef98f0d5dfac05d3c63339b13802886d53fc05"), "little"
+    )
+    coordinates = [0, 1, P - 1, P, P + 1, order_8, P - order_8]
+    found = 0
+    for y in coordinates:
+        for sign in (0, 1):
+            raw = (y | sign << 255).to_bytes(32, "little")
+            if of_small_order(raw):
+                found += 1
+                with pytest.raises(ValueError, match="weak"):
+                    parse_public(PublicKey(raw).line)
+    assert found == 14
+    assert not of_small_order(ANNA.public.raw)
+    assert parse_public(ANNA.public.line) == ANNA.public
+
+
+def test_a_ring_with_a_weak_key_or_another_algorithm_is_refused() -> None:
+    weak = PublicKey(b"\x01" + bytes(31))
+    for line in (weak.line, "ssh-rsa AAAAB3NzaC1yc2EAAAADAQABAAAAgQDf", "ssh-ed25519 AAAAB3NzaC1yc2EAAAADAQABAAAAgQDf"):
+        with pytest.raises(InputError):
+            parse_ring(f"planrunner_keys: 1\nkeys:\n  eve:\n    public: {line}\n", "keys.yaml")

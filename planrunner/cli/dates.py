@@ -1,0 +1,16 @@
+"""Dates on the command line."""
+
+from __future__ import annotations
+
+from datetime import date
+
+from planrunner.base.findings import COMMAND_LINE, InputError
+
+
+def day_of(text: str | None) -> date | None:
+    """A date in ISO 8601, None if none is given. Raises `InputError`."""
+    try:
+        return None if text is None else date.fromisoformat(text)
+    except ValueError:
+        message = f"'{text}' is not a calendar date"
+        raise InputError.at(COMMAND_LINE, "meaning-date", message, "write for example 2028-12-31") from None

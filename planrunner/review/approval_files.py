@@ -1,0 +1,181 @@
+"""Approvals as files: beside a plan, and in the folder of a run.
+
+    calibration.yaml
+    calibration.yaml.approvals/
+      20260301T081100Z-4f2a9c0d11e38b57.dsse.json     one approval or withdrawal
+      20260301T081100Z-4f2a9c0d11e38b57.yaml          the plan as it was approved, for comparisons; nothing relies on it
+
+Each approval has its own file, so that several reviewers can work in branches. A file is written aside, synced and renamed: it exists
+completely or not at all. Names of files come from the time and the digest alone, never from a text that somebody stated.
+
+A run folder keeps the approvals that counted when the run began in `approvals.json`, with the canonical meanings that they cover.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+
+from planrunner.archive.formats import FROM_BACKUP, IntegrityError, parse_json, to_bytes
+from planrunner.archive.storage import Storage
+from planrunner.archive.verifying import APPROVALS, MOST_GIVEN
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.review.approvals import (
+    ApprovalRecord,
+    DamagedApproval,
+    StatedApproval,
+    payload_digest,
+    read_stated,
+)
+from planrunner.review.meaning import Meaning
+from planrunner.signing.envelope import Envelope
+from planrunner.signing.statement import MOST_BYTES
+
+ENDING = ".approvals"
+_ENVELOPE, _PLAN = ".dsse.json", ".yaml"
+_FILE = re.compile(r"([0-9]{8}T[0-9]{6}Z-[0-9a-f]{16})\.dsse\.json\Z")
+MOST = 10_000
+"""Largest number of approvals of one plan."""
+FORMAT = 1
+
+
+def approvals_folder(plan: Path) -> Path:
+    """The folder beside a plan in which its approvals are."""
+    return plan.with_name(plan.name + ENDING)
+
+
+def read_approvals(folder: Path) -> tuple[ApprovalRecord, ...]:
+    """All approvals and withdrawals in a folder; none if there is no such folder. Other files in it are ignored.
+
+    A file that cannot be read is damaged. Raises `InputError` if the folder itself cannot be read.
+    """
+    try:
+        opened = GuardedFolder.open(folder)
+        names = [name for name in opened.entries() if _FILE.match(name)]
+    except FileNotFoundError:
+        return ()
+    except (OSError, ValueError) as error:
+        raise _unreadable(folder, error) from None
+    if len(names) > MOST:
+        message = f"this folder has more than {MOST} approvals"
+        raise InputError.at(Mark(str(folder)), "approval-folder", message, "move old ones elsewhere")
+    return tuple(_read(opened, name) for name in names)
+
+
+def _read(folder: GuardedFolder, name: str) -> ApprovalRecord:
+    try:
+        return read_stated(name, folder.read(name, MOST_BYTES))
+    except OSError as error:
+        return DamagedApproval(name, f"it cannot be read: {error.strerror or error}")
+
+
+def approved_text(folder: Path, approval: StatedApproval) -> bytes | None:
+    """The plan as it was approved, if it is at hand. The caller must compare its digest with that of the approval."""
+    name = approval.file.removesuffix(_ENVELOPE) + _PLAN
+    try:
+        return GuardedFolder.open(folder).read(name, MOST_GIVEN)
+    except (OSError, ValueError):
+        return None
+
+
+def write_envelope(
+    plan: Path, envelope: Envelope, signed: str, text: bytes | None = None, storage: Storage | None = None
+) -> str:
+    """Writes an approval or withdrawal beside a plan; returns the name of its file. signed: the time in it, ISO 8601; text: the plan as it
+    was approved. Raises `InputError` if it cannot be written."""
+    storage = storage or Storage()
+    folder = approvals_folder(plan)
+    stem = f"{re.sub(r'[^0-9T]', '', signed[:19])}Z-{payload_digest(envelope)[:16]}"
+    try:
+        parent = GuardedFolder.open(plan.parent)
+        if parent.entry(folder.name) is None:
+            storage.make_folder(parent, folder.name)
+            storage.sync_folder(parent)
+        within = parent.folder(folder.name)
+        if text is not None:
+            storage.write_whole(within, stem + _PLAN, text)
+        storage.write_whole(within, stem + _ENVELOPE, envelope.to_bytes())
+    except (OSError, ValueError) as error:
+        raise _unreadable(folder, error) from None
+    return stem + _ENVELOPE
+
+
+def _unreadable(folder: Path, error: Exception) -> InputError:
+    why = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    message = f"the folder of the approvals cannot be read or written: {why}"
+    return InputError.at(Mark(str(folder)), "approval-folder", message, "check its permissions")
+
+
+# -- in a run folder ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class KeptApprovals:
+    """What a run folder keeps of the approvals under which it ran.
+
+    plan, bench: canonical JSON of the meanings that they cover; ring: text of the key ring at the beginning of the run; day: the date then;
+    approvals: those that counted; keys, folder: where the key ring and the approvals were found.
+    """
+
+    plan: str
+    bench: str
+    ring: str
+    day: date
+    approvals: tuple[StatedApproval, ...]
+    keys: str
+    folder: str
+
+    @property
+    def plan_digest(self) -> str:
+        return hashlib.sha256(self.plan.encode()).hexdigest()
+
+    @property
+    def bench_digest(self) -> str:
+        return hashlib.sha256(self.bench.encode()).hexdigest()
+
+    def to_bytes(self) -> bytes:
+        """The content of `approvals.json`."""
+        given = [{"file": one.file, "envelope": one.envelope.to_bytes().decode()} for one in self.approvals]
+        return to_bytes(
+            {
+                "planrunner_approvals": FORMAT,
+                "day": self.day.isoformat(),
+                "plan": self.plan,
+                "bench": self.bench,
+                "ring": self.ring,
+                "approvals": given,
+                "found_in": {"keys": self.keys, "approvals": self.folder},
+            }
+        )
+
+
+def keep(
+    plan: Meaning, bench: Meaning, ring: str, day: date, counted: Iterable[StatedApproval], keys: Path, folder: Path
+) -> KeptApprovals:
+    """What the run folder is to keep."""
+    texts = plan.canonical().decode(), bench.canonical().decode()
+    return KeptApprovals(*texts, ring, day, tuple(counted), str(keys.absolute()), str(folder.absolute()))
+
+
+def kept_approvals(data: bytes, run: Path) -> tuple[KeptApprovals, tuple[DamagedApproval, ...]]:
+    """The content of `approvals.json` of a run folder, and the entries that are no approvals. Raises `IntegrityError` for other content."""
+    value = parse_json(data, run / APPROVALS, "approvals", "planrunner_approvals", FORMAT)
+    read = [read_stated(str(one["file"]), str(one["envelope"]).encode()) for one in value["approvals"]]
+    good = tuple(one for one in read if isinstance(one, StatedApproval))
+    bad = tuple(
+        one if isinstance(one, DamagedApproval) else DamagedApproval(one.file, "it is not an approval")
+        for one in read
+        if not isinstance(one, StatedApproval)
+    )
+    try:
+        day = date.fromisoformat(value["day"])
+    except ValueError:
+        raise IntegrityError(f"{run / APPROVALS}: its day is not a calendar date; {FROM_BACKUP}") from None
+    where = value["found_in"]
+    texts = value["plan"], value["bench"], value["ring"]
+    return KeptApprovals(*texts, day, good, where["keys"], where["approvals"]), bad

@@ -1,0 +1,339 @@
+"""Whether a plan has the approvals that a bench requires: before it runs, when a run is resumed, and afterwards.
+
+A bench that requires approvals refuses everything else: `running.start` executes only plans for which `required_approvals` found enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from planrunner import __version__
+from planrunner.archive.formats import IntegrityError
+from planrunner.archive.run_reader import RunReader
+from planrunner.archive.verifying import APPROVALS, BENCH, PLAN, Examined
+from planrunner.base.findings import Findings, InputError, Mark, closest
+from planrunner.bench.approval_rule import ApprovalRule
+from planrunner.bench.model import Bench, bench_of
+from planrunner.plan import source
+from planrunner.plan.model import Plan, parse_plan
+from planrunner.reporting.difference_tables import headline
+from planrunner.review.approval_files import (
+    KeptApprovals,
+    approvals_folder,
+    approved_text,
+    keep,
+    kept_approvals,
+    read_approvals,
+)
+from planrunner.review.approvals import (
+    ApprovalRecord,
+    ApprovalRequest,
+    ApprovalStanding,
+    JudgedApproval,
+    StatedApproval,
+    StatedWithdrawal,
+    judged,
+    unknown_authors,
+)
+from planrunner.review.compared import Compared
+from planrunner.review.difference import difference
+from planrunner.review.meaning import equipment_of, meaning_of_plan, procedure_of
+from planrunner.signing.key_ring import KeyRing, parse_ring
+
+
+@dataclass(frozen=True, slots=True)
+class RingFile:
+    """A key ring with the text that it was read from."""
+
+    path: Path
+    text: str
+    ring: KeyRing
+
+
+def ring_of(rule: ApprovalRule, bench_file: Path) -> RingFile:
+    """The key ring that a bench names. Raises `InputError` if it cannot be read, or if `by` or a key is not as the rule needs it."""
+    return _ring(rule, bench_file.parent / rule.keys)
+
+
+def _ring(rule: ApprovalRule, path: Path) -> RingFile:
+    try:
+        text = source.read_text(path)
+        ring = parse_ring(text, str(path))
+    except InputError as error:
+        log = Findings(error.findings)
+        message = f"the key ring {path} cannot be read, so no approval can be verified"
+        log.error("approval-ring", rule.at("keys"), message, "correct `keys` or the key ring")
+        raise InputError(log) from None
+    log = Findings()
+    names = [one.name for one in ring.keys.values()]
+    for index, name in enumerate(rule.by):
+        if ring.person(name) is None:
+            message = f"'{name}' is not a name in the key ring"
+            log.error("approval-person", rule.at(f"by[{index}]"), message, closest(name, names))
+    if log.errors:
+        raise InputError(log)
+    return RingFile(path, text, ring)
+
+
+@dataclass(frozen=True, slots=True)
+class _Reason:
+    """How a finding reports a standing. code: of the finding; hint: what to do; key: of the rule that it concerns, if any."""
+
+    code: str
+    hint: str
+    key: str = ""
+
+
+_AGAIN = "approve the plan again"
+_REASONS: dict[ApprovalStanding, _Reason] = {
+    "damaged": _Reason("approval-damaged", "take the file from a backup, or approve again"),
+    "unknown key": _Reason("approval-unknown-key", "let the keeper of the key ring add the key", "keys"),
+    "revoked": _Reason("approval-key-revoked", "approve with another key", "keys"),
+    "key dates": _Reason("approval-key-dates", "approve with a key that is valid", "keys"),
+    "withdrawn": _Reason("approval-withdrawn", "clarify why, then approve again"),
+    "future": _Reason("approval-future", "check the clocks of both computers"),
+    "expired": _Reason("approval-expired", _AGAIN),
+    "another plan": _Reason("approval-other-plan", _AGAIN),
+    "another bench": _Reason("approval-other-bench", "approve the plan for this bench"),
+    "another author": _Reason("approval-other-author", _AGAIN),
+    "not named": _Reason("approval-not-named", "let a person approve that the bench names", "by"),
+    "role": _Reason("approval-role", "let a person with this role approve", "roles"),
+    "author": _Reason("approval-by-author", "let another person approve", "author_may_approve"),
+    "same person": _Reason("approval-same-person", "let another person approve", "required"),
+}
+
+
+def required_approvals(
+    plan_file: Path, plan_bytes: bytes, plan: Plan, bench: Bench, moment: datetime, log: Findings
+) -> KeptApprovals | None:
+    """What the run folder is to keep, if the plan has the approvals that its bench requires; otherwise None, and findings say why.
+
+    The approvals are beside the plan, and the key ring is beside the bench file. moment: when it is to run, with a time zone.
+    """
+    rule = bench.approvals
+    if rule is None:
+        return None
+    folder = approvals_folder(plan_file)
+    try:
+        ring = ring_of(rule, Path(bench.origin.mark.file))
+        procedure, equipment = procedure_of(plan), equipment_of(bench)
+        stated = read_approvals(folder)
+    except InputError as error:
+        log.extend(error.findings)
+        return None
+    day = moment.astimezone().date()
+    asked = ApprovalRequest(procedure.digest(), equipment.digest(), plan.author, moment, day)
+    found, met = judged(stated, rule, ring.ring, asked)
+    _require_authors(rule, plan, ring.ring, log)
+    if not met:
+        _tell(found, bench, rule, str(plan_file), log, _Differences(folder, plan, plan_bytes))
+        return None
+    counted = [one.stated for one in found if one.standing == "counts" and isinstance(one.stated, StatedApproval)]
+    return keep(procedure, equipment, ring.text, day, counted, ring.path, folder)
+
+
+def _require_authors(rule: ApprovalRule, plan: Plan, ring: KeyRing, log: Findings) -> None:
+    unknown = () if rule.author_may_approve else unknown_authors(plan.author, ring)
+    for name in unknown:
+        what = f"the author '{name}' is not a name in the key ring" if name else "the plan does not state its author"
+        message = f"{what}, so it cannot be determined whether other persons approved it, as this bench requires"
+        hint = "write for example `author: carla` in the plan, with a name in the key ring"
+        log.error("approval-author-unknown", plan.at("author"), message, hint)
+
+
+@dataclass(frozen=True, slots=True)
+class _Differences:
+    """Says how plans that were approved differ from the present one."""
+
+    folder: Path
+    plan: Plan
+    data: bytes
+
+    def words(self, approval: StatedApproval) -> str:
+        """How the approved plan differs, if it is at hand and has the approved meaning."""
+        data = approved_text(self.folder, approval)
+        if data is None:
+            return ""
+        try:
+            other, _ = parse_plan(source.decode(data, approval.file), approval.file)
+            if other is None or procedure_of(other).digest() != approval.what.plan:
+                made = f"made with planrunner {approval.version}" if approval.version != __version__ else ""
+                return f"the meaning of the approved plan cannot be restored{', ' if made else ''}{made}"
+            meanings = meaning_of_plan(other), meaning_of_plan(self.plan)
+        except InputError:
+            return ""
+        found = difference(*meanings)
+        return headline(Compared("plan", (approval.file, ""), meanings, found)).rstrip(".")
+
+
+def _tell(
+    found: Sequence[JudgedApproval],
+    bench: Bench,
+    rule: ApprovalRule,
+    plan: str,
+    log: Findings,
+    differences: _Differences | None = None,
+) -> None:
+    """One error, and for each key another that says why its newest approval does not count."""
+    persons = sorted({one.person for one in found if one.standing == "counts"})
+    counted = f"only that of {persons[0]} counts" if len(persons) == 1 else f"only those of {', '.join(persons)} count"
+    have = "there is none" if not found else "there are approvals, but none counts" if not persons else counted
+    who = "one person" if rule.required == 1 else f"{rule.required} persons"
+    message = f"the bench '{bench.name}' requires an approval of the plan by {who}; {have}"
+    log.error("approval-missing", bench.at("approvals"), message, f"`planrunner approve {plan}`; --list shows all")
+    newest: dict[str, JudgedApproval] = {}
+    for one in found:
+        stated = one.stated
+        newest[stated.envelope.key if isinstance(stated, StatedApproval) else stated.file] = one
+    for one in newest.values():
+        if one.standing == "counts":
+            continue
+        reason, name, why = _REASONS[one.standing], one.stated.file, one.why
+        if isinstance(one.stated, StatedApproval):
+            name = f"{one.stated.name}, {one.stated.signed:%Y-%m-%d}"
+            told = differences.words(one.stated) if differences and one.standing == "another plan" else ""
+            why = f"{why} ({told})" if told else why
+        mark = rule.at(reason.key) if reason.key in rule.origin.keys else bench.at("approvals")
+        log.error(reason.code, mark, f"the approval by {name} does not count: {why}", reason.hint)
+
+
+# -- resuming ----------------------------------------------------------------------------------------------------------
+
+
+def still_approved(reader: RunReader, plan: Plan, bench: Bench, bench_file: Path | None) -> KeptApprovals | None:
+    """The approvals of a run that is to continue, if they still count today. Raises `InputError`.
+
+    bench_file: of a bench that replaces the one in the folder. Approvals that expired or were withdrawn since, and keys that were revoked,
+    count no more. Approvals given later do not count: the run keeps those under which it began.
+    """
+    rule = bench.approvals
+    if rule is None:
+        return None
+    if reader.approvals is None:
+        message = f"the bench '{bench.name}' requires approvals, but this run began without any"
+        raise InputError.at(bench.at("approvals"), "approval-missing", message, "run the plan again, approved")
+    kept, damaged = kept_approvals(reader.approvals, reader.path)
+    path = Path(kept.keys) if bench_file is None else bench_file.parent / rule.keys
+    ring, own = _ring(rule, path).ring, bench_of(reader.bench_bytes, str(reader.path / BENCH))
+    withdrawals = [one for one in read_approvals(Path(kept.folder)) if isinstance(one, StatedWithdrawal)]
+    moment = datetime.now(UTC)
+    day = moment.astimezone().date()
+    asked = ApprovalRequest(procedure_of(plan).digest(), equipment_of(own).digest(), plan.author, moment, day)
+    found, met = judged([*kept.approvals, *damaged, *withdrawals], rule, ring, asked)
+    log = Findings()
+    _require_authors(rule, plan, ring, log)
+    if not met:
+        _tell(found, bench, rule, str(reader.path / PLAN), log)
+    if log.errors:
+        raise InputError(log)
+    return kept
+
+
+# -- afterwards --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class RunApproval:
+    """An approval under which a plan ran. verified: whether a key ring was given to verify it with; otherwise it was judged with the ring
+    that the run folder keeps, which proves nothing about the owner of the key."""
+
+    judged: JudgedApproval
+    verified: bool
+
+    def words(self) -> str:
+        """Who approved, when, until when, with which key."""
+        stated = self.judged.stated
+        if not isinstance(stated, StatedApproval):
+            return stated.file
+        until = "" if stated.what.until is None else f", until {stated.what.until}"
+        return f"{stated.name}, {stated.signed.isoformat(timespec='seconds')}{until} ({stated.envelope.key})"
+
+
+def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, ...]:
+    """The approvals of a run, judged for the moment when it began; what is wrong with them becomes findings. ring: the known keys."""
+    path = found.folder.path
+    if not {PLAN, BENCH} <= found.given.keys() or not found.run:
+        return ()
+    data = found.given.get(APPROVALS)
+    try:
+        bench = bench_of(found.given[BENCH], str(path / BENCH))
+    except InputError as error:
+        if data is not None:
+            _unverified(found, f"the bench of this run cannot be read: {error.findings[0].message}")
+        return ()
+    rule = bench.approvals
+    if data is None or rule is None:
+        if rule is not None:
+            message = f"{path / BENCH}: this bench requires approvals, but the run has none ({APPROVALS})"
+            found.error("run-approval", message, hint="")
+        return ()
+    try:
+        kept, damaged = kept_approvals(data, path)
+        known = parse_ring(kept.ring, f"{path / APPROVALS}: ring") if ring is None else ring
+    except IntegrityError as error:
+        found.error("run-approval", str(error), hint="")
+        return ()
+    except InputError as error:
+        found.error("run-approval", f"{path / APPROVALS}: its key ring cannot be read: {error.findings[0].message}")
+        return ()
+    created = datetime.fromisoformat(str(found.run["created"]))
+    if abs(kept.day - created.astimezone(UTC).date()) > timedelta(days=1):
+        found.error("run-approval", f"{path / APPROVALS}: its day, {kept.day}, is not that of the run", hint="")
+    author = _author(found, kept, bench)
+    asked = ApprovalRequest(kept.plan_digest, kept.bench_digest, author, created, kept.day)
+    stated: list[ApprovalRecord] = [*kept.approvals, *damaged]
+    seen, met = judged(stated, rule, known, asked)
+    why = "; ".join(f"{_name(one)}: {one.why}" for one in seen if one.standing != "counts")
+    if not met or why:
+        lacking = "the approvals that the bench requires are not all valid"
+        found.error("run-approval", f"{path / APPROVALS}: {lacking}{': ' if why else ''}{why}", hint="")
+    return tuple(RunApproval(one, ring is not None) for one in seen)
+
+
+def _author(found: Examined, kept: KeptApprovals, bench: Bench) -> tuple[str, ...]:
+    """The author that the plan in the folder states. Also checks that plan and bench have the meanings that were approved."""
+    path = found.folder.path
+    plan, _ = parse_plan(source.decode(found.given[PLAN], str(path / PLAN)), str(path / PLAN))
+    if plan is None:
+        _unverified(found, "the plan of this run cannot be read")
+        return ()
+    try:
+        same = {
+            PLAN: procedure_of(plan).digest() == kept.plan_digest,
+            BENCH: equipment_of(bench).digest() == kept.bench_digest,
+        }
+    except InputError as error:
+        _unverified(found, f"the meaning of the plan cannot be computed: {error.findings[0].message}")
+        return plan.author
+    other = [name for name, equal in same.items() if not equal]
+    made = str(found.run["versions"]["planrunner"])
+    if other and made != __version__:
+        _unverified(found, f"{' and '.join(other)} ran with planrunner {made}, whose meanings have another form")
+    elif other:
+        message = f"{path / APPROVALS}: {' and '.join(other)} do not have the meaning that was approved"
+        found.error("run-approval", message, hint="")
+    return plan.author
+
+
+def _unverified(found: Examined, why: str) -> None:
+    message = f"whether the plan that ran is the approved one was not verified: {why}"
+    hint = "verify with the version of planrunner, and the plug-ins, that made the run"
+    found.findings.warning("run-approval-unverified", Mark(str(found.folder.path)), message, hint)
+
+
+def _name(one: JudgedApproval) -> str:
+    return one.stated.name if isinstance(one.stated, StatedApproval) else one.stated.file
+
+
+def approved_by(reader: RunReader) -> Iterator[tuple[str, str]]:
+    """Name of each person whose approval the run keeps, and what reports print about it. They were verified when the run began."""
+    if reader.approvals is None:
+        return
+    kept, _ = kept_approvals(reader.approvals, reader.path)
+    ring = parse_ring(kept.ring, str(reader.path / APPROVALS))
+    for one in kept.approvals:
+        judgement = JudgedApproval(one, "counts", key=ring.find(one.envelope.key))
+        yield one.name, RunApproval(judgement, False).words()

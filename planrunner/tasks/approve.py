@@ -1,0 +1,147 @@
+"""Approving a plan for benches, withdrawing approvals, and listing them.
+
+prepared = prepare(plan, benches, until)
+prepared.what            what would be signed; the reviewer must see it first
+prepared.last            the newest approval of another version, and the difference to it
+approve(prepared, signer, name, statement)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+from pathlib import Path
+
+from planrunner.archive.journal import utc_now
+from planrunner.archive.storage import Storage
+from planrunner.base.findings import COMMAND_LINE, InputError, Mark
+from planrunner.bench.approval_rule import ApprovalRule
+from planrunner.plan import source
+from planrunner.plan.model import parse_plan
+from planrunner.review.approval_files import approvals_folder, approved_text, read_approvals, write_envelope
+from planrunner.review.approvals import (
+    DECLARED,
+    ApprovalRequest,
+    Approved,
+    ApprovedBench,
+    JudgedApproval,
+    StatedApproval,
+    StatedWithdrawal,
+    approval_envelope,
+    judged,
+    withdrawal_envelope,
+)
+from planrunner.review.compared import Compared
+from planrunner.review.meaning import equipment_of, procedure_of
+from planrunner.signing.key_ring import KeyRing
+from planrunner.signing.keys import Signer
+from planrunner.signing.statement import require_line
+from planrunner.tasks.approvals import ring_of
+from planrunner.tasks.check import Document, Sound, check_plan
+from planrunner.tasks.diff import compare_plans
+
+_ANYBODY = ApprovalRule(keys="", author_may_approve=True)
+"""For benches that require no approvals."""
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedApproval:
+    """What an approval would state. sound: the plan on each bench; last: the newest approval of a plan with another meaning, with how the
+    present plan differs from it, if that plan is at hand."""
+
+    plan: Path
+    what: Approved
+    sound: tuple[Sound, ...]
+    last: tuple[StatedApproval, Compared] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BenchApprovals:
+    """The approvals of a plan on one bench. rule: of the bench, None if it requires none; met: whether they are enough."""
+
+    bench: str
+    rule: ApprovalRule | None
+    approvals: tuple[JudgedApproval, ...]
+    met: bool
+
+
+def prepare(
+    plan: Path, benches: Sequence[str] = (), until: date | None = None, *, foresee: bool = True
+) -> PreparedApproval:
+    """What an approval of a plan would state. benches: shipped names or files, by default the bench of the plan; until: last day.
+
+    foresee: whether the difference to the last approved version contains the consequences. Raises `InputError` for a plan that does not
+    pass its checks on every bench, or a day in the past.
+    """
+    document = Document(source.read_bytes(plan), str(plan))
+    sound = tuple(check_plan(document, bench).sound() for bench in benches or (None,))
+    if until is not None and until < date.today():
+        raise InputError.at(
+            COMMAND_LINE, "approval-until", f"{until} is in the past", "give a later day, or leave it out"
+        )
+    named = [ApprovedBench(one.bench.name, equipment_of(one.bench).digest()) for one in sound]
+    first = sound[0].plan
+    what = Approved(procedure_of(first).digest(), first.title, first.author, tuple(dict.fromkeys(named)), until)
+    return PreparedApproval(plan, what, sound, _last(plan, document, what, benches, foresee=foresee))
+
+
+def _last(
+    plan: Path, document: Document, what: Approved, benches: Sequence[str], *, foresee: bool
+) -> tuple[StatedApproval, Compared] | None:
+    folder = approvals_folder(plan)
+    given = [one for one in read_approvals(folder) if isinstance(one, StatedApproval)]
+    for one in sorted(given, key=lambda one: one.signed, reverse=True):
+        text = approved_text(folder, one)
+        if one.what.plan == what.plan or text is None:
+            continue
+        shown = str(folder / one.file)
+        before, log = parse_plan(source.decode(text, shown), shown)
+        if before is None or log.errors or procedure_of(before).digest() != one.what.plan:
+            continue
+        # Its bench is sought where that of the present plan is.
+        beside = Document(text, str(plan.with_name(f"{plan.stem}, approved {one.signed:%Y-%m-%d}{plan.suffix}")))
+        return one, compare_plans(beside, document, benches[0] if benches else None, foresee=foresee)
+    return None
+
+
+def approve(
+    prepared: PreparedApproval, signer: Signer, name: str, statement: str = "", storage: Storage | None = None
+) -> str:
+    """Signs what was prepared; returns the name of the new file. Raises `InputError`."""
+    require_line(str(prepared.plan), "name", name, 1)
+    require_line(str(prepared.plan), "statement", statement)
+    signed = utc_now()
+    envelope = approval_envelope(prepared.what, name.strip(), statement.strip() or DECLARED, signer, signed)
+    return write_envelope(prepared.plan, envelope, signed, prepared.sound[0].plan_bytes, storage)
+
+
+def withdraw(plan: Path, signer: Signer, name: str, why: str, storage: Storage | None = None) -> tuple[str, int]:
+    """Withdraws all approvals of a plan that a key gave; returns the name of the new file and their number. Raises `InputError`."""
+    require_line(str(plan), "name", name, 1)
+    require_line(str(plan), "statement", why, 1)
+    stated = read_approvals(approvals_folder(plan))
+    key, gone = signer.public, set[str]()
+    for withdrawal in stated:
+        if isinstance(withdrawal, StatedWithdrawal) and withdrawal.envelope.signed_by(key):
+            gone |= withdrawal.withdrawn
+    given = [one for one in stated if isinstance(one, StatedApproval) and one.envelope.signed_by(key)]
+    ours = {one.file: one.digest for one in given if one.digest not in gone}
+    if not ours:
+        message = "there is no approval of this plan by this key that is not withdrawn already"
+        raise InputError.at(Mark(str(plan)), "approval-none", message, "`planrunner approve PLAN --list` lists them")
+    signed = utc_now()
+    envelope = withdrawal_envelope(ours, name.strip(), why.strip(), signer, signed)
+    return write_envelope(plan, envelope, signed, storage=storage), len(ours)
+
+
+def approvals_on(plan: Path, sound: Sound, ring: KeyRing | None = None) -> BenchApprovals:
+    """The approvals of a plan on a bench as they count now. ring: used instead of the one that the bench names. Raises `InputError`."""
+    rule = sound.bench.approvals
+    if ring is None:
+        ring = KeyRing({}) if rule is None else ring_of(rule, Path(sound.bench.origin.mark.file)).ring
+    now = datetime.now(UTC)
+    digests = procedure_of(sound.plan).digest(), equipment_of(sound.bench).digest()
+    asked = ApprovalRequest(*digests, sound.plan.author, now, now.astimezone().date())
+    found, met = judged(read_approvals(approvals_folder(plan)), rule or _ANYBODY, ring, asked)
+    return BenchApprovals(sound.bench.name, rule, found, met)
