@@ -119,7 +119,7 @@ def verification(
             amendment = stored_amendment(analysis)
             if amendment is not None:
                 amendments[analysis.number] = in_words(amendment)
-    return Verification(found, tuple(changes), tuple(remarks), amendments, signatures, approvals)
+    return Verification(found, tuple(changes), tuple(remarks), amendments, signatures, approvals=approvals)
 
 
 def runs_beneath(archive: Path) -> list[Path]:
