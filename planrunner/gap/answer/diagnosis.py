@@ -184,7 +184,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         tuple(places(weighing, found.by_channel)[:SHOWN_PLACES]),
         found,
         said,
-        tuple(ambiguity_set(found.probability)),
+        tuple(ambiguity_set(found.probability, said)),
         absorbed,
         tuple(_parameters(weighing, said, found, by_id, effects, exact)),
         closure(weighing, choices, max(beyond, 0.0)) if said.kind != "none" else NOT_RESOLVABLE,

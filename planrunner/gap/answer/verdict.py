@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planrunner.gap.answer.confusability import ALIKE, DISCRIMINABLE, beside, energy, fitted, reproduced
-from planrunner.gap.answer.posterior import NAMEABLE, UNKNOWN, Posterior
+from planrunner.gap.answer.posterior import NAMEABLE, UNKNOWN, Posterior, without_unknown
 from planrunner.gap.answer.sets import key_of
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 from planrunner.plan.model import NOMINAL_TERMS
@@ -73,6 +73,11 @@ class Verdict:
     residue: str | None = None
     something_else: bool = False
 
+    @property
+    def key(self) -> str:
+        """The hypothesis that it states."""
+        return key_of([*self.effects, *([UNKNOWN] if self.something_else else [])]) if self.effects else self.kind
+
 
 def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]) -> Verdict:
     """The verdict. Nothing is named while P(none) is 5 % or more, nor a member of a class that the plan cannot separate."""
@@ -115,14 +120,18 @@ def _named(effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | Non
     return Verdict({1: "effect", 2: "pair"}.get(len(effects), "several"), effects, (), residue, left)
 
 
-def ambiguity_set(probability: Mapping[str, float]) -> list[str]:
-    """The likeliest hypotheses with a total probability of 95 %."""
+def ambiguity_set(probability: Mapping[str, float], said: Verdict) -> list[str]:
+    """The likeliest hypotheses with a total probability of 95 %, the likeliest first, and in any case what the verdict says: it may be less
+    likely than they are if the rest counts as form residue, or if "none" is likely enough that nothing is named."""
     chosen, total = [], 0.0
     for name, value in probability.items():
         chosen.append(name)
         total += value
         if total >= COVERED:
             break
+    stated = said.key
+    if stated in probability and without_unknown(stated) not in map(without_unknown, chosen):
+        chosen.append(stated)
     return chosen
 
 
