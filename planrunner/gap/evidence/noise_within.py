@@ -3,7 +3,8 @@
 Both are measured outside the coefficients, where no effect of the catalogue acts, so that noise cannot absorb an effect and an effect
 cannot appear as noise. Rounded, filtered or differenced outputs and lines of interference make the noise coloured; vibration makes it
 differ between segments. The noise counts as white, and alike in all segments, unless Schwarz's criterion (BIC; Annals of Statistics 6,
-1978) prefers the richer description.
+1978) prefers the richer description. A spectrum that is found only at rest, or only in motion, counts for both if it also describes the
+others better than white noise does.
 """
 
 from __future__ import annotations
@@ -109,6 +110,9 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array) -> NoiseW
             if own[upper].sum() > 0:
                 shape_ /= float((shape_ * own)[upper].sum() / own[upper].sum())
             coloured[kind, channel] = _better(shape_, own)
+            other = spectra[1 - kind, :, channel]
+            if not coloured[kind, channel] and coloured[1 - kind, channel] and _fits(seen, own, other):
+                coloured[kind, channel], shape_ = True, other
             spectra[kind, :, channel] = shape_ if coloured[kind, channel] else 1.0
         expected = (count * spectra[moving, :, channel]).sum(1) / of_segment
         each = np.maximum(typical[:, channel] / np.maximum(expected, _SMALLEST), _SMALLEST)
@@ -152,3 +156,9 @@ def _better(ratio: Array, count: Array) -> bool:
     ratio, count = np.maximum(ratio[seen], _SMALLEST), count[seen]
     gain = float((count * (ratio - 1 - np.log(ratio))).sum())
     return bool(gain > len(ratio) * np.log(max(float(count.sum()), 2.0)))
+
+
+def _fits(energy: Array, count: Array, variance: Array) -> bool:
+    """Whether variances (B,) that other data determined describe energies (B,) with degrees of freedom (B,) better than white noise does,
+    by their likelihood: no parameter is fitted."""
+    return bool((energy * (1 - 1 / variance) - count * np.log(variance)).sum() > 0)
