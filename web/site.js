@@ -231,7 +231,7 @@
       );
       first = Math.max(0, Math.min(first, PAGE * Math.floor((found.length - 1) / PAGE)));
       const shown = found.slice(first, first + PAGE);
-      told.textContent = found.length ? `${found.length} runs; ${first + 1} to ${first + shown.length} are shown, the newest first` : "No run matches.";
+      told.textContent = found.length ? `${found.length} ${found.length === 1 ? "run" : "runs"}; ${first + 1} to ${first + shown.length} are shown, the newest first` : "No run matches.";
       host.replaceChildren(table("Runs", RUN_TITLES, shown.map(runRow)));
       before.disabled = first === 0;
       after.disabled = first + PAGE >= found.length;

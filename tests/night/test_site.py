@@ -189,3 +189,30 @@ def test_the_pages_in_a_browser(index: Index, tmp_path: Path) -> None:
         with opened(browser, f"{page_file.as_uri()}#/device/{quote(HOSTILE, safe='')}") as page:
             expect(page.get_by_role("heading", level=1)).to_have_text(f"Device {HOSTILE}")
             expect(page.locator("main img, main script")).to_have_count(0)
+
+
+NIGHT = """\
+planrunner_suite: 1
+title: Night <b>x</b>
+benches: {a: {bench: virtual}}
+plans: {drift: {plan: PLAN, matrix: {device_serial: ["A1", "A2"], operator: [night]}}}
+"""
+
+
+@pytest.mark.slow
+def test_the_wall_shows_the_tests_of_the_night(tmp_path: Path) -> None:
+    (tmp_path / "plan.yaml").write_bytes(SHIPPED.read_bytes())
+    (tmp_path / "night.yaml").write_text(NIGHT.replace("PLAN", "plan.yaml"), encoding="utf-8")
+    night = planrunner("night", "night.yaml", "--new", "--quiet", "--runs", "runs", cwd=tmp_path)
+    assert night.returncode in (0, 1), night.stderr
+    assert planrunner("site", "runs", "site", "--index", "index.sqlite", "--quiet", cwd=tmp_path).returncode == 0
+    found = data_of(tmp_path / "site")
+    (shown,) = found["entry"]["nights"]
+    assert {test[5] for test in shown["tests"]} == {row[0] for row in found["runs-0"]}
+    with chromium() as browser, opened(browser, (tmp_path / "site" / "index.html").as_uri()) as page:
+        wall = page.get_by_role("table", name="Tests of the night, what needs attention first")
+        expect(wall.locator("tbody tr")).to_have_count(2)
+        expect(page.get_by_text("Night <b>x</b>: ")).to_be_visible()
+        assert violations(page) == [] and overhang(page) <= 0
+        wall.get_by_role("link", name=shown["tests"][0][5]).click()
+        expect(page.get_by_text("1 run; 1 to 1 are shown")).to_be_visible()
