@@ -1,7 +1,7 @@
 """Do the 95 % intervals of an accelerometer triad hold the truth 95 % of the time, against gravity in known attitudes and by its magnitude?
 
 `python tests/estimators/accelerometer_coverage.py [runs [part of a name]]` prints the figures of docs/imu-calibration.md. Readings come
-from a bias and a response drawn anew in each run, gravity turned into the sensor's axes here, white noise and flicker of batch means; what
+from a bias and a response drawn anew in each run, gravity turned into the sensor's axes here, white noise and flicker of every sample; what
 is true are lengths of the rows of that response and angles between them. Nothing is taken from planrunner's physics.
 """
 
@@ -18,8 +18,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from coverage_experiment import BATCHES, flicker_in_segments
-from recorded import from_means, segment, sensor
+from coverage_experiment import SAMPLES, flicker_in_segments
+from recorded import played, segment, sensor
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
@@ -130,17 +130,16 @@ def recorded(
 ) -> tuple[RecordedSegment, ...]:
     """One test, readings in g."""
     n = len(attitudes)
-    batches = WHITE * math.sqrt(BATCHES) * draw.standard_normal((3, n, BATCHES))
+    noise = WHITE * math.sqrt(SAMPLES) * draw.standard_normal((3, n, SAMPLES))
     if world.flicker:
-        batches = batches + flicker_in_segments(draw, (3,), world.flicker, n, DWELL, PAUSE, SPAN)
-    mean, error = batches.mean(axis=2), batches.std(axis=2, ddof=1) / math.sqrt(BATCHES)
+        noise = noise + flicker_in_segments(draw, (3,), world.flicker, n, DWELL, PAUSE, SPAN)
     made = []
     for k, planned in enumerate(attitudes):
         real = rotated(world.tilt * ARCSEC * draw.standard_normal(3)) @ planned
-        values = bias + response @ real[:, 2] * GRAVITY + mean[:, k]
+        values = bias + response @ real[:, 2] * GRAVITY
         one = replace(segment(f"P{k}", planned, dwell=DWELL), orientation=f"attitude {k}")
         means = dict(zip(CHANNELS, map(float, values), strict=True))
-        made.append(from_means(one, means, "g", error[:, k], BATCHES, start=k * (DWELL + PAUSE)))
+        made.append(played(one, means, noise[:, k], "g", k * (DWELL + PAUSE)))
     return tuple(made)
 
 

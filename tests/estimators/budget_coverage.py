@@ -18,8 +18,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from coverage_experiment import BATCHES, DWELL, GYRO, PAUSE, flicker_in_segments
-from recorded import from_means, segment, sensor
+from coverage_experiment import DWELL, GYRO, PAUSE, SAMPLES, flicker_in_segments
+from recorded import played, segment, sensor
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude
 from test_stated_inputs_move_coefficients import currents, turn
 
@@ -103,15 +103,14 @@ def static_coverage(campaign: Static, runs: int, seed: int) -> dict[str, float]:
                 "latitude": SITE.latitude + widths["latitude"] * rng.normal(),
                 "gravity": SITE.gravity + widths["gravity"] * rng.normal(),
             }
-            noise = campaign.white / math.sqrt(DWELL / BATCHES) * rng.normal(size=(2, 8, BATCHES)) + slow[n]
+            noise = campaign.white / math.sqrt(DWELL / SAMPLES) * rng.normal(size=(2, 8, SAMPLES)) + slow[n]
             recorded = []
             for k, (label, words) in enumerate(OPTIMAL.items()):
                 axes = turn(rng.normal(size=3), widths["table position"]) @ attitude(words) @ north
-                means = currents(axes, truth=GYRO, **keys) + noise[:, k].mean(axis=1)
-                error = noise[:, k].std(axis=1, ddof=1) / math.sqrt(BATCHES)
+                means = currents(axes, truth=GYRO, **keys)
                 planned = replace(segment(label, attitude(words)), orientation=words)
                 named = dict(zip(CHANNELS, means, strict=True))
-                recorded.append(from_means(planned, named, "pulse/s", error, BATCHES, start=k * (DWELL + PAUSE)))
+                recorded.append(played(planned, named, noise[:, k], "pulse/s", k * (DWELL + PAUSE)))
             request = EstimateRequest("d", tuple(recorded), parameters, SITE, sensor(*CHANNELS), setup=setup)
             count(combined(FlexureGyroStatic().estimate(request)), GYRO, hits)
     return {name: found / runs for name, found in hits.items()}
@@ -134,19 +133,15 @@ def rate_coverage(campaign: Rates, runs: int, seed: int) -> dict[str, float]:
     planned = [segment(f"R{n}", motion=Spin(math.radians(rate))) for n, rate in enumerate(RATES)]
     for start in range(0, runs, 250):
         count_of = min(250, runs - start)
-        slow = np.zeros((count_of, len(RATES), BATCHES))
+        slow = np.zeros((count_of, len(RATES), SAMPLES))
         if campaign.flicker:
             slow = flicker_in_segments(rng, (count_of,), campaign.flicker, len(RATES))
         for n in range(count_of):
-            noise = campaign.white * math.sqrt(BATCHES) * rng.normal(size=(len(RATES), BATCHES)) + slow[n]
+            noise = campaign.white * math.sqrt(SAMPLES) * rng.normal(size=(len(RATES), SAMPLES)) + slow[n]
             really = RATES * (1 + campaign.common * rng.normal() + campaign.each * rng.normal(size=len(RATES)))
-            means = OFFSET + SLOPE * really + noise.mean(axis=1)
-            errors = noise.std(axis=1, ddof=1) / math.sqrt(BATCHES)
             recorded = tuple(
-                from_means(
-                    one, {"gyro": float(mean)}, "pulse/s", [float(error)], BATCHES, start=place * (DWELL + PAUSE)
-                )
-                for place, (one, mean, error) in enumerate(zip(planned, means, errors, strict=True))
+                played(one, {"gyro": mean}, noise[place, None], "pulse/s", place * (DWELL + PAUSE))
+                for place, (one, mean) in enumerate(zip(planned, (OFFSET + SLOPE * really).tolist(), strict=True))
             )
             request = EstimateRequest("s", recorded, parameters, SITE, sensor("gyro"), setup=setup)
             count(combined(ScaleFactor().estimate(request)), truth, hits)

@@ -2,7 +2,7 @@
 
 `python tests/estimators/compensation_coverage.py [runs]` prints the figures of docs/uncertainty-of-the-eight-positions.md. A run measures
 the optimal and the traditional eight positions and three verification positions one after the other: pulses by the source's formulas,
-white noise and flicker of batch means, and a table that stands off each orientation by an error of its own, the same in both calibrations
+white noise and flicker of every sample, and a table that stands off each orientation by an error of its own, the same in both calibrations
 and the verification. Nothing is taken from planrunner's physics.
 """
 
@@ -17,8 +17,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from coverage_experiment import ARCSEC, BATCHES, DWELL, GYRO, PAUSE, flicker_in_segments
-from recorded import figure, from_means, segment, sensor
+from coverage_experiment import ARCSEC, DWELL, GYRO, PAUSE, SAMPLES, flicker_in_segments
+from recorded import figure, played, segment, sensor
 from test_compensation_residual import TRADITIONAL, VERIFY
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude, pulses
 
@@ -61,10 +61,9 @@ SCENARIOS = {
 def recorded(draw: np.random.Generator, world: World) -> dict[str, tuple[RecordedSegment, ...]]:
     sets = {"drift": OPTIMAL, "traditional": TRADITIONAL, "verify": AGAIN if world.again else VERIFY}
     count = sum(map(len, sets.values()))
-    batches = world.white / math.sqrt(DWELL / BATCHES) * draw.standard_normal((2, count, BATCHES))
+    noise = world.white / math.sqrt(DWELL / SAMPLES) * draw.standard_normal((2, count, SAMPLES))
     if world.flicker:
-        batches = batches + flicker_in_segments(draw, (2,), world.flicker, count)
-    mean, error = batches.mean(axis=2), batches.std(axis=2, ddof=1) / math.sqrt(BATCHES)
+        noise = noise + flicker_in_segments(draw, (2,), world.flicker, count)
     turns: dict[str, np.ndarray] = {}
     made: dict[str, list[RecordedSegment]] = {name: [] for name in sets}
     n = 0
@@ -72,10 +71,10 @@ def recorded(draw: np.random.Generator, world: World) -> dict[str, tuple[Recorde
         for label, words in positions.items():
             x, y, z = turns.setdefault(words, world.tilt * ARCSEC * draw.standard_normal(3))
             cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-            values = np.add(pulses((np.eye(3) + cross) @ attitude(words), GYRO), mean[:, n])
+            values = pulses((np.eye(3) + cross) @ attitude(words), GYRO)
             planned = replace(segment(f"{name}/{label}", attitude(words)), orientation=words)
             means = dict(zip(CHANNELS, map(float, values), strict=True))
-            made[name].append(from_means(planned, means, "pulse/s", error[:, n], BATCHES, start=n * (DWELL + PAUSE)))
+            made[name].append(played(planned, means, noise[:, n], "pulse/s", n * (DWELL + PAUSE)))
             n += 1
     return {name: tuple(segments) for name, segments in made.items()}
 

@@ -1,8 +1,8 @@
 """Do the 95 % intervals of the twelve coefficients hold the truth 95 % of the time? Simulated eight-position experiments.
 
 `python tests/estimators/coverage_experiment.py [runs [part of a name]]` prints the figures of docs/uncertainty-of-the-eight-positions.md.
-The simulator is written apart from planrunner: pulses by the source's formulas, noise as batch means drawn here. Its levels are those of
-the shipped virtual bench: white noise 0.9 pulse/√s, 120 s a position, 0.2 (deg/h)/(pulse/s).
+The simulator is written apart from planrunner: pulses by the source's formulas, with noise in every sample (one sample each 3.75 s).
+Its levels are those of the shipped virtual bench: white noise 0.9 pulse/√s, 120 s a position, 0.2 (deg/h)/(pulse/s).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from recorded import from_means, segment, sensor
+from recorded import played, segment, sensor
 from simulated_flicker import flicker_series
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, TRUTH, attitude, pulses
 
@@ -31,7 +31,7 @@ from planrunner.uncertainty.influences import InputQuantity, Inputs
 
 GYRO = TRUTH | {"SF_X": 0.2012, "SF_Y": 0.1987, "epsilon": 8.0, "xi": -5.0}
 NAMES = tuple(GYRO)
-DWELL, PAUSE, BATCHES, WHITE = 120.0, 60.0, 32, 0.9
+DWELL, PAUSE, SAMPLES, WHITE = 120.0, 60.0, 32, 0.9
 SCENARIOS: dict[str, dict[str, Any]] = {
     "white noise": {},
     "white noise, second output four times noisier": {"ratio": 4.0},
@@ -67,18 +67,18 @@ def flicker_in_segments(
     pause: float = PAUSE,
     span: float = SPAN,
 ) -> np.ndarray:
-    """Batch means of 1/f noise in segments that follow each other in the middle of a span of which it has no mean, (*shape, segments,
-    BATCHES). What is made is at least twice as long as the span, so that slower parts are there too."""
-    step = dwell / BATCHES
-    each = BATCHES + round(pause / step)
+    """Samples of 1/f noise in segments that follow each other in the middle of a span of which it has no mean, (*shape, segments,
+    SAMPLES). What is made is at least twice as long as the span, so that slower parts are there too."""
+    step = dwell / SAMPLES
+    each = SAMPLES + round(pause / step)
     count = 1 << math.ceil(math.log2(2 * span / step))
     first, half = (count - segments * each) // 2, round(span / step / 2)
-    middle = first + (segments * each - (each - BATCHES)) // 2
-    made = np.empty((*shape, segments, BATCHES))
+    middle = first + (segments * each - (each - SAMPLES)) // 2
+    made = np.empty((*shape, segments, SAMPLES))
     for place in np.ndindex(shape):
         series = flicker_series(rng, (), floor, step, count)
         series -= series[middle - half : middle + half].mean()
-        made[place] = series[first : first + segments * each].reshape(segments, each)[:, :BATCHES]
+        made[place] = series[first : first + segments * each].reshape(segments, each)[:, :SAMPLES]
     return made
 
 
@@ -86,18 +86,16 @@ def experiment(
     rng: np.random.Generator, white: float, ratio: float, tilt: float, flicker: np.ndarray | float
 ) -> tuple[RecordedSegment, ...]:
     """One recording of the eight positions."""
-    sizes = white / math.sqrt(DWELL / BATCHES) * np.array([1.0, ratio])
-    batches = sizes[:, None, None] * rng.normal(size=(2, 8, BATCHES)) + flicker
-    mean, error = batches.mean(axis=2), batches.std(axis=2, ddof=1) / math.sqrt(BATCHES)
+    sizes = white / math.sqrt(DWELL / SAMPLES) * np.array([1.0, ratio])
+    noise = sizes[:, None, None] * rng.normal(size=(2, 8, SAMPLES)) + flicker
     recorded = []
     for n, (label, words) in enumerate(OPTIMAL.items()):
         planned = attitude(words)
         turn = rng.normal(0, math.radians(tilt / 3600), 3)
         cross = np.array([[0, -turn[2], turn[1]], [turn[2], 0, -turn[0]], [-turn[1], turn[0], 0]])
-        values = np.add(pulses((np.eye(3) + cross) @ planned, GYRO), mean[:, n])
-        means = dict(zip(CHANNELS, values, strict=True))
+        means = dict(zip(CHANNELS, pulses((np.eye(3) + cross) @ planned, GYRO), strict=True))
         named, start = replace(segment(label, planned), orientation=words), n * (DWELL + PAUSE)
-        recorded.append(from_means(named, means, "pulse/s", error[:, n], BATCHES, start=start))
+        recorded.append(played(named, means, noise[:, n], "pulse/s", start))
     return tuple(recorded)
 
 

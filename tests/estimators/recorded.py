@@ -84,6 +84,15 @@ def from_samples(
     return RecordedSegment(planned, dict(units), statistics, blocks)
 
 
+def played(
+    planned: Segment, means: Mapping[str, float], noise: np.ndarray, unit: str, start: float = 0.0
+) -> RecordedSegment:
+    """A segment whose samples are means plus noise (channels, samples); planrunner computes the statistics. start: s."""
+    time = start + np.arange(noise.shape[1]) * (planned.dwell or 1.0) / noise.shape[1]
+    channels = {name: mean + row for (name, mean), row in zip(means.items(), noise, strict=True)}
+    return from_samples(planned, time, channels, dict.fromkeys(means, unit))
+
+
 def table(path: Path) -> dict[str, np.ndarray]:
     """A Parquet file as arrays."""
     import pyarrow.parquet as parquet

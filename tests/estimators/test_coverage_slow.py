@@ -22,8 +22,8 @@ def joint_tolerance(runs: int) -> tuple[int, int]:
 @pytest.mark.parametrize(
     ("runs", "name"),
     [
-        (10_000, "white noise"),
-        (10_000, "white noise, second output four times noisier"),
+        (SHORT, "white noise"),
+        (SHORT, "white noise, second output four times noisier"),
         (SHORT, "flicker 0.025 pulse/s, declared"),
         (SHORT, "flicker 0.1 pulse/s, declared"),
         (SHORT, "flicker 0.4 pulse/s, declared"),

@@ -20,7 +20,7 @@ from planrunner.estimators.interface import Coefficient
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from coverage_experiment import BATCHES, flicker_in_segments
+from coverage_experiment import SAMPLES, flicker_in_segments
 from recorded import from_samples
 from test_fixture_angles import GYROS as FIXED
 from test_fixture_angles import TRUE, X_UP, Y_UP, Z_UP, found, spins
@@ -77,7 +77,7 @@ def noisy(
     values = error * math.sqrt(count) * draw.standard_normal((channels, n, count))
     if flicker:
         batches = flicker_in_segments(draw, (channels,), flicker / 3600, n, DWELL, pause, SPAN)
-        values += batches[:, :, np.arange(count) * BATCHES // count]
+        values += batches[:, :, np.arange(count) * SAMPLES // count]
     found = []
     for k, one in enumerate(made):
         since, motion = SAMPLE * np.arange(count), one.segment.motion
