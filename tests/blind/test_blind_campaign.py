@@ -100,8 +100,8 @@ def test_answers_go_on_where_they_stopped_and_failures_are_counted(made: Path) -
 
 @pytest.mark.slow
 def test_a_campaign_is_the_same_on_one_and_two_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(campaign, "assigned", lambda seed, n: ("poor", "mems", "none"))
-    monkeypatch.setattr("tests.blind.generator.assigned", lambda seed, n: ("poor", "mems", "none"))
+    monkeypatch.setattr(campaign, "assigned", lambda seed, n, real_noise=False: ("poor", "mems", "none"))
+    monkeypatch.setattr("tests.blind.generator.assigned", lambda seed, n, real_noise=False: ("poor", "mems", "none"))
     monkeypatch.setattr(campaign, "BATCH", 2)
     campaign.make_all(tmp_path / "one", 2, SEED)
     campaign.make_all(tmp_path / "one", 4, SEED)  # goes on

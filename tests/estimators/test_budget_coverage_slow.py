@@ -6,7 +6,7 @@ import pytest
 from budget_coverage import LOUD, RATE, STATIC, rate_coverage, static_coverage
 from scipy.stats import binom
 
-RUNS = 2_000
+RUNS = 1_000
 
 
 def joint_range(share: float, intervals: int) -> tuple[float, float]:

@@ -8,7 +8,7 @@ import pytest
 from calibration_coverage import CURVES, IMU, curve_coverage, imu_coverage
 from scipy.stats import binom
 
-RUNS = 1000
+RUNS = 400
 SCATTER = math.sqrt(0.95 * 0.05 / RUNS)
 
 

@@ -6,35 +6,35 @@ import numpy as np
 import pytest
 from coverage_experiment import NAMES, SCENARIOS, coverage, flicker_in_segments
 
-SHORT = 2_000
+RUNS = 1_000
 
 
-def joint_tolerance(runs: int) -> tuple[int, int]:
+def joint_tolerance() -> tuple[int, int]:
     """The range that each binomial count may take, jointly at 1 % (Šidák) for 12 coefficients on two bases in seven experiments, if every
     interval covers 95 %."""
     from scipy.stats import binom
 
     each = 1 - 0.99 ** (1 / (12 * 2 * 7))
-    return int(binom.ppf(each / 2, runs, 0.95)), int(binom.ppf(1 - each / 2, runs, 0.95))
+    return int(binom.ppf(each / 2, RUNS, 0.95)), int(binom.ppf(1 - each / 2, RUNS, 0.95))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("runs", "name"),
+    "name",
     [
-        (SHORT, "white noise"),
-        (SHORT, "white noise, second output four times noisier"),
-        (SHORT, "flicker 0.025 pulse/s, declared"),
-        (SHORT, "flicker 0.1 pulse/s, declared"),
-        (SHORT, "flicker 0.4 pulse/s, declared"),
-        (SHORT, "position error 30 arcsec, stated, noise ten times less"),
-        (SHORT, "flicker 0.1 pulse/s and position error 30 arcsec, both stated"),
+        "white noise",
+        "white noise, second output four times noisier",
+        "flicker 0.025 pulse/s, declared",
+        "flicker 0.1 pulse/s, declared",
+        "flicker 0.4 pulse/s, declared",
+        "position error 30 arcsec, stated, noise ten times less",
+        "flicker 0.1 pulse/s and position error 30 arcsec, both stated",
     ],
 )
-def test_intervals_cover_95_percent(runs: int, name: str) -> None:
-    low, high = joint_tolerance(runs)
-    for basis, share in coverage(runs, 11, **SCENARIOS[name]).items():
-        counts = np.rint(share * runs).astype(int)
+def test_intervals_cover_95_percent(name: str) -> None:
+    low, high = joint_tolerance()
+    for basis, share in coverage(RUNS, 11, **SCENARIOS[name]).items():
+        counts = np.rint(share * RUNS).astype(int)
         print(f"{name}, {basis}: " + ", ".join(f"{one} {s:.4f}" for one, s in zip(NAMES, share, strict=True)))
         assert low <= counts.min(), (basis, NAMES[int(counts.argmin())], counts.min(), low)
         assert counts.max() <= high, (basis, NAMES[int(counts.argmax())], counts.max(), high)

@@ -14,7 +14,7 @@ from tilted_coverage import (
     scale_factor_coverage,
 )
 
-RUNS = 300
+RUNS = 120
 
 
 def joint_tolerance(intervals: int) -> tuple[int, int]:
