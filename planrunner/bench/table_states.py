@@ -49,12 +49,21 @@ class TableState:
     def starts(self) -> list[Array]:
         """Joint angles from which the next motion may begin, the planned ones first."""
         centres = [self.joints, *self.others]
-        return centres + [centre + offset for offset in self._offsets() for centre in centres]
+        return centres + [start for centre in centres for start in self._around(centre)]
 
-    def _offsets(self) -> list[Array]:
-        """Deviations [rad] from the angles of `joints` or `others`, close enough to meet every choice between two ways."""
-        ranges = [_tried(low, high) for low, high in zip(self.below, self.above, strict=True)]
-        return [np.array(offset) for offset in product(*ranges) if any(offset)]
+    def _around(self, centre: Array) -> list[Array]:
+        """Joint angles [rad] at which the table may be instead of `centre`, close enough to meet every choice between two ways.
+
+        A continuous joint that may be anywhere is tried at the same angles whatever its planned one, so that their moves are computed once.
+        """
+        if not self._inexact:
+            return []
+        ranges = [_tried(*bounds) for bounds in zip(centre.tolist(), self.below, self.above, strict=True)]
+        return [np.array(angles) for angles in product(*ranges) if angles != tuple(centre.tolist())]
+
+    @property
+    def _inexact(self) -> bool:
+        return any(self.below) or any(self.above)
 
     def ended(
         self, axes: Sequence[TableAxis], joint: int, angle: float, misses: tuple[float, float], stopping: float
@@ -79,8 +88,7 @@ class TableState:
         Raises `Unreachable` with the reason, also if the attitude cannot be reached from an angle at which the table may be.
         """
         target, seconds = quickest_move(axes, attitude, self.joints, azimuth)
-        offsets = self._offsets()
-        if not (offsets or self.others) or (len(axes) == 1 and axes[0].continuous):
+        if not (self._inexact or self.others) or (len(axes) == 1 and axes[0].continuous):
             return TableState(target), seconds
         below, above = np.zeros(len(target)), np.zeros(len(target))
         reached = [target]
@@ -92,10 +100,11 @@ class TableState:
         for centre in (self.joints, *self.others):
             planned = quickest_move(axes, attitude, centre, azimuth)[0]
             keep(planned)
-            for offset in offsets:
-                end = quickest_move(axes, attitude, centre + offset, azimuth)[0]
+            for start in self._around(centre):
+                end = quickest_move(axes, attitude, start, azimuth)[0]
                 off = _apart(axes, end, planned)
-                if np.abs(off).max() <= np.abs(offset).max() + _SAME:  # the same way, whose end may depend on the start
+                moved = np.abs(_apart(axes, start, centre)).max()
+                if np.abs(off).max() <= moved + _SAME:  # the same way, whose end may depend on the start
                     np.minimum(below, off, out=below)
                     np.maximum(above, off, out=above)
                 else:
@@ -118,12 +127,14 @@ def spin_misses(rate: float, angle: float, sooner: float) -> tuple[float, float]
     return (-missed - early, missed) if rate > 0 else (-missed, missed + early)
 
 
-def _tried(low: float, high: float) -> list[float]:
-    """Offsets [rad] within a range, at most `_STEP` apart."""
+def _tried(centre: float, low: float, high: float) -> list[float]:
+    """Angles [rad] from `centre + low` to `centre + high`, at most `_STEP` apart."""
     if low == 0.0 and high == 0.0:
-        return [0.0]
+        return [centre]
+    if low <= -math.pi and high >= math.pi:  # only a continuous joint has such a range
+        return [step * _STEP for step in range(-3, 5)]
     steps = max(1, math.ceil((high - low) / _STEP))
-    return sorted({0.0, *(low + (high - low) * step / steps for step in range(steps + 1))})
+    return sorted({centre, *(centre + low + (high - low) * step / steps for step in range(steps + 1))})
 
 
 def _apart(axes: Sequence[TableAxis], first: Array, second: Array) -> Array:

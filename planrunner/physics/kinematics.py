@@ -105,7 +105,7 @@ def quickest_move(
 
 
 # Plans repeat their orientations, so solutions are cached. The key is bytes, because the sign of a zero decides between equivalent angles.
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=8192)
 def _quickest_move(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azimuth: float) -> tuple[Angles, float]:
     near: Angles = tuple(np.frombuffer(start).tolist())
     wanted = rotation_about((0.0, 0.0, 1.0), azimuth) @ np.frombuffer(target).reshape(3, 3).T
@@ -175,13 +175,20 @@ def spin_up_time(axis: TableAxis, rate: float) -> float:
 
 
 def joint_directions(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth: float = 0.0) -> Array:
-    """Direction of every axis at these joint angles, shape (n, 3), East-North-Up unit vectors."""
+    """Direction of every axis at these joint angles, shape (n, 3), East-North-Up unit vectors; not to be written to."""
+    return _joint_directions(tuple(axes), np.asarray(angles, dtype=float).tobytes(), azimuth)
+
+
+@lru_cache(maxsize=8192)
+def _joint_directions(axes: tuple[TableAxis, ...], angles: bytes, azimuth: float) -> Array:
     carried = rotation_about((0.0, 0.0, 1.0), -azimuth)
     rows = []
-    for axis, angle in zip(axes, angles, strict=True):
+    for axis, angle in zip(axes, np.frombuffer(angles).tolist(), strict=True):
         rows.append(carried @ np.asarray(axis.direction))
         carried = carried @ rotation_about(axis.direction, angle)
-    return np.array(rows)
+    directions = np.array(rows)
+    directions.flags.writeable = False
+    return directions
 
 
 def spin_axis(
