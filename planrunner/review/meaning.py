@@ -154,11 +154,13 @@ def equipment_of(bench: Bench) -> Meaning:
 
 
 def plain(branch: Branch) -> Json:
-    """The canonical content of a part of a meaning, as JSON."""
+    """The canonical content of a part of a meaning, as JSON. Keys without a value are left out, so that the digest of a file remains the
+    same when a later version has further keys that this file does not use."""
     if isinstance(branch, StatedValue):
         return branch.content
     if isinstance(branch, dict):
-        return {name: plain(part) for name, part in branch.items()}
+        parts = ((name, plain(part)) for name, part in branch.items())
+        return {name: content for name, content in parts if content is not None}
     return [plain(part) for part in branch]
 
 

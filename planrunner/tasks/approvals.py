@@ -313,7 +313,7 @@ def _author(found: Examined, kept: KeptApprovals, bench: Bench) -> tuple[str, ..
     if other and made != __version__:
         _unverified(found, f"{' and '.join(other)} ran with planrunner {made}, whose meanings have another form")
     elif other:
-        message = f"{path / APPROVALS}: {' and '.join(other)} do not have the meaning that was approved"
+        message = f"{path / APPROVALS}: the approved meaning is not that of {' and '.join(other)}"
         found.error("run-approval", message, hint="")
     return plan.author
 
