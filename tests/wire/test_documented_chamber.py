@@ -50,7 +50,7 @@ class Chamber:
             *points, self.bits = message.split()[1:]
             self.points = [float(point) for point in points]
             self.air = self.points[0]
-        return b"0\r\n"  # an acknowledgement that the protocol does not promise
+        return b""
 
 
 @contextmanager
