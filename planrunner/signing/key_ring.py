@@ -47,7 +47,7 @@ class KeyEntry(Record):
     until: str | None = key(_DAY, "Last day on which the key is valid.", "2028-12-31", default=None)
     revoked: str | None = key(
         _DAY,
-        "Day on which the key was revoked; no signature of the key counts from then on.",
+        "Day on which the key was revoked. As soon as it is stated, no signature of the key counts, whatever its date.",
         "2027-05-04",
         default=None,
     )
