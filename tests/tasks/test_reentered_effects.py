@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from planrunner.base import plugins
-from planrunner.base.findings import Mark
+from planrunner.base.findings import InputError, Mark
 from planrunner.error_model.added import NOISE, parameters
 from planrunner.error_model.effects.interface import (
     ActsOnNoise,
@@ -67,7 +67,11 @@ NOT_POSSIBLE_BEFORE = [
 ]
 DECLARED = ("axis_reversed", "axes_mirrored", "axes_exchanged", "unit_wrong", "table_sense_reversed", "mount_turned")
 """Wrong declarations change an output altogether; `tests/gap/test_declarations.py` adds them to simulations."""
-OTHERS = sorted(set(plugins.names(plugins.EFFECTS)) - {*NOT_POSSIBLE_BEFORE, *DECLARED})
+OF_A_REFERENCE = ("reference_latency",)
+"""These need a motion that only the recording shows; `tests/estimators/test_motion_not_commanded.py` fits them."""
+OTHERS = sorted(
+    set(plugins.names(plugins.EFFECTS)) - {*NOT_POSSIBLE_BEFORE, *DECLARED, *OF_A_REFERENCE, "gyro_fold_over"}
+)
 LARGER = {
     "accel_cross_coupling": 10.0,
     "accel_magnetic_sensitivity": 10.0,
@@ -206,3 +210,12 @@ def test_every_effect_is_in_the_simulation_at_the_stated_size(
     name: str, sound: Sound, without: Observed, tmp_path: Path
 ) -> None:
     _check(name, sound, without, tmp_path)
+
+
+@pytest.mark.slow
+def test_an_output_that_folds_over_does_not_follow_the_plan(sound: Sound, tmp_path: Path) -> None:
+    """90 deg/s beyond a limit of 70 deg/s is read as −50 deg/s, so the recording is not evaluated against the plan."""
+    listed = additions_to(sound, [("gyro_fold_over", {"limit": "70 deg/s"})], Mark("here"))
+    bench = with_effects(source.decode(sound.bench_bytes, BENCH), listed)
+    with pytest.raises(InputError, match="does not follow the plan"):
+        _simulated(bench.encode(), tmp_path)
