@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from planrunner.cli import exit_codes
-from planrunner.cli.history_arguments import add_index, opened_index
+from planrunner.cli.archive_arguments import add_index, opened_index
 from planrunner.cli.printing import print_json
 
 

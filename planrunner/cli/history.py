@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from planrunner.cli import exit_codes
-from planrunner.cli.history_arguments import add_index, opened_index
+from planrunner.cli.archive_arguments import add_index, opened_index
 from planrunner.cli.printing import print_json, write_file
 
 

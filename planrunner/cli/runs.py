@@ -7,19 +7,12 @@ import sys
 from pathlib import Path
 
 from planrunner.cli import exit_codes
-from planrunner.cli.history_arguments import add_index, opened_index
+from planrunner.cli.archive_arguments import add_archive, add_index, opened_index
 from planrunner.cli.printing import print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "archive",
-        metavar="ARCHIVE",
-        nargs="?",
-        type=Path,
-        default=Path("runs"),
-        help="folder of the runs (default: runs)",
-    )
+    add_archive(parser)
     parser.add_argument(
         "--device", default="", metavar="SERIAL", help="serial number; * and ? stand for any characters"
     )

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 from planrunner.cli import exit_codes
+from planrunner.cli.archive_arguments import add_archive
 from planrunner.cli.printing import print_json
 
 PORT = 8765
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "archive",
-        metavar="ARCHIVE",
-        nargs="?",
-        type=Path,
-        default=Path("runs"),
-        help="folder that contains the run folders (default: runs)",
-    )
+    add_archive(parser)
     parser.add_argument(
         "--port", metavar="N", type=int, default=PORT, help=f"port of the page; 0 for a free one (default: {PORT})"
     )

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner.cli import exit_codes
+from planrunner.cli.archive_arguments import add_archive
 from planrunner.cli.printing import print_json
 from planrunner.cli.progress import LINES_EVERY
 
@@ -21,14 +21,7 @@ EVERY = 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "archive",
-        metavar="ARCHIVE",
-        nargs="?",
-        type=Path,
-        default=Path("runs"),
-        help="folder that contains the run folders (default: runs)",
-    )
+    add_archive(parser)
     parser.add_argument("--once", action="store_true", help="print the state once and end")
     parser.add_argument(
         "--until-idle", action="store_true", help="end when no run is in progress (default: until Ctrl-C)"

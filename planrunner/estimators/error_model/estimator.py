@@ -30,7 +30,7 @@ from planrunner.estimators.basis_judgement import FitNote, judge, planned_basis,
 from planrunner.estimators.declared_axes import AxisResponse, against_nominal, contradictions
 from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.drift_order import planned_drift
-from planrunner.estimators.error_model.common import CommonAmplitudes, between_outputs, common_amplitudes
+from planrunner.estimators.error_model.common_amplitudes import CommonAmplitudes, between_outputs, common_amplitudes
 from planrunner.estimators.error_model.outputs import ModelledOutput, Together, models
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
 from planrunner.estimators.error_model.sampled_outputs import SampledOutputs

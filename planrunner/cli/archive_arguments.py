@@ -1,4 +1,4 @@
-"""Arguments of the commands that use the index of an archive."""
+"""Arguments of the commands that read an archive of runs, or its index."""
 
 from __future__ import annotations
 
@@ -10,6 +10,17 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from planrunner.night.history.index import Index
+
+
+def add_archive(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "archive",
+        metavar="ARCHIVE",
+        nargs="?",
+        type=Path,
+        default=Path("runs"),
+        help="folder that contains the run folders (default: runs)",
+    )
 
 
 def add_index(parser: argparse.ArgumentParser) -> None:
