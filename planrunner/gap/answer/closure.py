@@ -223,6 +223,8 @@ def measured(residual: Array, difference: Array, known: Sequence[KnownCause] = (
         _explained(one, float(difference @ difference), int(n), draw) for one, n in zip(known, counts[1:], strict=True)
     ]
     before, after = np.sqrt(np.maximum(np.concatenate(drawn), 0.0)).T
+    if float(np.quantile(before, 0.05)) < 1e-9:  # no relative reduction of a gap that may be zero
+        return NOT_RESOLVABLE
     shrink = 1 - after / np.maximum(before, 1e-9)
     low, middle, high = (float(value) for value in np.quantile(shrink, [0.05, 0.5, 0.95]))
     if high - low > WIDEST:
