@@ -606,8 +606,8 @@ def _of_samples(one: FittedOutput) -> list[Said]:
         found.append(
             said(
                 "{output}: within the segments, the means of consecutive samples vary {ratio:.3g} times as much (variance) as white noise "
-                "and the declared bias instability explain: the noise is coloured, or the model is incomplete, and the uncertainties of "
-                "effects within segments are too small.",
+                "and the declared bias instability explain: the noise is coloured, or the model is incomplete. The uncertainties of "
+                "effects within segments are increased accordingly.",
                 output=one.model.name,
                 ratio=within.coloured,
             )

@@ -423,7 +423,7 @@ class _Problem:
             self.means(tangents).T,
             self.means(predicted if observed is None else observed),
             offset,
-            self._contrasts(tangents, linear, math.sqrt(coloured) if output.observed.moved.any() else 1.0),
+            self._contrasts(tangents, linear, math.sqrt(coloured)),
             self.means(columns.own),
             columns.available,
             self._named(values),
