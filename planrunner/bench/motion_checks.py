@@ -188,7 +188,10 @@ def _elsewhere(
     table: TableModel, motion: Spin, seconds: float | None, state: TableState, models: BenchModels
 ) -> list[Excess]:
     """Requirements beyond the limits if the spin begins at another angle at which the table may be."""
-    for start in state.starts()[1:]:
+    # The angle of a continuous innermost axis makes no difference to a spin.
+    matter = len(table.axes) - 1 if table.axes[-1].continuous else len(table.axes)
+    starts = {start[:matter].tobytes(): start for start in state.starts()[1:]}
+    for start in starts.values():
         try:
             course = SpinCourse.of(motion, table.axes, start, models.site.azimuth)
         except Unreachable as error:

@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from planrunner.base.dataclass import dataclass
-from planrunner.physics.kinematics import TURN, Angles, Array, TableAxis, quickest_move
+from planrunner.physics.kinematics import TURN, Angles, Array, TableAxis, quickest_ends, quickest_move
 
 STOPS_LATE = 0.1
 """s; a motion ends at most this much earlier or later than planned: as long as the executor may wait between two looks at the table."""
@@ -49,17 +49,18 @@ class TableState:
     def starts(self) -> list[Array]:
         """Joint angles from which the next motion may begin, the planned ones first."""
         centres = [self.joints, *self.others]
-        return centres + [start for centre in centres for start in self._around(centre)]
+        grids = {grid.tobytes(): grid for grid in map(self._around, centres)}
+        return centres + [start for grid in grids.values() for start in grid]
 
-    def _around(self, centre: Array) -> list[Array]:
-        """Joint angles [rad] at which the table may be instead of `centre`, close enough to meet every choice between two ways.
+    def _around(self, centre: Array) -> Array:
+        """Joint angles (n, joints) [rad] at which the table may be instead of `centre`, close enough to meet every choice between two ways.
 
         A continuous joint that may be anywhere is tried at the same angles whatever its planned one, so that their moves are computed once.
         """
         if not self._inexact:
-            return []
+            return np.empty((0, len(centre)))
         ranges = [_tried(*bounds) for bounds in zip(centre.tolist(), self.below, self.above, strict=True)]
-        return [np.array(angles) for angles in product(*ranges) if angles != tuple(centre.tolist())]
+        return np.array(list(product(*ranges)))
 
     @property
     def _inexact(self) -> bool:
@@ -93,22 +94,24 @@ class TableState:
         below, above = np.zeros(len(target)), np.zeros(len(target))
         reached = [target]
 
-        def keep(end: Array) -> None:
-            if len(reached) <= MOST and all(np.abs(_apart(axes, end, known)).max() > _SAME for known in reached):
-                reached.append(end)
+        def keep(ends: Array) -> None:
+            for known in reached:
+                ends = ends[_furthest(_apart(axes, ends, known)) > _SAME]
+            while len(ends) and len(reached) <= MOST:
+                reached.append(ends[0])
+                ends = ends[_furthest(_apart(axes, ends, ends[0])) > _SAME]
 
         for centre in (self.joints, *self.others):
             planned = quickest_move(axes, attitude, centre, azimuth)[0]
-            keep(planned)
-            for start in self._around(centre):
-                end = quickest_move(axes, attitude, start, azimuth)[0]
-                off = _apart(axes, end, planned)
-                moved = np.abs(_apart(axes, start, centre)).max()
-                if np.abs(off).max() <= moved + _SAME:  # the same way, whose end may depend on the start
-                    np.minimum(below, off, out=below)
-                    np.maximum(above, off, out=above)
-                else:
-                    keep(end)
+            keep(planned[np.newaxis])
+            starts = self._around(centre)
+            ends = quickest_ends(axes, attitude, starts, azimuth)
+            off = _apart(axes, ends, planned)
+            # The same way, whose end may depend on the start.
+            same = _furthest(off) <= _furthest(_apart(axes, starts, centre)) + _SAME
+            below = np.vstack([below, off[same]]).min(axis=0)
+            above = np.vstack([above, off[same]]).max(axis=0)
+            keep(ends[~same])
         loose = [index for index in range(len(target)) if max(-below[index], above[index]) > _SAME]
         roughly = loose[0] if loose else None
         if roughly is None:
@@ -138,6 +141,12 @@ def _tried(centre: float, low: float, high: float) -> list[float]:
 
 
 def _apart(axes: Sequence[TableAxis], first: Array, second: Array) -> Array:
-    """Differences of joint angles [rad]; whole turns of a continuous axis do not count."""
-    pairs = zip(axes, (first - second).tolist(), strict=True)
-    return np.array([math.remainder(off, TURN) if axis.continuous else off for axis, off in pairs])
+    """Differences of joint angles [rad], shape (n, joints); whole turns of a continuous axis do not count."""
+    off = first - second
+    turns = np.array([TURN if axis.continuous else 0.0 for axis in axes])
+    return np.asarray(off - turns * np.round(off / TURN))
+
+
+def _furthest(off: Array) -> Array:
+    """The largest absolute difference among the joints, shape (n,)."""
+    return np.asarray(np.abs(off).max(axis=1))

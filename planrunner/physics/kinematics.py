@@ -104,18 +104,24 @@ def quickest_move(
     return np.array(angles), seconds
 
 
+def quickest_ends(axes: Sequence[TableAxis], target: Array, starts: Array, azimuth: float = 0.0) -> Array:
+    """The joint angles that `quickest_move` gives from each of some starts (n, joints), same shape; not to be written to."""
+    return _quickest_ends(tuple(axes), np.asarray(target, dtype=float).tobytes(), starts.tobytes(), azimuth)
+
+
+@lru_cache(maxsize=512)
+def _quickest_ends(axes: tuple[TableAxis, ...], target: bytes, starts: bytes, azimuth: float) -> Array:
+    rows = np.frombuffer(starts).reshape(-1, len(axes))
+    ends = np.array([_quickest_move(axes, target, row.tobytes(), azimuth)[0] for row in rows]).reshape(rows.shape)
+    ends.flags.writeable = False
+    return ends
+
+
 # Plans repeat their orientations, so solutions are cached. The key is bytes, because the sign of a zero decides between equivalent angles.
 @lru_cache(maxsize=8192)
 def _quickest_move(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azimuth: float) -> tuple[Angles, float]:
     near: Angles = tuple(np.frombuffer(start).tolist())
-    wanted = rotation_about((0.0, 0.0, 1.0), azimuth) @ np.frombuffer(target).reshape(3, 3).T
-    candidates = {1: _one_axis, 2: _two_axes, 3: _three_axes}[len(axes)](axes, wanted, near)
-    off = _misalignment(axes, candidates[0], wanted)
-    if off > REACHED:
-        names = " and ".join(f"'{axis.name}'" for axis in axes)
-        only = f"has only the axis {names}" if len(axes) == 1 else f"has only the axes {names}"
-        message = f"the table {only}; the nearest orientation it reaches is {math.degrees(off):.4g} deg away"
-        raise Unreachable(message)
+    candidates = _solutions(axes, target, None, azimuth) or _solutions(axes, target, near, azimuth)
     ways: list[Angles] = []
     reasons: list[tuple[float, str]] = []
     for candidate in candidates:
@@ -129,6 +135,21 @@ def _quickest_move(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azi
         raise Unreachable(min(reasons)[1])
     best = _preferred(axes, near, ways)
     return best, transition_time(axes, near, best)
+
+
+@lru_cache(maxsize=8192)
+def _solutions(axes: tuple[TableAxis, ...], target: bytes, near: Angles | None, azimuth: float) -> tuple[Angles, ...]:
+    """Joint angles for an attitude, wherever the table is. In gimbal lock a choice is left, which `near` decides; empty if `near` is None.
+    Raises `Unreachable` if the axes do not allow the attitude."""
+    wanted = rotation_about((0.0, 0.0, 1.0), azimuth) @ np.frombuffer(target).reshape(3, 3).T
+    candidates = {1: _one_axis, 2: _two_axes, 3: _three_axes}[len(axes)](axes, wanted, near)
+    off = _misalignment(axes, candidates[0], wanted) if candidates else 0.0
+    if off > REACHED:
+        names = " and ".join(f"'{axis.name}'" for axis in axes)
+        only = f"has only the axis {names}" if len(axes) == 1 else f"has only the axes {names}"
+        message = f"the table {only}; the nearest orientation it reaches is {math.degrees(off):.4g} deg away"
+        raise Unreachable(message)
+    return tuple(candidates)
 
 
 def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> Angles:
@@ -222,20 +243,22 @@ def check_geometry(axes: Sequence[TableAxis]) -> None:
 # -- solving ---------------------------------------------------------------------------------------------------------
 
 
-def _one_axis(axes: Sequence[TableAxis], wanted: Array, near: Sequence[float]) -> list[Angles]:
+def _one_axis(axes: Sequence[TableAxis], wanted: Array, near: Angles | None) -> list[Angles]:
     return [(_best_turn(axes[0].direction, wanted),)]
 
 
-def _two_axes(axes: Sequence[TableAxis], wanted: Array, near: Sequence[float]) -> list[Angles]:
+def _two_axes(axes: Sequence[TableAxis], wanted: Array, near: Angles | None) -> list[Angles]:
     first, second = (np.asarray(axis.direction) for axis in axes)
     outer = _angle_between(first, second, wanted @ second)
     if outer is None:
+        if near is None:
+            return []
         outer = near[0]
     rest = rotation_about(axes[0].direction, outer).T @ wanted
     return [(outer, _best_turn(axes[1].direction, rest))]
 
 
-def _three_axes(axes: Sequence[TableAxis], wanted: Array, near: Sequence[float]) -> list[Angles]:
+def _three_axes(axes: Sequence[TableAxis], wanted: Array, near: Angles | None) -> list[Angles]:
     """Every solution (two, or a choice of the one-parameter family where outer and inner axis are parallel).
 
     With R_1·R_2·R_3 = W and W·a_3 = b: a_1·(R_2 a_3) = a_1·b fixes q_2 up to a sign, then q_1 turns R_2·a_3 into b, then q_3 remains. The
@@ -251,7 +274,7 @@ def _three_axes(axes: Sequence[TableAxis], wanted: Array, near: Sequence[float])
     for middle in {zero + half, zero - half}:
         turned = rotation_about(axes[1].direction, middle) @ third
         if locked:
-            found += _locked_family(axes, middle, wanted, near)
+            found += _locked_family(axes, middle, wanted, near) if near is not None else []
             continue
         outer = _angle_between(first, turned, carried)
         assert outer is not None

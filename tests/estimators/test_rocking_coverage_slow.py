@@ -25,7 +25,7 @@ def share_of_welch(draws: int = 200_000) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("campaign", "count"), [(rocking_coverage.campaign, 120), (rocking_window_coverage.campaign, 1500)]
+    ("campaign", "count"), [(rocking_coverage.campaign, 120), (rocking_window_coverage.campaign, 800)]
 )
 def test_intervals_of_rocking_drifts_hold_the_truth(campaign, count) -> None:
     """From whole records, and from what the filter leaves of them in the windows; three standard errors of a binomial share."""
