@@ -233,8 +233,8 @@ def setting(value: object) -> str:
 
 
 def named(facts: Mapping[str, Json]) -> list[list[str]]:
-    """[name, value] pairs, names made readable: `device_serial` becomes `Device serial`."""
-    return [[readable(name), setting(value)] for name, value in facts.items()]
+    """[name, value] pairs of the facts that are not empty, names made readable: `device_serial` becomes `Device serial`."""
+    return [[readable(name), setting(value)] for name, value in facts.items() if value != ""]
 
 
 def readable(name: str) -> str:

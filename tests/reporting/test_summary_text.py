@@ -69,6 +69,14 @@ def test_markdown_shows_text_as_it_stands() -> None:
     assert summary.splitlines()[0] == "# " + markdown(hostile)
 
 
+def test_a_fact_that_is_not_stated_has_no_line() -> None:
+    bench = {"name": "own", "description": ""}
+    summary = render_report(example.context(bench=bench), "summary.md")
+    assert "- Name: own" in summary
+    assert "- Description:" not in summary
+    assert "Description" not in render_report(example.context(bench=bench), "report.html")
+
+
 def test_every_row_of_a_summary_table_has_as_many_cells_as_its_header() -> None:
     lines = render_report(example.context(), "summary.md").splitlines()
     for before, line in pairwise(lines):
