@@ -6,7 +6,7 @@ import argparse
 
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.cli import exit_codes
-from planrunner.cli.each_run import add_runs
+from planrunner.cli.each_run import add_runs, run_folders
 from planrunner.cli.printing import print_json
 
 
@@ -19,10 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from planrunner.night.history.comparison import compare_runs
 
-    if len(args.runs) < 2:
+    runs = run_folders(args.runs)
+    if len(runs) < 2:
         hint = "write `planrunner compare RUN RUN`"
         raise InputError.at(COMMAND_LINE, "command-usage", "at least two runs are needed", hint)
-    found = compare_runs(args.runs)
+    found = compare_runs(runs)
     if args.json:
         print_json(found.to_json())
     else:

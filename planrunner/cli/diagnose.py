@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import COMMAND_LINE, InputError, Mark, closest
 from planrunner.cli import exit_codes
+from planrunner.cli.each_run import run_folders
 from planrunner.cli.jobs import number_of_jobs
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.cli.progress import reading_progress
@@ -118,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
         from planrunner.cli.diagnose_fleet import run_fleet
 
         options = options_of(args.nominal)
-        return run_fleet(args, [args.subject, *args.others], None if options is None else options.nominal)
+        return run_fleet(args, run_folders([args.subject, *args.others]), None if options is None else options.nominal)
     if args.origins is not None:
         raise InputError.at(
             COMMAND_LINE, "gap-arguments", "--origins is for several runs", "give two or more run folders"

@@ -4,6 +4,7 @@ run."""
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +12,8 @@ from pathlib import Path
 from planrunner.base.documents import JsonObject
 from planrunner.cli.failures import failure_of
 from planrunner.cli.printing import print_json
+from planrunner.night.record import holds_nights
+from planrunner.reporting.printable import printable
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +29,16 @@ def add_runs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("runs", metavar="RUN", nargs="+", type=Path, help="one or more run folders")
 
 
+def run_folders(given: Sequence[Path]) -> list[Path]:
+    """The given folders without those that hold the nights of an archive, which a pattern such as `runs/*` contains; a note names them."""
+    nights = [] if len(given) < 2 else [folder for folder in given if holds_nights(folder)]
+    for folder in nights:
+        print(
+            printable(f"note: {folder} is skipped: it holds the records of nights, not a run", keep=""), file=sys.stderr
+        )
+    return [folder for folder in given if folder not in nights]
+
+
 def each_run(
     runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: bool, last: Callable[[], Done | None] | None = None
 ) -> int:
@@ -34,6 +47,7 @@ def each_run(
     With several runs, the output of each begins with its name. The exit code is the highest of all. last: gives what concerns
     all runs together, which is the last entry.
     """
+    runs = run_folders(runs)
     entries, worst = [], 0
     for run in runs:
         if len(runs) > 1 and not as_json:

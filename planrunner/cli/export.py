@@ -8,7 +8,7 @@ from pathlib import Path
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import COMMAND_LINE, InputError, Mark, closest
 from planrunner.cli import exit_codes
-from planrunner.cli.each_run import Done, each_run
+from planrunner.cli.each_run import Done, each_run, run_folders
 from planrunner.cli.printing import print_findings, write_file
 
 FORMS = {"csv": "csv", "matlab": "m", "yaml": "yaml", "c": "h"}
@@ -35,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     runs, name = _told(args.words)
+    runs = run_folders(runs)
     folder = args.output is not None and args.output.is_dir()
     if len(runs) > 1 and not args.json and not folder:
         message = "the coefficients of several runs cannot be written to one file"

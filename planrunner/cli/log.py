@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.base.regular_files import RefusedFileError, read_regular
 from planrunner.cli import exit_codes
+from planrunner.cli.each_run import run_folders
 from planrunner.cli.passphrase import add_passphrase, passphrase
 from planrunner.cli.printing import print_json, write_file
 from planrunner.plan.source import refused_input
@@ -92,7 +93,7 @@ def _append(args: argparse.Namespace) -> int:
     from planrunner.tasks.run_log import append_run, require_log
 
     heads = []
-    for run in args.runs:
+    for run in run_folders(args.runs):
         log = require_log(run.absolute().parent if args.log is None else args.log)
         head = append_run(log, run)
         heads.append({"run": str(run), "head": None if head is None else head.to_json()})

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from planrunner.base.findings import COMMAND_LINE, InputError, closest
 from planrunner.cli import exit_codes
-from planrunner.cli.each_run import Done, each_run
+from planrunner.cli.each_run import Done, each_run, run_folders
 from planrunner.cli.printing import print_findings, write_file
 from planrunner.cli.progress import reading_progress
 from planrunner.plan.run_information import gather_for_issue
@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     runs, names = _told(args.words)
+    runs = run_folders(runs)
     if len(runs) > 1:
         _check_several(args, names)
     return each_run(runs, lambda folder: _report(folder, names, args), as_json=args.json)

@@ -61,14 +61,15 @@ def expand_suite(suite: Suite, folder: Path, log: Findings) -> tuple[PlannedTest
             message = f"'{entry}' has no test: none of its devices is mounted on one of its benches"
             log.error("suite-no-test", plan.origin.mark, message, "change `devices` or `benches`")
         found += tests
-    by_entry: dict[str, list[PlannedTest]] = {}
+    groups: dict[tuple[str | None, ...], list[int]] = {}
     for test in found:
-        by_entry.setdefault(test.entry, []).append(test)
+        for group in ((test.entry,), (test.entry, test.device), (test.entry, test.device, test.bench)):
+            groups.setdefault(group, []).append(test.index)
     return tuple(
         replace(
             test,
-            after=_waited_for(test, (*test.plan.after, *test.plan.needs), by_entry),
-            needs=_waited_for(test, test.plan.needs, by_entry),
+            after=_waited_for(test, (*test.plan.after, *test.plan.needs), groups),
+            needs=_waited_for(test, test.plan.needs, groups),
         )
         for test in found
     )
@@ -108,16 +109,14 @@ def _tests_of(entry: str, suite: Suite, folder: Path, first: int) -> Iterator[Pl
 
 
 def _waited_for(
-    test: PlannedTest, entries: Sequence[str], by_entry: Mapping[str, Sequence[PlannedTest]]
+    test: PlannedTest, entries: Sequence[str], groups: Mapping[tuple[str | None, ...], Sequence[int]]
 ) -> tuple[int, ...]:
     """The tests of other plans that a test waits for: those of its device on its bench; if there are none, those of its device; if there
-    are none, all."""
+    are none, all. groups: tests of a plan, of a plan with a device, and of a plan with a device on a bench."""
     found: list[int] = []
     for entry in dict.fromkeys(entries):
-        others = by_entry.get(entry, ())
-        of_device = [other for other in others if other.device == test.device]
-        here = [other for other in of_device if other.bench == test.bench]
-        found += [other.index for other in here or of_device or others]
+        here, of_device = groups.get((entry, test.device, test.bench)), groups.get((entry, test.device))
+        found += here or of_device or groups.get((entry,), ())
     return tuple(dict.fromkeys(found))
 
 

@@ -15,14 +15,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import tzinfo
+from pathlib import Path
 from typing import Literal
 
+from planrunner.archive.verifying import RUN
 from planrunner.base.documents import Json, JsonObject
 from planrunner.night.civil_time import civil
 
 FOLDER = "nights"
 RECORD = "night.json"
 FORMAT = 1
+
+
+def holds_nights(folder: Path) -> bool:
+    """Whether a folder is the one in which an archive keeps its nights. It lies beside the run folders: `runs/*` contains it."""
+    return folder.name == FOLDER and folder.is_dir() and not (folder / RUN).exists()
+
+
 StateOfTest = Literal["waiting", "running", "passed", "failed", "known_failure", "fault", "refused", "not_run"]
 BAD: tuple[StateOfTest, ...] = ("fault", "refused", "not_run")
 """States that mean that a test gave no result."""

@@ -11,10 +11,12 @@ according to its planned duration.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import field
 from datetime import tzinfo
 from enum import Enum
+from heapq import heappop, heappush
 from itertools import islice
 from typing import Literal
 
@@ -82,27 +84,40 @@ class WarmUp:
 
 @dataclass(slots=True)
 class _Test:
-    """since: the instant from which it may begin while it waits."""
+    """since: the instant from which it may begin while it waits. pending: number of tests that must end before it."""
 
     state: Literal["waiting", "running", "ended", "not run"] = "waiting"
     ending: EndOfTest | None = None
     since: float = -math.inf
     attempts: int = 0
+    pending: int = 0
 
 
 @dataclass(slots=True)
 class _Bench:
-    """warm_at: when its last warm-up ends or ended. last_used: when its last test ended. stopped: why no further test begins on it."""
+    """warm_at: when its last warm-up ends or ended. last_used: when its last test ended. stopped: why no further test begins on it.
+
+    ready: device → its tests that wait for nothing but the bench, the device and the hours, in the order of the suite. first: heap of the
+    first such test of each device. longest: heaps of the waiting tests with and without a warm-up, as (−planned seconds, test). Entries of
+    heaps that no longer hold are dropped when they come up.
+    """
 
     running: int | None = None
     warm_at: float | None = None
     last_used: float = -math.inf
     stopped: str = ""
+    ready: dict[str | None, list[int]] = field(default_factory=dict)
+    first: list[int] = field(default_factory=list)
+    longest: dict[bool, list[tuple[float, int]]] = field(default_factory=lambda: {True: [], False: []})
 
 
 @dataclass(slots=True)
 class NightCourse:
-    """The state of a night. durations: planned seconds of each test; None if unknown (the test then counts as short)."""
+    """The state of a night. durations: planned seconds of each test; None if unknown (the test then counts as short).
+
+    What begins next is found without looking at every test, so that the time for a night grows with the number of its tests and
+    dependencies, not with its square.
+    """
 
     tests: Sequence[PlannedTest]
     durations: Sequence[float | None]
@@ -113,16 +128,33 @@ class NightCourse:
     _benches: dict[str, _Bench] = field(default_factory=dict)
     _devices: dict[str, str] = field(default_factory=dict)
     """Device → why no further test begins on it."""
+    _followers: list[list[int]] = field(default_factory=list)
+    """For each test, the tests that begin after it."""
+    _dependents: list[list[int]] = field(default_factory=list)
+    """For each test, the tests that need it."""
+    _paused: list[tuple[float, int]] = field(default_factory=list)
+    """Heap of the instants from which tests may begin that wait for nothing else."""
+    _lost: set[int] = field(default_factory=set)
+    """Waiting tests that cannot run any more."""
 
     def __post_init__(self) -> None:
-        self._tests = [_Test() for _ in self.tests]
+        self._tests = [_Test(pending=len(test.after)) for test in self.tests]
         self._benches = {test.bench: _Bench() for test in self.tests}
+        self._followers = [[] for _ in self.tests]
+        self._dependents = [[] for _ in self.tests]
+        for index, test in enumerate(self.tests):
+            for other in test.after:
+                self._followers[other].append(index)
+            for other in test.needs:
+                self._dependents[other].append(index)
+            self._wait(index, -math.inf)
 
     # -- what happened ---------------------------------------------------------------------------------------------------
 
     def begun(self, test: int, at: float) -> None:
         """A test has begun."""
         state = self._tests[test]
+        self._withdraw(test)
         state.state, state.since = "running", at
         state.attempts += 1
         self._benches[self.tests[test].bench].running = test
@@ -142,27 +174,73 @@ class NightCourse:
         bench.running, bench.last_used = None, at
         plan = planned.plan
         if ending is EndOfTest.BUSY:
-            state.state, state.since = "waiting", at + BUSY_PAUSE
+            self._wait(test, at + BUSY_PAUSE)
             state.attempts -= 1
             return False
         if ending.value in plan.retry_on and state.attempts <= plan.retries and not self.stopped:
-            state.state, state.since = "waiting", at + plan.retry_after.value
+            self._wait(test, at + plan.retry_after.value)
             return False
         state.state, state.ending = "ended", ending
+        self._settle(test)
         if ending is not EndOfTest.PASSED:
             self._follow(planned, ending)
         return True
 
     def interrupted(self, test: int) -> None:
         """A running test was interrupted, and continues later; this does not count as an attempt."""
-        state = self._tests[test]
-        state.state, state.since = "waiting", -math.inf
-        state.attempts -= 1
+        self._wait(test, -math.inf)
+        self._tests[test].attempts -= 1
         self._benches[self.tests[test].bench].running = None
 
     def abandon(self, test: int) -> None:
         """A waiting test will not run."""
+        self._withdraw(test)
         self._tests[test].state = "not run"
+        self._settle(test)
+
+    def _wait(self, index: int, since: float) -> None:
+        """A test waits, and may begin from an instant on."""
+        test, state = self.tests[index], self._tests[index]
+        bench = self._benches[test.bench]
+        state.state, state.since = "waiting", since
+        heappush(bench.longest[test.plan.warm], (-(self.durations[index] or 0.0), index))
+        if not state.pending:
+            heappush(self._paused, (since, index))
+        if self.stopped or bench.stopped or self._devices.get(test.device or ""):
+            self._lost.add(index)
+
+    def _settle(self, index: int) -> None:
+        """A test has its result, or will not run: tests that waited for it may begin, or cannot run any more."""
+        for other in self._followers[index]:
+            state = self._tests[other]
+            state.pending -= 1
+            if not state.pending and state.state == "waiting":
+                heappush(self._paused, (state.since, other))
+        if self._tests[index].ending is not EndOfTest.PASSED:
+            self._lost.update(self._dependents[index])
+
+    def _resume(self, now: float) -> None:
+        """Tests whose pause is over become ready."""
+        while self._paused and self._paused[0][0] <= now:
+            since, index = heappop(self._paused)
+            test, state = self.tests[index], self._tests[index]
+            bench = self._benches[test.bench]
+            ready = bench.ready.setdefault(test.device, [])
+            place = bisect_left(ready, index)
+            if state.state == "waiting" and state.since == since and ready[place : place + 1] != [index]:
+                ready.insert(place, index)
+                heappush(bench.first, index)
+
+    def _withdraw(self, index: int) -> None:
+        """A waiting test is no longer ready."""
+        test = self.tests[index]
+        bench = self._benches[test.bench]
+        ready = bench.ready.get(test.device, [])
+        place = bisect_left(ready, index)
+        if ready[place : place + 1] == [index]:
+            del ready[place]
+            if ready:
+                heappush(bench.first, ready[0])
 
     def _follow(self, test: PlannedTest, ending: EndOfTest) -> None:
         """What a failure has as a consequence, according to the suite."""
@@ -173,37 +251,45 @@ class NightCourse:
         reason = f"{what} in {test.name}"
         if action == "stop_night":
             self.stopped = self.stopped or f"the night was stopped: {reason}"
+            self._lost.update(range(len(self.tests)))
         elif action == "stop_bench":
             bench = self._benches[test.bench]
             bench.stopped = bench.stopped or f"bench {test.bench} was stopped: {reason}"
+            self._lost.update(other.index for other in self.tests if other.bench == test.bench)
         elif action == "stop_device" and test.device is not None:
             self._devices.setdefault(test.device, f"device {test.device} was stopped: {reason}")
+            self._lost.update(other.index for other in self.tests if other.device == test.device)
 
     # -- what comes next -------------------------------------------------------------------------------------------------
 
     def next(self, now: float) -> Begin | WarmUp | None:
         """What begins now, if anything. The caller reports it with `begun` or `warming` and asks again."""
+        self._resume(now)
+        busy = {device for index in self.running if (device := self.tests[index].device) is not None}
         for name, bench in self._benches.items():
             if bench.running is not None or (bench.warm_at is not None and bench.warm_at > now):
                 continue
-            for index, test in enumerate(self.tests):
-                if test.bench != name or not self._ready(index, now):
-                    continue
-                if self._starts(index, now) == now:
-                    warm_up = self._warm_up(test, bench, now)
-                    return Begin(index, now) if warm_up == 0.0 else WarmUp(name, now, now + warm_up)
+            index = self._first(bench, busy, now) if self._open(name, now) else None
+            if index is not None:
+                warm_up = self._warm_up(self.tests[index], bench, now)
+                return Begin(index, now) if warm_up == 0.0 else WarmUp(name, now, now + warm_up)
         return None
 
     def out_of_reach(self, now: float) -> Iterator[tuple[int, str]]:
         """Waiting tests that cannot run any more, with the reason. The caller reports them with `abandon`."""
-        for index in self.waiting:
+        for bench in self._benches.values():
+            if bench.running is None:
+                self._lost.update(self._too_late(bench, now))
+        self._lost = {index for index in self._lost if self._tests[index].state == "waiting"}
+        for index in sorted(self._lost):
             if reason := self._obstacle(self.tests[index], now):
                 yield index, reason
 
     def wakes(self, now: float) -> float:
         """The next instant at which something may begin without anything ending; inf if there is none."""
+        self._resume(now)
         moments = [bench.warm_at for bench in self._benches.values() if bench.warm_at is not None]
-        moments += [state.since for state in self._tests if state.state == "waiting"]
+        moments += [since for since, _ in self._paused[:1]]
         for hours in self.hours.benches.values():
             moments += [opening.opens for opening in hours.openings or ()]
         return min((moment for moment in (*moments, self.hours.begins) if moment > now), default=math.inf)
@@ -220,14 +306,49 @@ class NightCourse:
         """How often a test has begun; tests that found their bench in use do not count."""
         return self._tests[test].attempts
 
-    def _ready(self, index: int, now: float) -> bool:
-        test, state = self.tests[index], self._tests[index]
-        if state.state != "waiting" or state.since > now or self._obstacle(test, now):
-            return False
-        if any(self._tests[other].state in ("waiting", "running") for other in test.after):
-            return False
-        busy = {self.tests[other].device for other in self.running}
-        return test.device is None or test.device not in busy
+    def _open(self, bench: str, now: float) -> bool:
+        """Whether an instant lies in the hours of a bench."""
+        openings_ = self.hours.benches[bench].openings
+        within = openings_ is None or any(opening.opens <= now <= opening.closes for opening in openings_)
+        return within and self.hours.begins <= now < self.hours.closes
+
+    def _first(self, bench: _Bench, busy: Collection[str], now: float) -> int | None:
+        """The first ready test of a bench whose device is free and that could begin now with respect to the hours."""
+        found: int | None = None
+        looked_at: list[int] = []
+        too_long: set[tuple[bool, float | None]] = set()
+        while bench.first and (found is None or bench.first[0] < found):
+            index = heappop(bench.first)
+            ready = bench.ready[self.tests[index].device]
+            if not ready or ready[0] != index or index in looked_at[-1:]:
+                continue
+            looked_at.append(index)
+            if self.tests[index].device in busy:
+                continue
+            for one in ready:
+                if found is not None and one > found:
+                    break
+                kind = (self.tests[one].plan.warm, self.durations[one])
+                if kind not in too_long and not self._obstacle(self.tests[one], now):
+                    if self._starts(one, now) == now:
+                        found = one
+                        break
+                    too_long.add(kind)
+        for index in looked_at:
+            heappush(bench.first, index)
+        return found
+
+    def _too_late(self, bench: _Bench, now: float) -> Iterator[int]:
+        """The waiting tests of a bench that do not fit into its hours any more. Of two with the same warm-up, the longer one is the first
+        that does not fit."""
+        for heap in bench.longest.values():
+            while heap:
+                index = heap[0][1]
+                if self._tests[index].state == "waiting":
+                    if self._starts(index, now, soonest=True) is not None:
+                        break
+                    yield index
+                heappop(heap)
 
     def _obstacle(self, test: PlannedTest, now: float) -> str:
         """Why a waiting test cannot run any more; empty if it can."""
@@ -328,8 +449,10 @@ class NightForecast:
         """The predicted end; the beginning if nothing runs."""
         return max((slot.ends for slot in self.slots), default=self.hours.begins)
 
-    def slot_of(self, test: int) -> Slot | None:
-        return next((slot for slot in self.slots if slot.test == test), None)
+    @property
+    def slots_of_tests(self) -> dict[int, Slot]:
+        """Test → its slot, for the tests that run."""
+        return {slot.test: slot for slot in self.slots if slot.test is not None}
 
 
 def foresee(
@@ -340,6 +463,7 @@ def foresee(
     now = hours.begins
     slots: list[Slot] = []
     left_out: list[tuple[int, str]] = []
+    ends: dict[int, float] = {}
     while True:
         while lost := tuple(course.out_of_reach(now)):
             left_out += lost
@@ -348,18 +472,17 @@ def foresee(
         while (step := course.next(now)) is not None:
             if isinstance(step, Begin):
                 course.begun(step.test, now)
-                slots.append(Slot(tests[step.test].bench, now, now + (durations[step.test] or 0.0), step.test))
+                ends[step.test] = now + (durations[step.test] or 0.0)
+                slots.append(Slot(tests[step.test].bench, now, ends[step.test], step.test))
             else:
                 course.warming(step.bench, step.until)
                 slots.append(Slot(step.bench, now, step.until, None))
-        running = set(course.running)
-        ends = {slot.test: slot.ends for slot in slots if slot.test is not None and slot.test in running}
         moment = min([*ends.values(), course.wakes(now)])
         if not math.isfinite(moment):
             break
         now = moment
-        for index, end in ends.items():
-            if end <= now:
-                course.ended(index, now, EndOfTest.PASSED)
+        for index in [index for index, end in ends.items() if end <= now]:
+            del ends[index]
+            course.ended(index, now, EndOfTest.PASSED)
     left_out += [(index, "nothing that it waits for can run") for index in course.waiting]
     return NightForecast(hours, tuple(slots), tuple(left_out))

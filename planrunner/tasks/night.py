@@ -181,10 +181,10 @@ class _Lock:
 def _created(nights: GuardedFolder, digest: str, sound: SoundSuite, options: NightOptions, storage: Storage) -> _Night:
     hours, now = sound.forecast.hours, datetime.now(UTC)
     name = f"{now:%Y%m%dT%H%M%SZ}-{safe_name(Path(sound.file).stem)}-{os.urandom(3).hex()}"
-    foreseen = dict(sound.forecast.left_out)
+    foreseen, slots = dict(sound.forecast.left_out), sound.forecast.slots_of_tests
     tests: list[Json] = []
     for test, seconds in zip(sound.tests, sound.durations, strict=True):
-        slot = sound.forecast.slot_of(test.index)
+        slot = slots.get(test.index)
         times = (
             None
             if slot is None

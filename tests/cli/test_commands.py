@@ -34,6 +34,19 @@ def only_run(folder: Path) -> Path:
     return run
 
 
+def test_the_folder_of_nights_beside_the_runs_is_skipped(finished: tuple[Path, Run], tmp_path: Path) -> None:
+    """A pattern such as `runs/*` contains it. A folder of this name that is named alone is an error as before."""
+    nights = tmp_path / "nights"
+    nights.mkdir()
+    run = only_run(finished[0])
+    done = planrunner("export", run, nights, cwd=tmp_path)
+    assert done.returncode == 0 and f"note: {nights} is skipped" in done.stderr
+    assert done.stdout == planrunner("export", run, cwd=tmp_path).stdout
+    assert planrunner("compare", run, run, nights, cwd=tmp_path).returncode == 0
+    alone = planrunner("verify", nights, cwd=tmp_path)
+    assert alone.returncode == 2 and "skipped" not in alone.stderr
+
+
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
     """One run of the flagship plan, shared by the tests that only read it."""
