@@ -97,6 +97,8 @@ CHANGES: Mapping[str, Change] = MappingProxyType(
         "log-run-added": "added",
         "log-run-replaced": "replaced",
         "run-approval": "altered",
+        "run-bench-unsigned": "removed",
+        "run-analysis-unsigned": "added",
     }
 )
 """Code of a finding → the change that it reports."""
@@ -319,7 +321,7 @@ def _check_seal(found: Examined, standing: RecordedEntries) -> None:
     torn = found.scan.torn and f"; the last line is incomplete: {found.scan.torn} bytes that were never acknowledged"
     if seals.NAME not in standing and found.sealed_before:
         found.error("run-seal-removed", f"{path / seals.NAME}: the run was sealed, but its seal is missing")
-    elif seals.NAME not in standing and found.state.finished and not _written(found):
+    elif seals.NAME not in standing and found.state.finished and not is_being_written(found):
         message = f"{path / seals.NAME}: the run is finished, but its seal is missing: the seal was never written, or it was removed"
         found.error(
             "run-seal-missing",
@@ -341,8 +343,8 @@ def _check_seal(found: Examined, standing: RecordedEntries) -> None:
         )
 
 
-def _written(found: Examined) -> bool:
-    """Whether a process is writing the run, so that its seal may follow."""
+def is_being_written(found: Examined) -> bool:
+    """Whether a process is writing the run, so that its seal or signature may follow."""
     try:
         return pausing.is_written(found.folder)
     except OSError:

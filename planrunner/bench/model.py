@@ -20,6 +20,7 @@ from planrunner.base.shipped import shipped
 from planrunner.bench.approval_rule import APPROVALS, ApprovalRule
 from planrunner.bench.calibration import LINE, Calibration, Laboratory, check_dates
 from planrunner.bench.protection import PROTECTION, Protection, kept_chamber, kept_table
+from planrunner.bench.signing import SigningSpec
 from planrunner.bench.simulation import SimulationSpec
 from planrunner.bench.specification import Specification
 from planrunner.bench.time_stamps import TimeStampsSpec, check_stamps
@@ -234,6 +235,12 @@ class Bench(Record):
         APPROVALS,
         "Approvals that a plan needs before it may run on this bench; without this key, plans need none.",
         {"keys": "lab-keys.yaml", "required": 2, "roles": ["reviewer"]},
+        default=None,
+    )
+    signing: SigningSpec | None = key(
+        RecordOf(SigningSpec),
+        "The bench's own key, which signs the seal and the analyses of every run.",
+        {"key": "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIA…"},
         default=None,
     )
     specification: Specification | None = key(

@@ -16,6 +16,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     new = actions.add_parser("new", help="make a private key with a passphrase, and its public key")
     new.add_argument("file", metavar="FILE", type=Path, help="new file for the private key; FILE.pub is the public key")
+    new.add_argument(
+        "--for-bench",
+        action="store_true",
+        help="FILE is the name of a bench: make its signing key, without a passphrase, in the folder of signing keys of this computer",
+    )
     add_passphrase(new)
     show = actions.add_parser("show", help="print a public key and its fingerprint")
     show.add_argument("file", metavar="FILE.pub", type=Path, help="file with a public key")
@@ -36,11 +41,33 @@ def run(args: argparse.Namespace) -> int:
 def _new(args: argparse.Namespace) -> int:
     from planrunner.signing.keys import generate, write_private
 
+    if args.for_bench:
+        return _new_for_bench(args)
     key, public = generate(), args.file.with_name(f"{args.file.name}.pub")
     if public.exists():
         raise InputError.at(Mark(str(public)), "key-exists", "this file exists already", "choose another name")
     write_private(args.file, key, passphrase(args, twice=True))
     write_new(public, f"{key.public.line} {args.file.stem}\n".encode())
+    return _tell(args, key.public.line, key.public.fingerprint)
+
+
+def _new_for_bench(args: argparse.Namespace) -> int:
+    import re
+
+    from planrunner.signing.bench_key import BenchKeyError, new_bench_key
+
+    name = str(args.file)
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,79}", name):
+        message = f"'{name}' is not a name for the key of a bench"
+        raise InputError.at(COMMAND_LINE, "key-name", message, "use letters, digits, - and _")
+    try:
+        path, key = new_bench_key(name)
+    except BenchKeyError as error:
+        hint = "set PLANRUNNER_STATE to a folder that belongs to you"
+        raise InputError.at(COMMAND_LINE, "bench-signing-key", str(error), hint) from None
+    write_new(path.with_name(f"{path.name}.pub"), f"{key.public.line} {name}\n".encode())
+    if not args.json:
+        print(f"private key: {path}\nadd to the bench file:\nsigning: {{key: {key.public.line}}}")
     return _tell(args, key.public.line, key.public.fingerprint)
 
 

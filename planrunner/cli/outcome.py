@@ -60,17 +60,21 @@ def conclude(analysis: Analysis, *, as_json: bool) -> Done:
         print_results(analysis.results, analysis.headline)
         for path in reversed(analysis.reports or (analysis.folder,)):
             print(path)
-    print_findings((*analysis.remarks, *analysis.withheld))
+    print_findings((*analysis.remarks, *analysis.withheld, *analysis.unsigned))
     found = {"analysis": str(analysis.folder), **analysis.results.to_json()} if as_json else {}
+    if as_json and analysis.unsigned:
+        found["unsigned"] = [finding.message for finding in analysis.unsigned]
     return Done(code_of(analysis.results), found)
 
 
-def finish(analysis: Analysis, *, as_json: bool) -> int:
-    """The end of a command that made one run: its results, and the exit code."""
+def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool) -> int:
+    """The end of a command that made one run: its results, and the exit code. A run that its bench did not sign, although it must, counts
+    as a fault, unless the results already have a code of their own."""
     done = conclude(analysis, as_json=as_json)
+    unsigned = [finding.message for finding in (*outcome.unsigned, *analysis.unsigned)]
     if as_json:
-        print_json(done.found)
-    return done.code
+        print_json(done.found | ({"unsigned": unsigned} if unsigned else {}))
+    return done.code or (exit_codes.FAULT if unsigned else exit_codes.DONE)
 
 
 def code_of(results: Results) -> int:

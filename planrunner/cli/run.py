@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if not outcome.ok:
         return tell(folder, outcome, as_json=args.json)
-    print_findings(outcome.remarks)
+    print_findings((*outcome.remarks, *outcome.unsigned))
     with reading_progress(args.quiet) as notice:
         analysis = running.analyse_run(folder, checked=sound, notice=notice)
-    return finish(analysis, as_json=args.json)
+    return finish(analysis, outcome, as_json=args.json)

@@ -66,8 +66,9 @@ def run(args: argparse.Namespace) -> int:
     out = sys.stderr if args.json else sys.stdout
     for line in made.words() or ["Nothing was added."]:
         print(f"added {line}" if made.additions else line, file=out)
+    print_findings((*outcome.remarks, *outcome.unsigned))
     with reading_progress(args.quiet) as notice:
         analysis = running.analyse_run(folder, checked=made.sound, notice=notice)
-    code = finish(analysis, as_json=args.json)
+    code = finish(analysis, outcome, as_json=args.json)
     print(folder, file=out)
     return code

@@ -12,6 +12,7 @@ from planrunner.cli.each_run import Done, add_runs, each_run
 from planrunner.cli.log import add_heads, heads_of, ring_of, show_log
 from planrunner.plan.source import read_bytes
 from planrunner.reporting.printable import printable
+from planrunner.signing.run_signatures import RunSignature
 from planrunner.signing.time_stamps import StampAuthority, parse_authority
 from planrunner.tasks.run_log import log_of, missing_log, verify_log
 from planrunner.tasks.verify import Verification, runs_beneath, runs_in, verify_run
@@ -96,7 +97,7 @@ def _show(name: str, verification: Verification) -> None:
     for one in verification.signatures:
         if one.standing != "invalid":
             standing = f"valid, key of {one.owner}" if one.standing == "valid" else f"NOT VERIFIED: {one.why}"
-            result = f"{one.result}, analyses 1 to {one.analyses}" if one.analyses > 1 else one.result
+            result = _covered(one)
             _say(f"    {one.meaning} by {one.name}, {one.signed} ({result}): {standing} ({one.key})")
     dated = [one for one in verification.stamps if one.standing != "invalid" and one.time]
     if dated:
@@ -115,6 +116,17 @@ def _show(name: str, verification: Verification) -> None:
         _say(f"    {finding.message}")
     for hint in dict.fromkeys(finding.hint for _, finding in verification.changes if finding.hint):
         _say(f"    hint: {hint}")
+
+
+def _covered(one: RunSignature) -> str:
+    """What a signature covers, with its result."""
+    if not one.current:
+        return "an earlier seal"
+    if not one.analyses:
+        return "seal"
+    if len(one.analyses) == 1:
+        return f"{one.result}, analysis {one.analyses[0]}"
+    return f"{one.result}, analyses {one.analyses[0]} to {one.analyses[-1]}"
 
 
 def _analyses(verification: Verification) -> str:

@@ -36,7 +36,8 @@ class Failure:
 class Outcome:
     """completed: number of segments acknowledged in this execution; segments: number in the schedule. stopped: how the run was stopped
     on request. unsafe: failures to make instruments safe. untouched: instruments that were never commanded and therefore left as found.
-    finished: every segment is acknowledged and the folder is sealed. remarks: what the user must know although the run is complete."""
+    finished: every segment is acknowledged and the folder is sealed. remarks: what the user must know although the run is complete;
+    unsigned: why the bench did not sign the seal, although it must."""
 
     completed: int
     segments: int
@@ -46,6 +47,7 @@ class Outcome:
     unsafe: tuple[str, ...] = ()
     untouched: tuple[str, ...] = ()
     remarks: tuple[Finding, ...] = ()
+    unsigned: tuple[Finding, ...] = ()
 
     @property
     def ok(self) -> bool:

@@ -83,13 +83,12 @@ class PrivateKey:
     def sign(self, message: bytes) -> bytes:
         return self._key.sign(message)
 
-    def pem(self, passphrase: bytes) -> bytes:
-        """PKCS #8 PEM, encrypted with the passphrase."""
-        return self._key.private_bytes(
-            serialization.Encoding.PEM,
-            serialization.PrivateFormat.PKCS8,
-            serialization.BestAvailableEncryption(passphrase),
+    def pem(self, passphrase: bytes | None) -> bytes:
+        """PKCS #8 PEM, encrypted with the passphrase if there is one."""
+        encryption = (
+            serialization.NoEncryption() if passphrase is None else serialization.BestAvailableEncryption(passphrase)
         )
+        return self._key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
 
 
 def generate() -> PrivateKey:
@@ -102,7 +101,16 @@ def write_private(path: Path, key: PrivateKey, passphrase: bytes) -> None:
     if len(passphrase) < FEWEST_LETTERS:
         message = f"the passphrase has fewer than {FEWEST_LETTERS} characters"
         raise InputError.at(Mark(str(path)), "key-passphrase", message, "choose a longer passphrase")
-    data = key.pem(passphrase)
+    _write_new(path, key.pem(passphrase))
+
+
+def write_unencrypted(path: Path, key: PrivateKey) -> None:
+    """Writes a new file without a passphrase that only its owner may read: for a bench, which signs when nobody is present. Raises
+    `InputError` as `write_private`."""
+    _write_new(path, key.pem(None))
+
+
+def _write_new(path: Path, data: bytes) -> None:
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         try:

@@ -2,14 +2,17 @@
 
 A signature is a DSSE envelope with an in-toto Statement v1 whose predicate is a test result
 (https://in-toto.io/attestation/test-result/v0.1). Its subjects are the digests of the seal, the files that the run was given, the journal,
-the lists of digests of all analyses, and the signatures before it. The seal and these lists contain the digests of everything else.
+the lists of digests of analyses, and the signatures before it. The seal and these lists contain the digests of everything else.
+
+Persons sign what they examined (`PersonMeaning`), with everything that exists at that time. A bench signs what it made (`BenchMeaning`)
+with its own key: the seal when it recorded a run, and each analysis when it evaluated the run.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from datetime import datetime
 from typing import Literal, get_args
 
@@ -20,21 +23,62 @@ from planrunner.archive.journal import MOST_BYTES as MOST_OF_JOURNAL
 from planrunner.archive.journal import NAME as JOURNAL
 from planrunner.archive.journal import utc_now
 from planrunner.archive.storage import ASIDE, Storage, digest_of
-from planrunner.archive.verifying import BENCH, MOST_GIVEN, PLAN, RUN, SIGNATURES
+from planrunner.archive.verifying import (
+    APPROVALS,
+    BENCH,
+    MOST_GIVEN,
+    MOST_OF_APPROVALS,
+    PLAN,
+    RUN,
+    SIGNATURES,
+    Examined,
+)
 from planrunner.base.documents import JsonObject
 from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.signing.declared import declared
 from planrunner.signing.envelope import Envelope, EnvelopeError, parse_envelope, seal_envelope
-from planrunner.signing.key_ring import KeyRing
-from planrunner.signing.keys import Signer
+from planrunner.signing.key_ring import KeyRing, KnownKey
+from planrunner.signing.keys import PublicKey, Signer, parse_public
 from planrunner.signing.statement import MOST_BYTES, PAYLOAD, STATEMENT, payload_of, read_statement, require_line
 
 PREDICATE = "https://in-toto.io/attestation/test-result/v0.1"
 
-SignatureMeaning = Literal["reviewed", "approved", "released"]
-MEANINGS: tuple[SignatureMeaning, ...] = get_args(SignatureMeaning)
+PersonMeaning = Literal["reviewed", "approved", "released"]
+BenchMeaning = Literal["recorded", "evaluated"]
+SignatureMeaning = Literal[PersonMeaning, BenchMeaning]
+MEANINGS: tuple[PersonMeaning, ...] = get_args(PersonMeaning)
+BENCH_MEANINGS: tuple[BenchMeaning, ...] = get_args(BenchMeaning)
+BENCH_ROLE = "bench"
+"""Role in a key ring: the owner is the bench of this name."""
 TestResult = Literal["PASSED", "WARNED", "FAILED"]
 SignatureStanding = Literal["valid", "unknown key", "invalid"]
-_FILE = re.compile(r"([0-9]{4})-(reviewed|approved|released)\.dsse\.json\Z")
+_FILE = re.compile(rf"([0-9]{{4}})-({'|'.join((*MEANINGS, *BENCH_MEANINGS))})\.dsse\.json\Z")
+
+
+@dataclass(frozen=True, slots=True)
+class BenchSigning:
+    """What the run says about signatures of its bench. key: public key that the bench file names; None if it names none. name: of the
+    bench. earlier_seals: SHA-256 of the seals before the run was opened again, according to its journal."""
+
+    key: PublicKey | None = None
+    name: str = ""
+    earlier_seals: frozenset[str] = frozenset()
+
+
+def bench_signing(bench: bytes | None, earlier_seals: Iterable[str] = ()) -> BenchSigning:
+    """bench: text of the bench file of the run; earlier_seals: as in `BenchSigning`."""
+    stated, name = declared(bench, "signing"), declared(bench, "name")
+    text = stated.get("key") if isinstance(stated, dict) else None
+    try:
+        key = parse_public(text) if isinstance(text, str) else None
+    except ValueError:
+        key = None
+    return BenchSigning(key, name if isinstance(name, str) else "", frozenset(earlier_seals))
+
+
+def signing_of(found: Examined) -> BenchSigning:
+    """The same of an examined run."""
+    return bench_signing(found.given.get(BENCH), () if found.state is None else found.state.earlier_seals)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +87,8 @@ class RunSignature:
 
     file: its name in `signatures/`. standing: `unknown key` if no key ring was given or the key is not in it; then the other values are
     only claimed. why: the reason if it is not valid. owner: the name of the key in the ring. name, signed, comment, result: as stated by
-    the signer; signed is UTC, ISO 8601. analyses: number of analyses that the signature covers.
+    the signer; signed is UTC, ISO 8601. analyses: numbers of the analyses that the signature covers. current: whether it covers the
+    present seal; a bench's signature of a seal that existed before the run was opened again does not.
     """
 
     file: str
@@ -56,10 +101,15 @@ class RunSignature:
     signed: str = ""
     comment: str = ""
     result: str = ""
-    analyses: int = 0
+    analyses: tuple[int, ...] = ()
+    current: bool = True
+
+    @property
+    def by_bench(self) -> bool:
+        return self.meaning in BENCH_MEANINGS
 
     def to_json(self) -> JsonObject:
-        return {name: getattr(self, name) for name in self.__slots__}
+        return {field.name: getattr(self, field.name) for field in fields(self)} | {"analyses": list(self.analyses)}
 
 
 def statement(
@@ -87,16 +137,20 @@ def sign_run(
     meaning: SignatureMeaning,
     name: str,
     comment: str = "",
+    *,
+    analyses: Iterable[int] | None = None,
+    storage: Storage | None = None,
 ) -> str:
-    """Signs a run that was verified as sealed and unchanged; returns the name of the new file.
+    """Signs a run that was verified as sealed and unchanged; returns the name of the new file. The caller holds the lock of the folder.
 
-    run: its name. Raises `InputError` for a name or comment that cannot be printed, and `OSError`.
+    run: its name; analyses: numbers of the analyses that the signature covers, by default all. Raises `InputError` for a name or comment
+    that cannot be printed, or a key that does not sign, and `OSError`.
     """
     require_line(str(folder.path), "name", name, 1)
     require_line(str(folder.path), "comment", comment)
-    made = statement(run, _subjects(folder), result, meaning, name, comment)
+    made = statement(run, _subjects(folder, analyses=analyses), result, meaning, name, comment)
     envelope = seal_envelope(PAYLOAD, payload_of(made), signer)
-    storage = Storage()
+    storage = storage or Storage()
     if folder.entry(SIGNATURES) is None:
         storage.make_folder(folder, SIGNATURES)
         storage.sync_folder(folder)
@@ -107,9 +161,15 @@ def sign_run(
     return file
 
 
-def signatures_of(folder: GuardedFolder, ring: KeyRing | None = None) -> tuple[RunSignature, ...]:
-    """All signatures of a run in the order of their numbers, each checked against the key ring and the present files. Raises `OSError`."""
-    return tuple(_examined(folder, file, ring) for file in _files(folder))
+def signatures_of(
+    folder: GuardedFolder, ring: KeyRing | None = None, bench: BenchSigning | None = None
+) -> tuple[RunSignature, ...]:
+    """All signatures of a run in the order of their numbers, each checked against the key ring and the present files.
+
+    bench: what the run says about signatures of its bench; read from its folder if it is not given. Raises `OSError`.
+    """
+    bench = bench or bench_signing(folder.read(BENCH, MOST_GIVEN))
+    return tuple(_examined(folder, file, ring, bench) for file in _files(folder))
 
 
 def signature_faults(folder: GuardedFolder) -> Iterator[str]:
@@ -134,28 +194,88 @@ def _files(folder: GuardedFolder) -> list[str]:
     return [name for name in folder.folder(SIGNATURES).entries() if _FILE.match(name)]
 
 
-def _examined(folder: GuardedFolder, file: str, ring: KeyRing | None) -> RunSignature:
+def _examined(folder: GuardedFolder, file: str, ring: KeyRing | None, bench: BenchSigning) -> RunSignature:
     try:
         envelope = parse_envelope(folder.folder(SIGNATURES).read(file, MOST_BYTES), PAYLOAD)
     except (OSError, EnvelopeError) as error:
         return RunSignature(file, "invalid", f"the file cannot be read as a signature: {error}", "")
     known = None if ring is None else ring.find(envelope.key)
-    if known is not None and not envelope.signed_by(known.public):
-        return RunSignature(file, "invalid", "the signature does not match its content", envelope.key, known.name)
+    own = bench.key is not None and envelope.key == bench.key.fingerprint
+    public = known.public if known is not None else bench.key if own else None
+    if public is not None and not envelope.signed_by(public):
+        owner = "" if known is None else known.name
+        return RunSignature(file, "invalid", "the signature does not match its content", envelope.key, owner)
     try:
         found = _read(file, envelope)
     except (ValueError, KeyError, TypeError):
         why = "its content is not a statement about a run"
         return RunSignature(file, "invalid", why, envelope.key)
     subjects, claimed, run = found
-    why = _difference(folder, file, subjects, run)
+    earlier = claimed.by_bench and subjects.get(seals.NAME) in bench.earlier_seals
+    claimed = replace(claimed, current=not earlier)
+    why = _other_signer(claimed, known, own=own) or _difference(folder, file, subjects, run, earlier=earlier)
     if why:
         return _with(claimed, "invalid", why)
     if known is None:
+        if claimed.by_bench and ring is not None and _benches(ring):
+            return _with(claimed, "invalid", "its key is not that of a bench in the key ring")
         why = "no key ring was given" if ring is None else "its key is not in the key ring"
         return _with(claimed, "unknown key", why)
     why = known.objection(datetime.fromisoformat(claimed.signed).date())
     return _with(claimed, "invalid" if why else "valid", why, known.name)
+
+
+def _other_signer(claimed: RunSignature, known: KnownKey | None, *, own: bool) -> str:
+    """Why this key cannot make a signature of this meaning; empty if it can. own: whether it is the key that the bench file names."""
+    bench = known is not None and BENCH_ROLE in known.roles
+    if not claimed.by_bench:
+        return "a person must sign it, but the key is that of a bench" if own or bench else ""
+    if not own:
+        return "the bench must sign it, but the key is not the one in the bench file"
+    if known is not None and not bench:
+        return f"the key of {known.name} does not have the role `{BENCH_ROLE}` in the key ring"
+    return ""
+
+
+def _benches(ring: KeyRing) -> list[KnownKey]:
+    return [one for one in ring.keys.values() if BENCH_ROLE in one.roles]
+
+
+def lacking_signatures(
+    signatures: Iterable[RunSignature],
+    bench: BenchSigning,
+    made: datetime,
+    analyses: Iterable[int],
+    ring: KeyRing | None,
+) -> Iterator[tuple[str, str]]:
+    """What a sealed run lacks of the signatures that its bench must make, each as code and message.
+
+    The bench file requires signatures if it names a key. So does the key ring for a bench with a key that is valid on the day of the run:
+    a bench file that was changed therefore cannot take the requirement away. made: when the run began; analyses: their numbers. An analysis
+    may instead be covered by the signature of a person, who may evaluate a run elsewhere.
+    """
+    day = made.date()
+    expected = [one for one in ([] if ring is None else _benches(ring)) if one.person == bench.name]
+    expected = [one for one in expected if (one.begins or day) <= day <= (one.ends or day) and one.revoked is None]
+    if expected and bench.key not in [one.public for one in expected]:
+        what = "names no key of its own" if bench.key is None else "names another key"
+        message = f"{BENCH}: the bench '{bench.name}' {what}, but the key ring has the key of this bench"
+        yield "run-bench-unsigned", message
+        return
+    if bench.key is None:
+        return
+    good = [one for one in signatures if one.standing != "invalid"]
+    if not any(one.by_bench and one.current for one in good):
+        message = (
+            f"{seals.NAME} is not signed by the key of its bench ({bench.key.fingerprint}): the signature was removed, or the key was "
+            "not available"
+        )
+        yield "run-bench-unsigned", message
+        return
+    covered = {number for one in good for number in one.analyses}
+    for number in sorted(set(analyses) - covered):
+        message = f"{stored.FOLDER}/{number}: the bench signs its runs, but neither the bench nor a person signed this analysis"
+        yield "run-analysis-unsigned", message
 
 
 def _with(claimed: RunSignature, standing: SignatureStanding, why: str, owner: str = "") -> RunSignature:
@@ -179,16 +299,21 @@ def _read(file: str, envelope: Envelope) -> tuple[dict[str, str], RunSignature, 
     if datetime.fromisoformat(signed).tzinfo is None:
         raise ValueError
     subjects = dict(listed)
-    count = sum(one.startswith(f"{stored.FOLDER}/") for one in subjects)
+    listed_analyses = (one.split("/") for one in subjects if one.startswith(f"{stored.FOLDER}/"))
+    numbers = tuple(sorted(int(parts[1]) for parts in listed_analyses))
     return (
         subjects,
-        RunSignature(file, "invalid", "", envelope.key, "", meaning, name, signed, comment, result, count),
+        RunSignature(file, "invalid", "", envelope.key, "", meaning, name, signed, comment, result, numbers),
         run,
     )
 
 
-def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], run: str) -> str:
-    """What differs between the signed digests and the present files; empty if nothing does. Later analyses and signatures may exist."""
+def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], run: str, *, earlier: bool) -> str:
+    """What differs between the signed digests and the present files; empty if nothing does. Later analyses and signatures may exist.
+
+    earlier: it covers a seal of before the run was opened again. The journal contains the digest of this seal, so that seal and journal
+    then need not be the present ones.
+    """
     try:
         present = _subjects(folder, before=file)
         name = from_bytes(folder.read(RUN, MOST_GIVEN))["run"]
@@ -201,16 +326,19 @@ def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], r
             return f"it does not cover {one}"
         if one not in present:
             return f"{one} was signed, but is missing"
-        if present[one] != subjects[one]:
+        if present[one] != subjects[one] and not (earlier and one in (JOURNAL, seals.NAME)):
             return f"{one} differs from what was signed"
-    earlier = {one for one in present if one.startswith(f"{SIGNATURES}/")} - set(subjects)
-    if earlier:
-        return f"it does not cover {min(earlier)}, which has a smaller number"
+    smaller = {one for one in present if one.startswith(f"{SIGNATURES}/")} - set(subjects)
+    if smaller:
+        return f"it does not cover {min(smaller)}, which has a smaller number"
     return ""
 
 
-def _subjects(folder: GuardedFolder, before: str | None = None) -> dict[str, str]:
-    """File → SHA-256 of everything that a signature covers. before: leave out this signature and those after it. Raises `OSError`."""
+def _subjects(
+    folder: GuardedFolder, before: str | None = None, analyses: Iterable[int] | None = None
+) -> dict[str, str]:
+    """File → SHA-256 of everything that a signature covers. before: leave out this signature and those after it; analyses: their numbers,
+    by default all. Raises `OSError`."""
     limits = {
         RUN: MOST_GIVEN,
         PLAN: MOST_GIVEN,
@@ -218,8 +346,10 @@ def _subjects(folder: GuardedFolder, before: str | None = None) -> dict[str, str
         JOURNAL: MOST_OF_JOURNAL,
         seals.NAME: seals.MOST_BYTES,
     }
+    if folder.entry(APPROVALS) is not None:
+        limits[APPROVALS] = MOST_OF_APPROVALS
     found = {name: _digest(folder, name, limit) for name, limit in limits.items()}
-    for number in stored.numbers(folder):
+    for number in stored.numbers(folder) if analyses is None else analyses:
         within = folder.folder(stored.FOLDER).folder(str(number))
         found[f"{stored.FOLDER}/{number}/{stored.DIGESTS}"] = _digest(within, stored.DIGESTS, stored.MOST_DIGESTS)
     for name in _files(folder):

@@ -20,7 +20,7 @@ from planrunner.archive.verifying import BENCH, CLOCKS_DIFFER, Examined
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import Mark
 from planrunner.base.guarded_folder import GuardedFolder
-from planrunner.plan import source
+from planrunner.signing.declared import declared
 from planrunner.signing.time_stamps import StampAuthority, StampError, parse_authority, stamp_time, stamped_digest
 
 LATE = timedelta(hours=1)
@@ -47,14 +47,7 @@ class RunStamp:
 
 def declared_stamps(found: Examined) -> Mapping[str, Json] | None:
     """The key `time_stamps` in the bench file of a run, as it stands there; None if there is none, or if the file cannot be read."""
-    data = found.given.get(BENCH)
-    if data is None:
-        return None
-    try:
-        bench = source.plain(source.parse(source.decode(data, BENCH), BENCH))
-    except Exception:  # the bench of a run need not be readable for its digests to be verified
-        return None
-    told = bench.get("time_stamps") if isinstance(bench, dict) else None
+    told = declared(found.given.get(BENCH), "time_stamps")
     return told if isinstance(told, dict) else None
 
 
@@ -71,8 +64,8 @@ def stamped_seals(folder: GuardedFolder) -> set[str]:
 def verify_stamps(found: Examined, given: StampAuthority | None) -> tuple[RunStamp, ...]:
     """All time stamps of an examined run; what is wrong with them becomes findings of `found`. given: the authority that the verifier
     trusts. Raises `OSError`."""
-    mark, declared = Mark(str(found.folder.path)), declared_stamps(found)
-    own = _declared_authority(declared)
+    mark, stated = Mark(str(found.folder.path)), declared_stamps(found)
+    own = _stated_authority(stated)
     authority = given or own
     names = stamp_names(found.folder)
     _check_files(found, names)
@@ -80,7 +73,7 @@ def verify_stamps(found: Examined, given: StampAuthority | None) -> tuple[RunSta
     if found.state is None or found.scan is None:
         return stamps
     _check_record(found, {one.file: one for one in stamps})
-    if declared is not None:
+    if stated is not None:
         for number in found.state.unstamped_ends:
             place = f"{found.folder.path / JOURNAL}:{number}"
             found.error("run-stamp-missing", f"{place}: the run ends without the time stamp that its bench requires")
@@ -98,9 +91,9 @@ def verify_stamps(found: Examined, given: StampAuthority | None) -> tuple[RunSta
     return stamps
 
 
-def _declared_authority(declared: Mapping[str, Json] | None) -> StampAuthority | None:
+def _stated_authority(stated: Mapping[str, Json] | None) -> StampAuthority | None:
     try:
-        return None if declared is None else parse_authority(str(declared.get("certificate", "")).encode())
+        return None if stated is None else parse_authority(str(stated.get("certificate", "")).encode())
     except ValueError:
         return None
 

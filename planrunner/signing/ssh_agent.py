@@ -5,15 +5,19 @@ from __future__ import annotations
 import os
 import socket
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.signing.keys import ALGORITHM, PublicKey
 
+LIST_REQUEST, LIST_RESPONSE = 11, 12
 SIGN_REQUEST, SIGN_RESPONSE = 13, 14
 MOST_BYTES = 2**18
 PATIENCE = 120.0
-"""Maximum time in seconds for a reply; the user may have to confirm the use of the key."""
+"""Maximum time in seconds for a signature; the user may have to confirm the use of the key."""
+LISTING = 10.0
+"""Maximum time in seconds for a list of keys."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,27 +28,51 @@ class AgentKey:
 
     def sign(self, message: bytes) -> bytes:
         """The 64 bytes of the signature. Raises `InputError` if the agent cannot be reached or refuses."""
-        path = os.environ.get("SSH_AUTH_SOCK", "")
-        if not path or sys.platform == "win32":
-            hint = "start ssh-agent and add the key with ssh-add"
-            raise InputError.at(COMMAND_LINE, "key-agent", "no ssh-agent is running (SSH_AUTH_SOCK)", hint)
-        request = bytes([SIGN_REQUEST]) + _string(self.public.blob) + _string(message) + bytes(4)
-        try:
-            with socket.socket(socket.AF_UNIX) as agent:
-                agent.settimeout(PATIENCE)
-                agent.connect(path)
-                agent.sendall(_string(request))
-                size = int.from_bytes(_exactly(agent, 4), "big")
-                reply = _exactly(agent, size) if 0 < size <= MOST_BYTES else b""
-        except OSError as error:
-            message_ = f"the ssh-agent does not answer: {error.strerror or error}"
-            raise InputError.at(COMMAND_LINE, "key-agent", message_, "check SSH_AUTH_SOCK") from None
+        reply = _answer(bytes([SIGN_REQUEST]) + _string(self.public.blob) + _string(message) + bytes(4), PATIENCE)
         expected = bytes([SIGN_RESPONSE]) + _string(_string(ALGORITHM.encode()) + _string(bytes(64)))
         signature = reply[-64:]
         if len(reply) != len(expected) or reply[:-64] != expected[:-64] or not self.public.signed(signature, message):
             hint = "add the key with ssh-add; `ssh-add -l` lists the keys"
             raise InputError.at(COMMAND_LINE, "key-agent", "the ssh-agent did not sign with this key", hint)
         return signature
+
+
+def holds(key: PublicKey) -> bool:
+    """Whether the agent at SSH_AUTH_SOCK lists this key (section 3.5). It is not asked to sign."""
+    try:
+        reply = _answer(bytes([LIST_REQUEST]), LISTING)
+    except InputError:
+        return False
+    return reply[:1] == bytes([LIST_RESPONSE]) and key.blob in _listed(reply[5:])
+
+
+def _listed(data: bytes) -> Iterator[bytes]:
+    """The keys in a list of keys and their comments."""
+    strings = []
+    while len(data) >= 4:
+        size = int.from_bytes(data[:4], "big")
+        strings.append(data[4 : 4 + size])
+        data = data[4 + size :]
+    yield from strings[::2]
+
+
+def _answer(request: bytes, patience: float) -> bytes:
+    """The reply of the agent, without its length; empty if it is too long. Raises `InputError` if there is no agent or it does not
+    answer. patience: in s."""
+    path = os.environ.get("SSH_AUTH_SOCK", "")
+    if not path or sys.platform == "win32":
+        hint = "start ssh-agent and add the key with ssh-add"
+        raise InputError.at(COMMAND_LINE, "key-agent", "no ssh-agent is running (SSH_AUTH_SOCK)", hint)
+    try:
+        with socket.socket(socket.AF_UNIX) as agent:
+            agent.settimeout(patience)
+            agent.connect(path)
+            agent.sendall(_string(request))
+            size = int.from_bytes(_exactly(agent, 4), "big")
+            return _exactly(agent, size) if 0 < size <= MOST_BYTES else b""
+    except OSError as error:
+        message = f"the ssh-agent does not answer: {error.strerror or error}"
+        raise InputError.at(COMMAND_LINE, "key-agent", message, "check SSH_AUTH_SOCK") from None
 
 
 def _exactly(agent: socket.socket, size: int) -> bytes:

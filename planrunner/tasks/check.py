@@ -168,9 +168,17 @@ def check_plan(
             if checked.models is not None:
                 check_backed(checked.bench, checked.models, log)
                 check_vertical(checked.bench, checked.models, log)
+            _check_signing(checked.bench, log, key_needed=isinstance(plan_file, Path))
             if isinstance(plan_file, Path):
                 _check_approvals(checked, plan_file, plan, checked.bench, today)
     return checked
+
+
+def _check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
+    if bench.signing is not None:
+        from planrunner.tasks.bench_signature import check_signing
+
+        check_signing(bench, log, key_needed=key_needed)
 
 
 def _check_approvals(checked: Checked, plan_file: Path, plan: Plan, bench: Bench, today: date | None) -> None:

@@ -55,6 +55,7 @@ from planrunner.tasks.amendment import (
     require_same_measurement,
 )
 from planrunner.tasks.approvals import still_approved
+from planrunner.tasks.bench_signature import sign_analysis, sign_seal
 from planrunner.tasks.certify import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
 from planrunner.tasks.check import Document, Sound, check_plan
 from planrunner.tasks.report import report_context
@@ -66,7 +67,8 @@ RESULTS = NAME
 @dataclass(frozen=True, slots=True)
 class Analysis:
     """An analysis of a run: its folder and its results. withheld: why certificates requested by the plan were not written; remarks:
-    notes on the run folder; before: number of the previous analysis, if any, and whether its numbers are equal."""
+    notes on the run folder; before: number of the previous analysis, if any, and whether its numbers are equal. unsigned: why the bench did
+    not sign it, although it must."""
 
     folder: Path
     results: Results
@@ -76,6 +78,7 @@ class Analysis:
     remarks: tuple[Finding, ...] = ()
     before: int | None = None
     same: bool = False
+    unsigned: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +285,9 @@ def _carry_out(
                 operator=operator,
             )
             if outcome.finished:
-                outcome = replace(outcome, remarks=after_sealing(writer.folder, sound.bench, stamper))
+                unsigned = sign_seal(writer.folder, writer.path.name, sound.bench)
+                remarks = after_sealing(writer.folder, sound.bench, stamper)
+                outcome = replace(outcome, remarks=remarks, unsigned=unsigned)
             ended = writer.path, outcome
     except NotSafeError as error:
         if ended is None:
@@ -385,10 +390,11 @@ def analyse_run(
     earlier = made.reader.analyses[-1] if made.reader.analyses else None
     same = earlier is not None and comparable(_read_results(earlier)) == comparable(from_bytes(files[RESULTS]))
     stored = made.reader.add_analysis(files)
+    unsigned = sign_analysis(made.reader, made.sound.bench, stored, made.results)
     paths = tuple(stored.path / name for name in reports)
     before = None if earlier is None else earlier.number
     return Analysis(
-        stored.path, made.results, made.context.headline, paths, withheld, made.reader.findings, before, same
+        stored.path, made.results, made.context.headline, paths, withheld, made.reader.findings, before, same, unsigned
     )
 
 

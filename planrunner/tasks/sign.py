@@ -5,59 +5,117 @@ from __future__ import annotations
 from pathlib import Path
 
 from planrunner.archive.formats import IntegrityError
-from planrunner.archive.lock import FolderLock
-from planrunner.archive.verifying import examine, open_run
+from planrunner.archive.origin import OriginUnknownError, made_here
+from planrunner.archive.run_reader import RunReader
+from planrunner.archive.verifying import BENCH, Examined, examine, open_run
 from planrunner.base.findings import InputError, Mark
-from planrunner.estimators.limits import VerdictKind, verdict_kind
+from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.bench.model import bench_of
+from planrunner.signing.bench_key import BenchKeyError, bench_signer
 from planrunner.signing.keys import Signer
 from planrunner.signing.run_signatures import (
+    PersonMeaning,
     RunSignature,
-    SignatureMeaning,
-    TestResult,
     sign_run,
     signature_faults,
     signatures_of,
+    signing_of,
 )
 from planrunner.tasks.approvals import run_approvals
+from planrunner.tasks.bench_signature import key_of, locked, sign_recorded, statement_result, unsigned_analyses
+from planrunner.tasks.prove import prove
 from planrunner.tasks.run import stored_results
 
-_RESULTS: dict[VerdictKind, TestResult] = {"pass": "PASSED", "warned": "WARNED", "fail": "FAILED", "none": "WARNED"}
-"""Verdict → result of the statement, which has no word for a plan without limits."""
 
-
-def sign(run: Path, signer: Signer, meaning: SignatureMeaning, name: str, comment: str = "") -> RunSignature:
+def sign(run: Path, signer: Signer, meaning: PersonMeaning, name: str, comment: str = "") -> RunSignature:
     """Signs a run with its samples verified; returns the signature as it is then read, without a key ring.
 
-    Raises `InputError` for a run that is not sealed or has no analysis, and `IntegrityError` for a changed run.
+    Raises `InputError` for a run that is not sealed or has no analysis or for a key that must not sign, and `IntegrityError` for a changed
+    run.
     """
     folder = open_run(run)
-    try:
-        lock = FolderLock(folder)
-    except OSError as error:
-        message = f"the run folder cannot be written: {error.strerror or error}"
-        raise InputError.at(Mark(str(run)), "run-unwritable", message, "change its permissions") from None
-    try:
-        found = examine(folder, samples="digests")
-        run_approvals(found, None)
-        found.require_whole()
-        faults = [*signature_faults(folder)]
-        faults += [f"{one.file}: {one.why}" for one in signatures_of(folder) if one.standing == "invalid"]
-        if faults:
-            raise IntegrityError("\n".join(faults))
-        if found.seal is None or found.state is None or not found.state.finished:
-            hint = "finish the run with `planrunner resume`"
-            raise InputError.at(Mark(str(run)), "sign-not-sealed", "only a finished, sealed run can be signed", hint)
+    with locked(folder):
+        found = _verified(folder)
+        signing = signing_of(found)
+        if signing.key == signer.public:
+            message = "this is the key of the bench: persons sign with keys of their own"
+            raise InputError.at(Mark(str(run)), "sign-bench-key", message, "make one with `planrunner key new`")
         if not found.analyses:
             hint = "make an analysis with `planrunner estimate`"
             raise InputError.at(Mark(str(run)), "analysis-missing", "this run has no analysis yet", hint)
-        results = stored_results(found.analyses[-1])
-        warnings = sum(len(estimate.warnings) for estimate in results.estimates.values())
-        result = _RESULTS[verdict_kind(results.limits, results.failures, warnings)]
+        result = statement_result(stored_results(found.analyses[-1]))
         try:
             file = sign_run(folder, found.run["run"], signer, result, meaning, name, comment)
         except OSError as error:
             message = f"the signature cannot be written: {error.strerror or error}"
             raise InputError.at(Mark(str(run)), "run-unwritable", message, "make room") from None
-    finally:
-        lock.release()
     return next(one for one in signatures_of(folder) if one.file == file)
+
+
+def sign_later(run: Path, signer: Signer | None = None) -> tuple[RunSignature, ...]:
+    """Signs with the key of its bench what a run that was made here lacks; returns the new signatures, none if it lacks nothing.
+
+    The whole run is verified first. An analysis is signed only if its results are recomputed from the samples. signer: the key, if the
+    user gives it; by default it is searched on this computer, which must have made the run. Raises `InputError` and `IntegrityError`.
+    """
+    folder = open_run(run)
+    with locked(folder):
+        found = _verified(folder)
+        reader = RunReader.of(found)
+        mark = Mark(str(run))
+        bench = bench_of(reader.bench_bytes, str(run / BENCH))
+        public = key_of(bench)
+        if public is None:
+            hint = "add `signing` to the bench file before a run"
+            raise InputError.at(mark, "sign-bench-key", "the bench of this run names no key", hint)
+        before = {one.file for one in signatures_of(folder)}
+        proven = {}
+        for number in unsigned_analyses(reader):
+            if prove(run, number).verdict == "different":
+                message = f"the samples do not give the results of analysis {number}"
+                raise InputError.at(mark, "sign-not-reproduced", message, "find out why before it is signed")
+            proven[number] = stored_results(next(one for one in reader.analyses if one.number == number))
+        try:
+            if signer is None:
+                _require_made_here(reader)
+                signer = bench_signer(public)
+            if signer.public != public:
+                message = "this is not the key that the bench file of the run names"
+                raise InputError.at(mark, "sign-bench-key", message, f"give the private key of {public.fingerprint}")
+            sign_recorded(reader, bench, signer, proven)
+        except BenchKeyError as error:
+            raise InputError.at(mark, "sign-bench-key", str(error), "give the key with --by or --agent") from None
+        except OSError as error:
+            message = f"the signature cannot be written: {error.strerror or error}"
+            raise InputError.at(mark, "run-unwritable", message, "make room") from None
+    return tuple(one for one in signatures_of(folder) if one.file not in before)
+
+
+def _verified(folder: GuardedFolder) -> Examined:
+    """A sealed run without changes; only signatures that its bench must make may be missing. Raises `IntegrityError` and `InputError`."""
+    found = examine(folder, samples="digests")
+    run_approvals(found, None)
+    found.require_whole()
+    faults = [*signature_faults(folder)]
+    faults += [
+        f"{one.file}: {one.why}" for one in signatures_of(folder, None, signing_of(found)) if one.standing == "invalid"
+    ]
+    if faults:
+        raise IntegrityError("\n".join(faults))
+    if found.seal is None or found.state is None or not found.state.finished:
+        hint = "finish the run with `planrunner resume`"
+        raise InputError.at(
+            Mark(str(folder.path)), "sign-not-sealed", "only a finished, sealed run can be signed", hint
+        )
+    return found
+
+
+def _require_made_here(reader: RunReader) -> None:
+    """Raises `BenchKeyError` for a run of unknown origin: its bench file must not decide which key signs it."""
+    why = "you did not make this run folder on this computer"
+    try:
+        if made_here(reader.folder, reader.first):
+            return
+    except OriginUnknownError as error:
+        why = f"planrunner cannot determine whether this run folder was made on this computer: {error}"
+    raise BenchKeyError(why)

@@ -5,16 +5,31 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 from planrunner.archive.finding_runs import find_runs
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.stamp_files import FOLDER as STAMPS
-from planrunner.archive.verifying import CHANGES, SIGNATURES, Change, Examined, examine, open_run
+from planrunner.archive.verifying import (
+    CHANGES,
+    SIGNATURES,
+    Change,
+    Examined,
+    examine,
+    is_being_written,
+    open_run,
+)
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, InputError, Mark
 from planrunner.signing.key_ring import KeyRing
-from planrunner.signing.run_signatures import RunSignature, signature_faults, signatures_of
+from planrunner.signing.run_signatures import (
+    RunSignature,
+    lacking_signatures,
+    signature_faults,
+    signatures_of,
+    signing_of,
+)
 from planrunner.signing.run_stamps import RunStamp, verify_stamps
 from planrunner.signing.time_stamps import StampAuthority
 from planrunner.tasks.amendment import in_words, stored_amendment
@@ -76,7 +91,7 @@ def verify_run(run: Path, ring: KeyRing | None = None, authority: StampAuthority
     """Verifies a run folder with all samples, signatures and time stamps. ring: the known keys; authority: the certificates that time
     stamps are verified with. Raises `InputError` if it is not a run folder."""
     found = examine(open_run(run), samples="digests")
-    signatures = _signatures(found, ring)
+    signatures = verify_signatures(found, ring)
     stamps: tuple[RunStamp, ...] = ()
     try:
         stamps = verify_stamps(found, authority)
@@ -85,19 +100,26 @@ def verify_run(run: Path, ring: KeyRing | None = None, authority: StampAuthority
     return replace(verification(found, signatures, run_approvals(found, ring)), stamps=stamps)
 
 
-def _signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignature, ...]:
+def verify_signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignature, ...]:
     """The signatures; what is wrong with them becomes findings."""
     path = found.folder.path / SIGNATURES
     try:
         for fault in signature_faults(found.folder):
             found.error("run-signature", fault)
-        signatures = signatures_of(found.folder, ring)
+        signing = signing_of(found)
+        signatures = signatures_of(found.folder, ring, signing)
     except OSError as error:
         found.error("run-signature", f"{path}: {error.strerror}")
         return ()
     for one in signatures:
         if one.standing == "invalid":
             found.error("run-signature", f"{path / one.file}: this signature is not valid: {one.why}")
+    if found.seal is not None and found.state is not None and found.state.finished and not is_being_written(found):
+        made = datetime.fromisoformat(str(found.run["created"])) if found.run else datetime.now(UTC)
+        numbers = [one.number for one in found.analyses]
+        for code, message in lacking_signatures(signatures, signing, made, numbers, ring):
+            hint = f"if planrunner could not sign, `planrunner sign {found.folder.path} --as recorded` on the computer of the bench"
+            found.error(code, f"{found.folder.path}: {message}", hint)
     return signatures
 
 

@@ -399,6 +399,7 @@ def test_the_clock_of_a_night_never_goes_back() -> None:
         (130, {}, EndOfTest.FAULT, "ended by a signal"),
         (-9, {}, EndOfTest.FAULT, "SIGKILL"),
         (3, {}, EndOfTest.FAULT, "exit code 3"),
+        (3, {"unsigned": ["the key is missing"], "failures": {}}, EndOfTest.PASSED, "the key is missing"),
     ],
 )
 def test_how_a_process_ended(code: int, document: Any, ending: EndOfTest, words: str) -> None:

@@ -1,0 +1,107 @@
+"""The private key of a bench on its computer: a file in the folder of signing keys, or a key that the running ssh-agent holds.
+
+Runs end when nobody is present, so nobody is asked for a passphrase. A key file has none, and only its owner may read it (like the host
+keys of SSH), or its passphrase is in the environment.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from planrunner.archive.origin import OriginUnknownError, state_folder
+from planrunner.base.findings import InputError
+from planrunner.base.trusted_folders import UntrustedFolderError, make_private, trusted
+from planrunner.signing.keys import (
+    PrivateKey,
+    PublicKey,
+    Signer,
+    generate,
+    is_encrypted,
+    read_private,
+    read_public,
+    write_unencrypted,
+)
+from planrunner.signing.ssh_agent import AgentKey, holds
+
+FOLDER = "signing-keys"
+"""Folder of the signing keys in the user's state folder."""
+ENDING = ".pem"
+PASSPHRASE = "PLANRUNNER_PASSPHRASE"
+"""Environment variable for the passphrase of a key file that is encrypted."""
+
+
+class BenchKeyError(Exception):
+    """The private key of a bench cannot be used. The message gives the reason."""
+
+
+def keys_folder() -> Path:
+    """The folder of the signing keys. Raises `BenchKeyError` if this user has no state folder."""
+    try:
+        return state_folder() / FOLDER
+    except OriginUnknownError as error:
+        raise BenchKeyError(str(error)) from None
+
+
+def bench_signer(public: PublicKey) -> Signer:
+    """The private key with this public key: from the folder of signing keys, otherwise from the ssh-agent. Nothing is signed, and nobody is
+    asked. Raises `BenchKeyError` if neither has it."""
+    found, why = _of_files(public)
+    if found is not None:
+        return found
+    if holds(public):
+        return AgentKey(public)
+    raise BenchKeyError(f"{why}, and no running ssh-agent holds it")
+
+
+def new_bench_key(name: str) -> tuple[Path, PrivateKey]:
+    """A new key without a passphrase in the folder of signing keys; returns its file. Raises `InputError` and `BenchKeyError`."""
+    folder = keys_folder()
+    try:
+        make_private(folder)
+        trusted(folder)
+    except (OSError, UntrustedFolderError) as error:
+        raise BenchKeyError(f"{folder}: {error}") from None
+    path, key = folder / f"{name}{ENDING}", generate()
+    write_unencrypted(path, key)
+    return path, key
+
+
+def _of_files(public: PublicKey) -> tuple[PrivateKey | None, str]:
+    """The key from a file beside its `.pub`; None with the reason if there is none that can be used."""
+    folder = keys_folder()
+    why = f"it is not in {folder}"
+    try:
+        names = sorted(path.name for path in trusted(folder).glob(f"*{ENDING}.pub"))
+    except FileNotFoundError:
+        return None, why
+    except (OSError, UntrustedFolderError) as error:
+        return None, f"{folder} cannot be used: {error}"
+    for name in names:
+        try:
+            if read_public(folder / name) != public:
+                continue
+            return _private(folder / name.removesuffix(".pub"), public), ""
+        except (InputError, BenchKeyError, OSError) as error:
+            why = f"{folder / name}: {_reason(error)}"
+    return None, why
+
+
+def _private(path: Path, public: PublicKey) -> PrivateKey:
+    if sys.platform != "win32" and path.stat().st_mode & 0o077:
+        raise BenchKeyError("other users may read its private key: remove these permissions (chmod 600)")
+    encrypted = is_encrypted(path)
+    passphrase = os.environ.get(PASSPHRASE, "").encode() or None
+    if encrypted and passphrase is None:
+        raise BenchKeyError(f"its private key has a passphrase, and {PASSPHRASE} is not set")
+    key = read_private(path, passphrase if encrypted else None)
+    if key.public != public:
+        raise BenchKeyError("its private key belongs to another public key")
+    return key
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, InputError):
+        return error.findings[0].message
+    return error.strerror or str(error) if isinstance(error, OSError) else str(error)

@@ -1,0 +1,17 @@
+"""Keys of the bench file of a run as they stand there: the file need not be valid for the run to be verified."""
+
+from __future__ import annotations
+
+from planrunner.base.documents import Json
+from planrunner.plan import source
+
+
+def declared(bench: bytes | None, key: str) -> Json:
+    """The value of a key in the text of a bench file; None if it has none, or if the file cannot be read."""
+    if bench is None:
+        return None
+    try:
+        found = source.plain(source.parse(source.decode(bench, "bench"), "bench"))
+    except Exception:  # the bench of a run need not be readable for its digests to be verified
+        return None
+    return found.get(key) if isinstance(found, dict) else None

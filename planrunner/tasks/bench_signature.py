@@ -1,0 +1,167 @@
+"""Signatures that a bench makes with its own key, without being asked: of the seal of every run and of every analysis on its computer.
+
+A signature that fails never spoils a run: the run stays sealed, the command warns, and `sign_later` signs it when the key is at hand.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from planrunner.archive import seal as seals
+from planrunner.archive.analyses import StoredAnalysis
+from planrunner.archive.lock import FolderLock
+from planrunner.archive.run_reader import RunReader
+from planrunner.archive.storage import Storage, digest
+from planrunner.base.findings import Finding, Findings, InputError, Mark
+from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.bench.model import Bench
+from planrunner.estimators.analysis import Results
+from planrunner.estimators.limits import VerdictKind, verdict_kind
+from planrunner.signing.bench_key import BenchKeyError, bench_signer
+from planrunner.signing.keys import PublicKey, Signer, parse_public
+from planrunner.signing.run_signatures import (
+    BenchMeaning,
+    TestResult,
+    bench_signing,
+    sign_run,
+    signatures_of,
+)
+
+PATIENCE = 10.0
+"""Longest time [s] to wait while another process signs or writes the same run."""
+
+_RESULTS: dict[VerdictKind, TestResult] = {"pass": "PASSED", "warned": "WARNED", "fail": "FAILED", "none": "WARNED"}
+"""Verdict → result of the statement, which has no word for a plan without limits."""
+
+
+def statement_result(results: Results) -> TestResult:
+    """The result that a statement about a run gives."""
+    warnings = sum(len(estimate.warnings) for estimate in results.estimates.values())
+    return _RESULTS[verdict_kind(results.limits, results.failures, warnings)]
+
+
+def key_of(bench: Bench) -> PublicKey | None:
+    """The key that signs the runs of a bench; None if the bench names none. The bench file was checked."""
+    return None if bench.signing is None else parse_public(bench.signing.key)
+
+
+def check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
+    """Adds an error for a public key that cannot be read. key_needed: whether a run may follow on this computer; then a private key that
+    is not at hand is a warning, because the run is worth more than its signature."""
+    if bench.signing is None:
+        return
+    mark = bench.signing.at("key")
+    try:
+        public = parse_public(bench.signing.key)
+        if key_needed:
+            bench_signer(public)
+    except ValueError as error:
+        log.error("bench-signing-key", mark, str(error), "copy the line from the file of the public key")
+    except BenchKeyError as error:
+        message = f"the private key of this bench is not on this computer: {error}; a run would not be signed"
+        log.warning("bench-signing-key-missing", mark, message, "`planrunner key new --for-bench`, or ssh-add")
+
+
+def sign_seal(folder: GuardedFolder, run: str, bench: Bench, storage: Storage | None = None) -> tuple[Finding, ...]:
+    """Signs the seal that the caller, who holds the lock, has just written. Returns why it is not signed; empty if it is or need not be."""
+    public = key_of(bench)
+    if public is None:
+        return ()
+    try:
+        _sign(folder, run, bench.name, bench_signer(public), "recorded", "WARNED", (), storage)
+    except (BenchKeyError, InputError, OSError) as error:
+        hint = f"`planrunner sign {folder.path} --as recorded` signs it later"
+        message = f"the seal is not signed by the key of the bench: {_reason(error)}"
+        return (Finding(Mark(str(folder.path)), "run-bench-unsigned", "warning", message, hint),)
+    return ()
+
+
+def sign_analysis(reader: RunReader, bench: Bench, analysis: StoredAnalysis, results: Results) -> tuple[Finding, ...]:
+    """Signs an analysis that has just been made from the run. Returns why it is not signed; empty if it is, or need not be.
+
+    The bench signs only if it signed the seal too: then the samples are those that it recorded, whoever had the folder since.
+    """
+    public = key_of(bench)
+    if public is None or not reader.sealed:
+        return ()
+    try:
+        with locked(reader.folder):
+            _require_signed_seal(reader)
+            signer, result = bench_signer(public), statement_result(results)
+            _sign(reader.folder, reader.run["run"], bench.name, signer, "evaluated", result, (analysis.number,))
+    except (BenchKeyError, InputError, OSError) as error:
+        hint = f"`planrunner sign {reader.path} --as recorded` on the computer of the bench"
+        message = f"analysis {analysis.number} is not signed by the key of the bench: {_reason(error)}"
+        return (Finding(Mark(str(reader.path)), "run-analysis-unsigned", "warning", message, hint),)
+    return ()
+
+
+def _require_signed_seal(reader: RunReader) -> None:
+    """Raises `BenchKeyError` unless the key in the bench file signed the present seal, which is the one that was read."""
+    signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
+    seal = digest(reader.folder.read(seals.NAME, seals.MOST_BYTES))
+    good = (one for one in signatures_of(reader.folder, bench=signing) if one.standing != "invalid")
+    if seal != reader.basis.seal or not any(one.meaning == "recorded" and one.current for one in good):
+        raise BenchKeyError("the seal is not signed by it")
+
+
+def _sign(
+    folder: GuardedFolder,
+    run: str,
+    bench: str,
+    signer: Signer,
+    meaning: BenchMeaning,
+    result: TestResult,
+    analyses: tuple[int, ...],
+    storage: Storage | None = None,
+) -> None:
+    sign_run(folder, run, signer, result, meaning, bench, analyses=analyses, storage=storage)
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, InputError):
+        return error.findings[0].message
+    return error.strerror or str(error) if isinstance(error, OSError) else str(error)
+
+
+@contextmanager
+def locked(folder: GuardedFolder) -> Iterator[None]:
+    """Holds the lock of a run folder, waiting for other processes. Raises `InputError` if it is not to be had."""
+    until = time.monotonic() + PATIENCE
+    while True:
+        try:
+            lock = FolderLock(folder)
+            break
+        except InputError:
+            if time.monotonic() > until:
+                raise
+            time.sleep(0.05)
+        except OSError as error:
+            message = f"the run folder cannot be written: {error.strerror or error}"
+            raise InputError.at(Mark(str(folder.path)), "run-unwritable", message, "change its permissions") from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def sign_recorded(reader: RunReader, bench: Bench, signer: Signer, proven: dict[int, Results]) -> None:
+    """Signs what an automatic signature left unsigned: the seal of a run that was verified, and analyses that were recomputed. The caller
+    holds the lock. proven: number → results. Raises `InputError` and `OSError`."""
+    signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
+    run = reader.run["run"]
+    good = [one for one in signatures_of(reader.folder, bench=signing) if one.standing != "invalid" and one.by_bench]
+    if not any(one.current for one in good):
+        _sign(reader.folder, run, bench.name, signer, "recorded", "WARNED", ())
+    for number, results in proven.items():
+        _sign(reader.folder, run, bench.name, signer, "evaluated", statement_result(results), (number,))
+
+
+def unsigned_analyses(reader: RunReader) -> tuple[int, ...]:
+    """Numbers of the analyses that no signature covers which is known to be valid or only lacks a key ring. Raises `OSError`."""
+    signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
+    good = [one for one in signatures_of(reader.folder, bench=signing) if one.standing != "invalid"]
+    covered = {number for one in good for number in one.analyses}
+    return tuple(one.number for one in reader.analyses if one.number not in covered)
