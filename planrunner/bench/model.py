@@ -240,7 +240,7 @@ class Bench(Record):
     signing: SigningSpec | None = key(
         RecordOf(SigningSpec),
         "The bench's own key, which signs the seal and the analyses of every run.",
-        {"key": "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIA…"},
+        {"key": "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIGLkQmCXDi/PQZJZziZo7k97osN1kINhk5QiG1kpfDFm"},
         default=None,
     )
     specification: Specification | None = key(

@@ -370,7 +370,14 @@ def test_several_writers_wait_for_one_another(tmp_path: Path) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
 def test_a_writer_killed_at_any_write_leaves_no_false_alarm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PLANRUNNER_STATE", str(tmp_path / "state"))
-    command = [sys.executable, "-m", "tests.archive.killed_writers", tmp_path / "archives", KILLS, tmp_path / "state"]
+    command = [
+        sys.executable,
+        "-m",
+        "tests.archive.killed_writers",
+        str(tmp_path / "archives"),
+        KILLS,
+        str(tmp_path / "state"),
+    ]
     subprocess.run(command, cwd=ROOT, check=True)
     archives = sorted((tmp_path / "archives").iterdir())
     assert len(archives) * int(KILLS) > 80
