@@ -123,8 +123,7 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
 
     Raises `InputError`. With `log`, faults such as duplicate keys, after which the rest is still readable, are added to it instead.
     """
-    forbidden = _FORBIDDEN.search(text) or MISLEADING.search(text)
-    if forbidden:
+    if forbidden := _forbidden(text):
         raise _not_allowed(forbidden[0], _mark_at(text, forbidden.start(), file))
     builder = _Builder(file, text)
     try:
@@ -151,6 +150,11 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
     elif builder.findings.errors:
         raise InputError(builder.findings)
     return builder.root
+
+
+def _forbidden(text: str) -> re.Match[str] | None:
+    """The first character that neither the text of a file nor a text written with escapes may contain."""
+    return _FORBIDDEN.search(text) or MISLEADING.search(text)
 
 
 def _not_allowed(char: str, mark: Mark) -> InputError:
@@ -278,8 +282,8 @@ class _Builder:
         if len(text) > MAX_SCALAR:
             raise InputError.at(mark, "limit-text", f"a text longer than {MAX_SCALAR} characters", "shorten it")
         # The text itself has none (see `parse`), but an escape may stand for one.
-        if style == '"' and (hidden := MISLEADING.search(text)):
-            raise _not_allowed(hidden[0], mark)
+        if style == '"' and (forbidden := _forbidden(text)):
+            raise _not_allowed(forbidden[0], mark)
         return Scalar(mark, text, text if style or event.tag == "!" else _resolve(text))
 
     def _mark(self, event: yaml.Event, opened: Mark | None = None) -> Mark:
