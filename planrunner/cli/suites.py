@@ -8,6 +8,7 @@ import sys
 from datetime import datetime
 from pathlib import Path
 
+from planrunner.archive.schema_check import FIRST_YEAR, LAST_YEAR
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.cli.printing import columns, write_file
 from planrunner.reporting.night_timetable import Timetable, timetable_lines, timetable_page
@@ -32,12 +33,13 @@ def add_at(parser: argparse.ArgumentParser) -> None:
 def local_time(text: str) -> str:
     """A local time of the form YYYY-MM-DDTHH:MM, as written. Its time zone is that of the suite."""
     try:
-        if re.fullmatch(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?", text):
-            datetime.fromisoformat(text)
+        form = re.fullmatch(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?", text)
+        if form and FIRST_YEAR <= datetime.fromisoformat(text).year <= LAST_YEAR:
             return text
     except ValueError:
         pass
-    raise argparse.ArgumentTypeError(f"write a time such as 2026-03-28T22:00, not {text!r}")
+    years = f"of a year from {FIRST_YEAR} to {LAST_YEAR}"
+    raise argparse.ArgumentTypeError(f"write a time such as 2026-03-28T22:00, {years}, not {text!r}")
 
 
 def require_usable(args: argparse.Namespace) -> None:

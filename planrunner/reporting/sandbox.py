@@ -155,6 +155,8 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
         def get_source(self, environment: Any, template: str) -> tuple[str, str, Callable[[], bool]]:
             for root in roots:
                 path = (root / template).resolve()
+                if (root / template).is_symlink() and not path.is_relative_to(root):
+                    raise ReportError(f"{root / template}: a link that leads out of the folder; copy the file itself")
                 if path.is_relative_to(root) and path.exists():
                     try:
                         # Shipped templates do not change while the program runs and are compiled once.

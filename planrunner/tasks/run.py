@@ -232,7 +232,7 @@ def _stand_in(reader: RunReader, bench: str) -> Document:
     other = other_than_reached(reader.bench_bytes, data, (str(reader.path / "bench.yaml"), shown))
     if other:
         more = f" and {len(other) - 5} more" if len(other) > 5 else ""
-        message = f"this bench differs from the one with which the run began: {', '.join(other[:5])}{more} differ"
+        message = f"this bench differs from the one with which the run began, in {', '.join(other[:5])}{more}"
         hint = (
             f"only the keys {', '.join(REACHED_BY)} of the instruments may differ: copy bench.yaml from the run folder, and "
             "change only these keys"

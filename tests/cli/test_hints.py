@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from planrunner.base.findings import Finding, InputError, nearest
+from planrunner.base.shipped import shipped
 from planrunner.bench.model import benches_for, models, read_bench
 from planrunner.cli import main
 from planrunner.design.study import Asked
@@ -115,6 +116,13 @@ def test_a_command_without_arguments_says_where_they_are_explained(
 ) -> None:
     assert main([command]) == 2
     assert f"`planrunner {command} --help`" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("when", ["9999-12-31T23:59", "0001-01-01T00:00", "2026-02-30T10:00", "tomorrow"])
+def test_a_night_begins_in_a_year_that_every_time_zone_has(when: str, capsys: pytest.CaptureFixture[str]) -> None:
+    suite = next((shipped("plans") / "suites").glob("*.yaml"))
+    assert main(["check", str(suite), "--at", when]) == 2
+    assert f"of a year from 1971 to 9000, not {when!r}" in capsys.readouterr().err
 
 
 def test_a_file_without_a_header(tmp_path: Path) -> None:

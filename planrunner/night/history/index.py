@@ -18,6 +18,7 @@ from types import TracebackType
 from typing import cast
 
 from planrunner.archive.finding_runs import find_runs
+from planrunner.archive.schema_check import FIRST_YEAR, LAST_YEAR
 from planrunner.base.findings import COMMAND_LINE, InputError, Mark
 from planrunner.base.processes import shared_out
 from planrunner.base.progress import Announce, Pace
@@ -365,10 +366,14 @@ def _literal(text: str) -> str:
 
 
 def _moment(text: str) -> datetime:
+    """The moment in UTC. No run has a year outside `FIRST_YEAR` to `LAST_YEAR`, so that an earlier or later moment is replaced by the nearest
+    one that the calendar can still add a day to."""
     try:
         moment = datetime.fromisoformat(text)
+        if not FIRST_YEAR <= moment.year <= LAST_YEAR:
+            return datetime(FIRST_YEAR if moment.year < FIRST_YEAR else LAST_YEAR + 1, 1, 1, tzinfo=UTC)
         return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
-    except (ValueError, OverflowError):
+    except ValueError:
         message = f"'{text[:40]}' is not a date"
         raise InputError.at(COMMAND_LINE, "command-usage", message, "write for example 2026-03-01") from None
 

@@ -101,6 +101,10 @@ def test_runs_are_listed_with_what_their_folders_say(index: Index) -> None:
         (RunFilter(plan="%"), ""),
         (RunFilter(since="2024-01-03", until="2024-01-04"), "32"),
         (RunFilter(since="2024-01-03T08:00:00", until="2024-01-04T07:59:59+00:00"), "2"),
+        (RunFilter(since="0001-01-01", until="9999-12-31"), "543210"),
+        (RunFilter(since="0001-01-01T00:00+05:00", until="9999-12-31T23:59-05:00"), "543210"),
+        (RunFilter(until="1000-01-01"), ""),
+        (RunFilter(since="9999-12-31"), ""),
         (RunFilter(limit=2), "54"),
     ],
 )
