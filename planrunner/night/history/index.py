@@ -366,12 +366,12 @@ def _literal(text: str) -> str:
 
 
 def _moment(text: str) -> datetime:
-    """The moment in UTC. No run has a year outside `FIRST_YEAR` to `LAST_YEAR`, so that an earlier or later moment is replaced by the nearest
-    one that the calendar can still add a day to."""
+    """The moment in UTC. No run has a year outside `FIRST_YEAR` to `LAST_YEAR`: moments before and after are moved to just outside of them,
+    where sums with days stay within the calendar."""
     try:
         moment = datetime.fromisoformat(text)
         if not FIRST_YEAR <= moment.year <= LAST_YEAR:
-            return datetime(FIRST_YEAR if moment.year < FIRST_YEAR else LAST_YEAR + 1, 1, 1, tzinfo=UTC)
+            return datetime(FIRST_YEAR - 1 if moment.year < FIRST_YEAR else LAST_YEAR + 1, 1, 1, tzinfo=UTC)
         return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
     except ValueError:
         message = f"'{text[:40]}' is not a date"
