@@ -19,14 +19,14 @@ _BEGINNING = """\
 of this list, says who acts and what to do, and fills in the parameters that it found. `planrunner simulate --with EFFECT` adds an effect
 to a simulation, and the estimator [`error_model`](error-models.md) fits its parameters.
 
-Effects marked with † serve simulations and estimates only. The diagnosis does not weigh them unless it is asked to.
+Effects marked with † serve simulations and estimates only. The diagnosis considers them only if you name them with `--given`.
 """
 ACTORS = {
     Actor.BENCH: "the operator of the table, the chamber, the mounting and their synchronisation",
-    Actor.SENSOR: "the maker of the unit, or its compensation",
-    Actor.PLAN: "the author of the plan: states and times",
-    Actor.SITE: "the declared place on the Earth",
-    Actor.BOOKKEEPING: "the author of the files: labels, units, signs, declared noise",
+    Actor.SENSOR: "the maker of the unit, or the person who compensates its outputs",
+    Actor.PLAN: "the author of the plan, who chooses its states and times",
+    Actor.SITE: "the person who declares the place of the bench on the Earth",
+    Actor.BOOKKEEPING: "the author of the files, who declares labels, units, signs and noise",
 }
 
 

@@ -81,7 +81,7 @@ class AxesExchanged:
     of_declaration: Literal[True] = True
     about = About(
         "channels of two axes are exchanged",
-        "Channels of a triad carry the names of each other's axes.",
+        "Within a triad, the names of channels are exchanged, so a channel has the name of another axis.",
         Actor.BOOKKEEPING,
         "Exchange the columns of these channels in the bench file: {found}.",
     )

@@ -251,7 +251,7 @@ class GyroAngularAcceleration:
     id, stage, hypothesis = "gyro_angular_acceleration", "sensor", False
     about = About(
         "gyro output depends on the angular acceleration",
-        "A term in proportion to the angular acceleration appears in the output of each gyro, as it does if single axes are late.",
+        "The output of each gyro contains a term proportional to the angular acceleration; a delay of single axes has the same effect.",
         Actor.SENSOR,
         "Compensate with the derivative of the rate, or with the delay of the axis: {found}.",
     )

@@ -26,9 +26,9 @@ class GyroBandwidth(Shaped):
     id, stage, shape_name, shape_unit = "gyro_bandwidth", "output", "tau", "s"
     about = About(
         "gyro output lags behind the rate",
-        "A low-pass filter of first order makes the output of the gyros smaller and later if the rate changes.",
+        "A low-pass filter of first order attenuates and delays the output of the gyros when the rate changes.",
         Actor.SENSOR,
-        "Raise the bandwidth of the gyros, now {bandwidth}, or rock at {slow} or slower, where the lag is "
+        "Raise the bandwidth of the gyros (it is {bandwidth}), or rock at {slow} or slower, so that the phase lag is "
         "below 1 deg: {found}.",
         _frequencies,
     )
@@ -78,7 +78,7 @@ class GyroSaturation(Shaped):
     id, stage, shape_name, shape_unit = "gyro_saturation", "output", "limit", "deg/s"
     about = About(
         "gyro output is clipped",
-        "The output of the gyros cannot exceed a limit below the largest rate of the plan.",
+        "The output of the gyros is clipped at a limit that is smaller than the largest rate of the plan.",
         Actor.PLAN,
         "Keep the rates of the plan below the limit, or set a larger measurement range in the sensor: {found}.",
     )
@@ -109,7 +109,7 @@ class GyroFoldOver(Shaped):
     id, stage, hypothesis, shape_name, shape_unit = "gyro_fold_over", "output", False, "limit", "deg/s"
     about = About(
         "gyro output folds over at its limit",
-        "Beyond a limit the output of the gyros continues from the opposite limit, as where a counter overflows.",
+        "If the rate exceeds a limit, the output of the gyros continues from the opposite limit, like a counter that overflows.",
         Actor.PLAN,
         "Keep the rates of the plan below the limit, or set a larger measurement range in the sensor: {found}.",
     )

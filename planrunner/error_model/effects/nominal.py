@@ -73,13 +73,13 @@ _NAMES = {"gyro": "gyro", "accel": "accelerometer"}
 _ABOUT = {
     "bias": About(
         "{} bias",
-        "The output of each {} contains a constant that the simulation does not fit.",
+        "The output of each {} contains a constant that is not among the fitted terms of the simulation.",
         Actor.SENSOR,
         "Correct the bias, or add it to `nominal` in the diagnosis of the plan: {{found}}.",
     ),
     "scale_factor": About(
         "{} scale factor is wrong",
-        "The output of each {} is larger or smaller than its input by a constant factor that the simulation does not fit.",
+        "The output of each {} differs from its input by a constant factor that is not among the fitted terms of the simulation.",
         Actor.SENSOR,
         "Correct the scale factor, or add it to `nominal` in the diagnosis of the plan: {{found}}.",
     ),

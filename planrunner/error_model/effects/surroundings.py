@@ -74,7 +74,7 @@ class SiteLatitude:
     id, stage = "site_latitude", "stimulus"
     about = About(
         "latitude of the site is wrong",
-        "The simulation computes the rotation of the Earth for another latitude than that of the recording.",
+        "The simulation computes the rotation of the Earth for a latitude that is not that of the recording.",
         Actor.SITE,
         "Add the error to the latitude of the site in the bench file: {found}.",
     )
@@ -121,7 +121,7 @@ class ReferenceLatency(Shaped):
     id, stage, hypothesis, shape_name, shape_unit = "reference_latency", "acquisition", False, "delay", "s"
     about = About(
         "reference data are late",
-        "The time stamps of the channels that show the motion are late, so the sensor shows a later motion than they do.",
+        "The time stamps of the channels that show the motion are late, so these channels show an earlier motion than the sensor.",
         Actor.BENCH,
         "Correct the time stamps of the reference by the delay, or synchronise it with the sensor: {found}.",
     )
