@@ -66,7 +66,7 @@ def drift_tables(fits: Sequence[OutputsFit], basis: str) -> tuple[Table, ...]:
 
 
 def bases_shown(chosen: str, fits: Sequence[OutputsFit]) -> list[str]:
-    """The chosen basis, and the other one if all fits have it."""
+    """The bases of uncertainty that are shown: the chosen one first, then the other one if all fits have it."""
     return [chosen, *(other for other in BASES if other != chosen and all(fit.available(other) for fit in fits))]
 
 

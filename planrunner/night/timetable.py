@@ -168,7 +168,7 @@ class NightCourse:
             bench.warm_at = None
 
     def ended(self, test: int, at: float, ending: EndOfTest) -> bool:
-        """A running test has ended. Returns whether this is its result; otherwise it will be repeated."""
+        """A running test has ended. Returns True if it will not be repeated, so that its outcome is its result."""
         planned, state = self.tests[test], self._tests[test]
         bench = self._benches[planned.bench]
         bench.running, bench.last_used = None, at

@@ -190,7 +190,7 @@ def _withdrawal(file: str, envelope: Envelope, statement: JsonObject) -> StatedW
 
 
 def payload_digest(envelope: Envelope) -> str:
-    """SHA-256 of what was signed: it identifies an approval, whatever is done to its file."""
+    """SHA-256 of the signed content. It identifies an approval independently of its file."""
     return hashlib.sha256(envelope.payload).hexdigest()
 
 

@@ -206,7 +206,7 @@ def test_texts_with_names_and_numbers_are_translated() -> None:
     factor = said("scale factor along the axis")
     cold = said("{celsius:g}degC", celsius=-40.0)
     assert (
-        term(said("{axis}: {quantity} at {temperature}", axis="x", quantity=factor, temperature=cold))
+        term(said("{axis} at {temperature}: {quantity}", axis="x", quantity=factor, temperature=cold))
         == "x：-40 °C 时沿敏感轴的标度因数"
     )
     fewer = said("has {count} of {most} rates", count=3, most=12)

@@ -259,9 +259,10 @@ def _assemble(
         (_residual_plot(labels, residuals),),
         (
             said(
-                "The part of the uncertainties that comes from the data is half the width of the central 68 % interval "
-                "of experiments simulated with noise and the declared bias instability. The contributions of the other inputs "
-                "declared in the bench file are added to first order. The expected range of a ratio includes both parts."
+                "One part of the uncertainties comes from the data: the experiment is simulated many times with noise and the "
+                "declared bias instability, and this part is half the width of the central 68 % interval of the results. The other "
+                "part comes from the other inputs declared in the bench file, and is added to first order. The expected range of a "
+                "ratio includes both parts."
             ),
             _CLAIM,
             *notes,

@@ -235,7 +235,7 @@ def _periodic(
     notes.append(
         said(
             "The ratios compare navigation runs of one sensor over the same time. Their uncertainties come from the white noise and "
-            "the declared bias instability of the navigation runs; each run contributes an upper bound. Errors that rotation "
+            "the declared bias instability of the navigation runs; the contribution of each run is an upper bound. Errors that rotation "
             "does not modulate (azimuth gyro, alignment) remain in all navigation runs. Scale factor errors and misalignments act during "
             "the turns and repeat with the cycle too; the prediction from constant errors does not include them."
         )

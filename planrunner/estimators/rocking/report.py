@@ -46,7 +46,7 @@ def comparison(pairings: Sequence[Pairings]) -> Table:
         TableColumn("standard deviation, accelerometers", Role.VALUE, "deg/h"),
         TableColumn("standard deviation, gimbal angles", Role.VALUE, "deg/h"),
         TableColumn("ratio", Role.VALUE),
-        TableColumn("share of pairings with the smaller drift from accelerometers", Role.SHARE),
+        TableColumn("share of pairings in which the accelerometers give the smaller drift", Role.SHARE),
     )
     return Table(
         "Comparison of the two methods over random pairings of a static and a dynamic run", columns, tuple(rows)

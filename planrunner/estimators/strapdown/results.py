@@ -180,9 +180,8 @@ def _source(request: EstimateRequest[StrapdownNavigationParameters], found: Navi
         )
     return said(
         "The uncertainties of the errors come from the white noise observed during alignment and from the declared bias "
-        "instability, for constants that are averages over {span}, propagated through the linear error equations; constant "
-        "sensor errors are part of the measured errors. For the largest error, the root mean square and the rate, the "
-        "uncertainties are upper bounds.",
+        "instability, propagated through the linear error equations. Constant sensor errors (averages over {span}) are part of "
+        "the measured errors. For the largest error, the root mean square and the rate, the uncertainties are upper bounds.",
         span=str(request.parameters.drift_span),
     )
 

@@ -25,9 +25,9 @@ K, F0, NONLINEARITY, ASYMMETRY, RESPONSE = range(len(QUANTITIES))
 
 @dataclass(frozen=True, slots=True)
 class TiltedConditions:
-    """axes: their directions. commanded: (N,), rad/s, the table's rate in each segment. along: (N, 3), the rotation axis in the fixture's
-    frame. felt: (N, 3), rad/s, mean rate with the Earth's rotation; None if the Earth's rotation is not corrected for. rate_error: relative
-    error of the table's rate, one for all segments or (N,)."""
+    """axes: the sensor axes with their directions. commanded: (N,), rad/s, the table's rate in each segment. along: (N, 3), the rotation
+    axis in the fixture's frame. felt: (N, 3), rad/s, mean rate with the Earth's rotation; None if the Earth's rotation is not corrected
+    for. rate_error: relative error of the table's rate, one for all segments or (N,)."""
 
     axes: MountedAxes
     commanded: Array

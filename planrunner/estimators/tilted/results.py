@@ -141,7 +141,7 @@ def _at(
             words = said("{axis}: {quantity}", axis=name, quantity=WORDS[quantity])
             if groups[k].label:
                 words = said(
-                    "{axis}: {quantity} at {temperature}",
+                    "{axis} at {temperature}: {quantity}",
                     axis=name,
                     quantity=WORDS[quantity],
                     temperature=groups[k].label,
