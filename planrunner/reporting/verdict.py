@@ -34,7 +34,7 @@ def headline(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnin
         are = "limit is" if total == 1 else f"of {total} limits are" if len(failed) > 1 else f"of {total} limits is"
         text = _and("Failed", beside, f"{len(failed)} {are} not met")
         return Headline(kind, text, f"Not met: {', '.join(failed)}.")
-    met = "the limit is met" if total == 1 else f"all {total} limits are met"
+    met = {1: "the limit is met", 2: "both limits are met"}.get(total, f"all {total} limits are met")
     if not beside:
         return Headline(kind, f"Passed: {met}")
     return Headline(

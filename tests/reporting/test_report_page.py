@@ -155,7 +155,7 @@ def test_headline_says_how_many() -> None:
     assert context.headline.kind == "fail"
     both = tuple(replace(limit, verdict="pass") for limit in context.limits)
     met = replace(context, limits=both, warnings=(), estimates=(example.estimate(),))
-    assert met.headline == Headline("pass", "Passed: all 2 limits are met")
+    assert met.headline == Headline("pass", "Passed: both limits are met")
     assert replace(context, limits=()).headline.kind == "none"
     broken = replace(met, failures={"drift": "two segments are missing"}).headline
     assert broken.kind == "fail"
