@@ -268,6 +268,7 @@ OPENERS = {
     "base/guarded_folder.py": "everything in a run folder",
     "base/exclusive.py": "locks",
     "base/shipped.py": "shipped pages",
+    "base/cluster.py": "its own source",
     "bench/lock.py": "the folder of locks",
     "cli/__init__.py": "the null device, when standard output went away",
     "cli/new.py": "shipped plans, copied",

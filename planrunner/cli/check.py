@@ -9,11 +9,11 @@ from pathlib import Path
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Finding
-from planrunner.base.processes import shared_out
+from planrunner.base.workers import ALONE, results_of
 from planrunner.bench.attendance import check_unattended
 from planrunner.bench.model import runs_on_virtual_clock, safe_order
 from planrunner.cli import exit_codes
-from planrunner.cli.jobs import number_of_jobs
+from planrunner.cli.jobs import add_workers, workers_of
 from planrunner.cli.operator import add_attendance
 from planrunner.cli.printing import columns, print_findings, print_json
 from planrunner.cli.progress import reading_progress
@@ -34,11 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="folder that contains the recordings to play back: check the recording and try the estimates on it",
     )
-    parser.add_argument(
-        "--jobs",
-        metavar="N",
-        type=number_of_jobs,
-        help="processes that share several plans (default: as many as pay, at most one per processor; 1 with --data)",
+    add_workers(
+        parser, "processes that share several plans (default: as many as pay, at most one per processor; 1 with --data)"
     )
     add_suite_arguments(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress")
@@ -48,9 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     # Recordings are read one after the other, with progress, and none has to share the memory.
-    jobs = 1 if args.data is not None else args.jobs
+    workers = ALONE if args.data is not None else workers_of(args, None)
     require_usable(args)
-    answers = shared_out(partial(_answer, args), args.plans, jobs)
+    answers = results_of(partial(_answer, args), args.plans, workers)
     if args.json:
         print_json([finding.to_json() for answer in answers for finding in answer.findings])
     else:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import COMMAND_LINE, InputError, Mark, closest
 from planrunner.cli import exit_codes
-from planrunner.cli.each_run import run_folders
-from planrunner.cli.jobs import number_of_jobs
+from planrunner.cli.each_run import archive_of, run_folders
+from planrunner.cli.jobs import add_workers
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.cli.progress import reading_progress
 
@@ -105,21 +105,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="simulate the plan without and with the named effects, and compare the recording with both",
     )
     add_nominal(parser)
-    parser.add_argument(
-        "--jobs",
-        metavar="N",
-        type=number_of_jobs,
-        help="threads of the linear algebra (default: 1, usually the fastest); with several runs: processes (default: "
-        "one per processor)",
+    parser.add_argument("--all", action="store_true", help="RUN is an archive: diagnose all run folders in it together")
+    add_workers(
+        parser,
+        "threads of the linear algebra (default: 1, usually the fastest); with several runs: processes (default: one per processor)",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    if args.others:
+    if args.others or args.all:
         from planrunner.cli.diagnose_fleet import run_fleet
+        from planrunner.tasks.verify import runs_beneath
 
+        runs = [args.subject, *args.others]
         options = options_of(args.nominal)
-        return run_fleet(args, run_folders([args.subject, *args.others]), None if options is None else options.nominal)
+        return run_fleet(
+            args,
+            runs_beneath(archive_of(runs)) if args.all else run_folders(runs),
+            None if options is None else options.nominal,
+        )
+    if args.scheduler is not None:
+        message, hint = "--scheduler is for several runs", "give two or more run folders, or an archive with --all"
+        raise InputError.at(COMMAND_LINE, "gap-arguments", message, hint)
     if args.origins is not None:
         raise InputError.at(
             COMMAND_LINE, "gap-arguments", "--origins is for several runs", "give two or more run folders"

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.processes import processors
 from planrunner.cli import exit_codes
+from planrunner.cli.jobs import workers_of
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.cli.progress import reading_progress
 
@@ -29,7 +31,7 @@ def run_fleet(args: argparse.Namespace, runs: list[Path], nominal: tuple[str, ..
         message = f"{', '.join(given)} cannot be given with several runs"
         raise InputError.at(COMMAND_LINE, "gap-arguments", message, "diagnose one run at a time with these options")
     with reading_progress() as notice:
-        made = diagnose_fleet(runs, nominal, args.origins, args.jobs, notice)
+        made = diagnose_fleet(runs, nominal, args.origins, workers_of(args, processors(), runs[0]), notice)
     print_findings(made.findings)
     found = made.to_json()
     if args.html is not None:

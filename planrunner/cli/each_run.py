@@ -5,15 +5,23 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 from planrunner.base.documents import JsonObject
-from planrunner.cli.failures import failure_of
+from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.progress import Pace
+from planrunner.base.workers import Workers, results_in_order
+from planrunner.cli.failures import CommandFailure, failure_of
 from planrunner.cli.printing import print_json
+from planrunner.cli.progress import reading_progress
 from planrunner.night.record import holds_nights
 from planrunner.reporting.printable import printable
+
+R = TypeVar("R")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,30 +47,95 @@ def run_folders(given: Sequence[Path]) -> list[Path]:
     return [folder for folder in given if folder not in nights]
 
 
-def each_run(
-    runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: bool, last: Callable[[], Done | None] | None = None
-) -> int:
+def runs_of(args: argparse.Namespace) -> list[Path]:
+    """The run folders: those that were given or, with --all, those in the archive. Raises `InputError`."""
+    runs: list[Path] = args.runs
+    if not args.all:
+        return run_folders(runs)
+    from planrunner.tasks.verify import runs_beneath
+
+    return runs_beneath(archive_of(runs))
+
+
+def archive_of(runs: Sequence[Path]) -> Path:
+    """The folder that was given with --all. Raises `InputError` if there are several."""
+    if len(runs) > 1:
+        message = "--all takes one folder"
+        raise InputError.at(COMMAND_LINE, "command-usage", message, "give the folder that contains the runs")
+    return runs[0]
+
+
+def each_run(runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: bool) -> int:
     """Does the work on every run, even if others fail. A failure is printed; with `--json` it is in `findings` of its entry.
 
-    With several runs, the output of each begins with its name. The exit code is the highest of all. last: gives what concerns
-    all runs together, which is the last entry.
+    With several runs, the output of each begins with its name. The exit code is the highest of all.
     """
     runs = run_folders(runs)
+
+    def attempt(run: Path) -> Done | CommandFailure:
+        _name(run, len(runs), as_json)
+        return _attempt(work, run)
+
+    alone = len(runs) == 1 and not as_json
+    return _concluded(runs, map(work if alone else attempt, runs), lambda done: done, as_json=as_json)
+
+
+def each_result(
+    runs: Sequence[Path],
+    work: Callable[[Path], R],
+    show: Callable[[R], Done],
+    workers: Workers,
+    *,
+    what: str,
+    as_json: bool,
+    last: Callable[[], Done | None] | None = None,
+) -> int:
+    """As `each_run`, for work that prints nothing and that workers can share: a function of a module, or a `partial` of one. show: prints a
+    result, in the order of the runs. what: of the progress. last: gives what concerns all runs together, which is the last entry."""
+    alone = len(runs) == 1 and not as_json
+    with reading_progress(as_json) as notice:
+        pace = Pace(what, 1.0, notice)
+        results: Iterable[R | CommandFailure] = results_in_order(
+            work if alone else partial(_attempt, work), runs, workers, pace.reached
+        )
+        return _concluded(runs, results, show, last, headed=True, as_json=as_json)
+
+
+def _attempt(work: Callable[[Path], R], run: Path) -> R | CommandFailure:
+    try:
+        return work(run)
+    except BrokenPipeError:
+        raise  # the reader closed the pipe
+    except Exception as error:
+        return failure_of(error, str(run))
+
+
+def _name(run: Path, number: int, as_json: bool) -> None:
+    if number > 1 and not as_json:
+        print(f"{run}:", flush=True)
+
+
+def _concluded(
+    runs: Sequence[Path],
+    results: Iterable[R | CommandFailure],
+    show: Callable[[R], Done],
+    last: Callable[[], Done | None] | None = None,
+    *,
+    as_json: bool,
+    headed: bool = False,
+) -> int:
+    """headed: the names of the runs are printed here."""
     entries, worst = [], 0
-    for run in runs:
-        if len(runs) > 1 and not as_json:
-            print(f"{run}:", flush=True)
-        try:
-            done = work(run)
-        except BrokenPipeError:
-            raise  # the reader closed the pipe
-        except Exception as error:
-            if len(runs) == 1 and not as_json:
-                raise
-            failure = failure_of(error, str(run))
-            failure.show()
-            done = Done(failure.code, {"findings": [finding.to_json() for finding in failure.findings]})
-        entries.append({"run": str(run), "exit_code": done.code, **done.found})
+    for run, result in zip(runs, results, strict=True):
+        if headed:
+            _name(run, len(runs), as_json)
+        if isinstance(result, CommandFailure):
+            result.show()
+            done = Done(result.code, {"findings": [finding.to_json() for finding in result.findings]})
+        else:
+            done = show(result)
+        if as_json:
+            entries.append({"run": str(run), "exit_code": done.code, **done.found})
         worst = max(worst, done.code)
     together = None if last is None else last()
     if together is not None:

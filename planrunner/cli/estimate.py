@@ -4,50 +4,82 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.cli import exit_codes
-from planrunner.cli.each_run import Done, add_runs, each_run
+from planrunner.cli.each_run import Done, add_runs, each_result, each_run, runs_of
+from planrunner.cli.jobs import add_workers, single_threaded, workers_of
 from planrunner.cli.outcome import conclude
 from planrunner.cli.progress import reading_progress
+
+if TYPE_CHECKING:
+    from planrunner.tasks.prove import Proof
+    from planrunner.tasks.run import Evaluated
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_runs(parser)
+    parser.add_argument("--all", action="store_true", help="RUN is an archive: estimate every run folder in it")
     parser.add_argument(
         "--prove",
         action="store_true",
         help="recompute the newest analysis with its own settings, and say whether every number is the stored one; nothing is written",
     )
     parser.add_argument("--analysis", type=int, metavar="N", help="with --prove: number of the analysis")
+    add_workers(parser, "processes that share the runs (default: 1)")
     parser.add_argument("--json", action="store_true", help="print a list of results as JSON, one entry per run")
 
 
 def run(args: argparse.Namespace) -> int:
-    if args.prove:
-        return each_run(args.runs, lambda folder: _prove(folder, args.analysis, as_json=args.json), as_json=args.json)
-    if args.analysis is not None:
+    if args.analysis is not None and not args.prove:
         raise InputError.at(COMMAND_LINE, "command-usage", "--analysis belongs to --prove", "add --prove")
-    return each_run(args.runs, lambda folder: _estimate(folder, as_json=args.json), as_json=args.json)
+    workers = workers_of(args, seen=args.runs[0])
+    if workers.jobs != 1:
+        single_threaded()
+    runs = runs_of(args)
+    if args.prove:
+        work = partial(_proved, args.analysis)
+        show = partial(_show_proof, as_json=args.json)
+        return each_result(runs, work, show, workers, what="recomputing the runs", as_json=args.json)
+    if len(runs) == 1 and workers.scheduler is None:
+        return each_run(runs, lambda folder: _estimate(folder, as_json=args.json), as_json=args.json)
+    from planrunner.tasks.run import evaluate_run
+
+    keep = partial(_keep, as_json=args.json)
+    return each_result(runs, evaluate_run, keep, workers, what="estimating the runs", as_json=args.json)
 
 
 def _estimate(folder: Path, *, as_json: bool) -> Done:
-    from planrunner.tasks import run as running
+    """One run, with the progress of reading it."""
+    from planrunner.tasks.run import evaluate_run
 
     with reading_progress() as notice:
-        analysis = running.analyse_run(folder, notice=notice)
+        made = evaluate_run(folder, notice=notice)
+    return _keep(made, as_json=as_json)
+
+
+def _keep(made: Evaluated, *, as_json: bool) -> Done:
+    from planrunner.tasks.run import keep
+
+    analysis = keep(made)
     if analysis.before is not None:
         verdict = "the same numbers as" if analysis.same else "OTHER NUMBERS than"
         print(f"analysis {analysis.folder.name} has {verdict} analysis {analysis.before}", file=sys.stderr)
     return conclude(analysis, as_json=as_json)
 
 
-def _prove(folder: Path, number: int | None, *, as_json: bool) -> Done:
-    from planrunner.tasks.prove import TOLERANCE, prove
+def _proved(number: int | None, folder: Path) -> Proof:
+    from planrunner.tasks.prove import prove
 
-    with reading_progress() as notice:
-        proof = prove(folder, number, notice)
+    return prove(folder, number)
+
+
+def _show_proof(proof: Proof, *, as_json: bool) -> Done:
+    from planrunner.tasks.prove import TOLERANCE
+
     if not as_json:
         print(f"analysis {proof.analysis}: {_PROVED[proof.verdict].format(tolerance=TOLERANCE)}")
         if proof.verdict != "identical" and proof.largest_of:

@@ -1,8 +1,17 @@
-"""The number of `--jobs`."""
+"""Where a command computes: `--jobs` for processes of this machine, `--scheduler` for a Dask cluster."""
 
 from __future__ import annotations
 
 import argparse
+import os
+import re
+from pathlib import Path
+
+from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.workers import Workers
+
+HERE = "processes"
+"""Value of `--scheduler` for the processes of this machine."""
 
 
 def number_of_jobs(text: str) -> int:
@@ -14,3 +23,39 @@ def number_of_jobs(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"must be at least 1: {value}")
     return value
+
+
+def scheduler(text: str) -> str:
+    """An address of a Dask scheduler, or `processes`. Raises `argparse.ArgumentTypeError`."""
+    if text != HERE and not re.fullmatch(r"(tcp|tls)://[^/\s]+:\d+", text):
+        raise argparse.ArgumentTypeError(f"must be an address such as tcp://10.0.0.5:8786, or {HERE}: {text}")
+    return text
+
+
+def add_workers(parser: argparse.ArgumentParser, jobs: str) -> None:
+    """Adds --jobs, with this help, and --scheduler."""
+    parser.add_argument("--jobs", metavar="N", type=number_of_jobs, help=jobs)
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        type=scheduler,
+        help=f"compute on the Dask cluster of this scheduler, such as tcp://10.0.0.5:8786; {HERE}: on one process per processor of this "
+        "machine. The results are the same to the last digit",
+    )
+
+
+def workers_of(args: argparse.Namespace, jobs: int | None = 1, seen: Path | None = None) -> Workers:
+    """The workers that were asked for. jobs: processes if neither option is given. seen: a folder that every worker must see."""
+    if args.scheduler is None:
+        return Workers(jobs if args.jobs is None else args.jobs)
+    if args.scheduler == HERE:
+        return Workers(args.jobs)
+    if args.jobs is not None:
+        message = "--jobs is for the processes of this machine, not for a cluster"
+        raise InputError.at(COMMAND_LINE, "command-usage", message, "give --jobs or --scheduler")
+    return Workers(1, args.scheduler, seen)
+
+
+def single_threaded() -> None:
+    """Keeps numpy from starting threads, so that processes can be forks. To be called before numpy is imported."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

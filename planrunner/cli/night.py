@@ -7,6 +7,7 @@ import os
 import sys
 from pathlib import Path
 
+from planrunner.cli.jobs import add_workers, workers_of
 from planrunner.cli.printing import print_findings, print_json
 from planrunner.cli.suites import add_at
 from planrunner.tasks.check_suite import check_suite
@@ -34,11 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--quiet", action="store_true", help="no line for each test")
     parser.add_argument("--json", action="store_true", help="print the record of the night as JSON")
+    add_workers(parser, "processes that share the checks of the plans (default: as many as pay)")
     add_at(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    sound = check_suite(Path(args.suite), at=args.at).sound()
+    sound = check_suite(Path(args.suite), at=args.at, workers=workers_of(args, None)).sound()
     print_findings(sound.findings)
     from planrunner.execution.stopping import StopRequest
     from planrunner.night.summary import github_annotations

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from planrunner.archive.schema_check import FIRST_YEAR, LAST_YEAR
 from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.cli.jobs import workers_of
 from planrunner.cli.printing import columns, write_file
 from planrunner.reporting.night_timetable import Timetable, timetable_lines, timetable_page
 from planrunner.tasks.check_suite import CheckedSuite, check_suite, is_suite
@@ -58,7 +59,7 @@ def require_usable(args: argparse.Namespace) -> None:
 
 def checked_suite(args: argparse.Namespace, file: Path) -> CheckedSuite:
     """The suite, checked; the page is written on request."""
-    checked = check_suite(file, at=args.at, jobs=args.jobs)
+    checked = check_suite(file, at=args.at, workers=workers_of(args, None))
     table = timetable_of(checked)
     if args.html is not None and table is not None:
         left = {finding.mark for finding in checked.findings if finding.code == "suite-does-not-fit"}

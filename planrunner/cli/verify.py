@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from planrunner.archive.verifying import Examined
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import COMMAND_LINE, InputError, Mark
 from planrunner.cli import exit_codes
-from planrunner.cli.each_run import Done, add_runs, each_run
+from planrunner.cli.each_run import Done, add_runs, archive_of, each_result, run_folders
+from planrunner.cli.jobs import add_workers, single_threaded, workers_of
 from planrunner.cli.log import add_heads, heads_of, ring_of, show_log
 from planrunner.plan.source import read_bytes
 from planrunner.reporting.printable import printable
+from planrunner.signing.key_ring import KeyRing
 from planrunner.signing.run_signatures import RunSignature
 from planrunner.signing.time_stamps import StampAuthority, parse_authority
-from planrunner.tasks.run_log import log_of, missing_log, verify_log
+from planrunner.tasks.run_log import LoggedRun, log_of, logged_run, missing_log, verify_log
 from planrunner.tasks.verify import Verification, runs_beneath, runs_in, verify_run
 
 
@@ -25,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--authority", metavar="CERT", type=Path, help="certificate in PEM that time stamps are verified with"
     )
+    add_workers(parser, "processes that share the runs (default: 1)")
     parser.add_argument("--json", action="store_true", help="print a list of verifications as JSON, one entry per run")
 
 
@@ -32,27 +38,28 @@ def run(args: argparse.Namespace) -> int:
     runs: list[Path] = args.runs
     archive = runs[0]
     if args.all:
-        if len(runs) > 1:
-            message = "--all takes one folder"
-            raise InputError.at(COMMAND_LINE, "command-usage", message, "give the folder that contains the runs")
+        archive = archive_of(runs)
         runs = runs_beneath(archive) if log_of(archive) is None else runs_in(archive)
     elif args.head:
         message = "--head belongs to the log of an archive"
         raise InputError.at(COMMAND_LINE, "command-usage", message, "give the folder that contains the runs, and --all")
+    runs = run_folders(runs)
     ring = ring_of(args)
     heads = heads_of(args.head, ring)
     authority = None if args.authority is None else _authority(args.authority)
-    bad: list[Path] = []
-    examined: list[Examined] = []
+    workers = workers_of(args, seen=archive)
+    if workers.jobs != 1:
+        single_threaded()
+    examined: list[LoggedRun] = []
+    bad = 0
 
-    def one(folder: Path) -> Done:
-        verification = verify_run(folder, ring, authority)
-        examined.append(verification.found)
-        if not args.json:
-            _show("" if len(runs) > 1 else f"{folder}: ", verification)
-        if verification.changes:
-            bad.append(folder)
-        return Done(exit_codes.INTEGRITY if verification.changes else exit_codes.DONE, verification.to_json())
+    def show(verified: _Verified) -> Done:
+        nonlocal bad
+        examined.append(verified.run)
+        bad += verified.changed
+        for line in () if args.json else verified.lines:
+            _say(line)
+        return Done(exit_codes.INTEGRITY if verified.changed else exit_codes.DONE, verified.found)
 
     def of_all() -> Done | None:
         if not args.all:
@@ -65,9 +72,10 @@ def run(args: argparse.Namespace) -> int:
             show_log(found)
         return Done(exit_codes.INTEGRITY if found.changes else exit_codes.DONE, found.to_json())
 
-    code = each_run(runs, one, as_json=args.json, last=of_all)
+    work = partial(_verified, ring, authority, len(runs) > 1)
+    code = each_result(runs, work, show, workers, what="verifying the runs", as_json=args.json, last=of_all)
     if len(runs) > 1 and not args.json:
-        print(f"{len(runs)} runs: {len(bad)} changed" if bad else f"{len(runs)} runs: all unchanged")
+        print(f"{len(runs)} runs: {bad} changed" if bad else f"{len(runs)} runs: all unchanged")
     return code
 
 
@@ -79,43 +87,62 @@ def _authority(path: Path) -> StampAuthority:
         raise InputError.at(Mark(str(path)), "bench-stamp-certificate", str(error), hint) from None
 
 
-def _show(name: str, verification: Verification) -> None:
+@dataclass(frozen=True, slots=True)
+class _Verified:
+    """The verification of a run: what is printed, what is compared with the log, and the JSON."""
+
+    run: LoggedRun
+    changed: bool
+    lines: tuple[str, ...]
+    found: JsonObject
+
+
+def _verified(ring: KeyRing | None, authority: StampAuthority | None, named: bool, folder: Path) -> _Verified:
+    """named: the name of the folder is already printed."""
+    verification = verify_run(folder, ring, authority)
+    lines = tuple(_lines("" if named else f"{folder}: ", verification))
+    return _Verified(logged_run(verification.found), bool(verification.changes), lines, verification.to_json())
+
+
+def _lines(name: str, verification: Verification) -> Iterator[str]:
     """name: of the folder; empty where it is already printed."""
     found = verification.found
     state = "CHANGED" if verification.changes else "unchanged" if verification.sealed else "unchanged, NOT SEALED"
-    _say(f"{name or '    '}{state}")
+    yield (f"{name or '    '}{state}")
     for change, finding in verification.changes:
-        _say(f"    {change}: {finding.message}")
+        yield (f"    {change}: {finding.message}")
     if found.seal is not None and found.seal_digest is not None:
-        _say(f"    sealed {found.seal['sealed']}, SHA-256 of seal.json: {found.seal_digest}")
+        yield (f"    sealed {found.seal['sealed']}, SHA-256 of seal.json: {found.seal_digest}")
     if found.scan is not None:
         files = found.files.values()
         size = sum(part.bytes for part in files) / 1e6
-        _say(f"    {found.scan.count} events, {len(files)} files of samples ({size:.1f} MB), {_analyses(verification)}")
+        yield (
+            f"    {found.scan.count} events, {len(files)} files of samples ({size:.1f} MB), {_analyses(verification)}"
+        )
     for number, words in verification.amendments.items():
-        _say(f"    analysis {number} {words}")
+        yield (f"    analysis {number} {words}")
     for one in verification.signatures:
         if one.standing != "invalid":
             standing = f"valid, key of {one.owner}" if one.standing == "valid" else f"NOT VERIFIED: {one.why}"
             result = _covered(one)
-            _say(f"    {one.meaning} by {one.name}, {one.signed} ({result}): {standing} ({one.key})")
+            yield (f"    {one.meaning} by {one.name}, {one.signed} ({result}): {standing} ({one.key})")
     dated = [one for one in verification.stamps if one.standing != "invalid" and one.time]
     if dated:
         valid = all(one.standing == "valid" for one in dated)
         times = sorted(one.time for one in dated)
         standing = "valid" if valid else "NOT VERIFIED: by the certificate in the bench file of the run only"
-        _say(f"    {len(dated)} time stamps, {times[0]} to {times[-1]}: {standing}")
+        yield (f"    {len(dated)} time stamps, {times[0]} to {times[-1]}: {standing}")
     for approval in verification.approvals:
         known = approval.judged.key
         if approval.judged.standing == "counts":
             owner = (
                 f"valid, key of {known.name}" if known and approval.verified else "NOT VERIFIED: no key ring was given"
             )
-            _say(f"    plan approved by {approval.words()}: {owner}")
+            yield (f"    plan approved by {approval.words()}: {owner}")
     for finding in verification.remarks:
-        _say(f"    {finding.message}")
+        yield (f"    {finding.message}")
     for hint in dict.fromkeys(finding.hint for _, finding in verification.changes if finding.hint):
-        _say(f"    hint: {hint}")
+        yield (f"    hint: {hint}")
 
 
 def _covered(one: RunSignature) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 from planrunner.archive.space import recording_bytes
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Finding, Findings, InputError, closest
-from planrunner.base.processes import shared_out
+from planrunner.base.workers import Workers, results_of
 from planrunner.bench.attendance import check_unattended
 from planrunner.bench.model import NAME, runs_on_virtual_clock
 from planrunner.night.civil_time import civil, zone_of
@@ -109,11 +109,11 @@ def bench_file(suite: Suite, file: str, name: str) -> str:
     return written if re.fullmatch(NAME, written) else str(Path(file).parent / written)
 
 
-def check_suite(file: Path | Document, *, at: str | None = None, jobs: int | None = None) -> CheckedSuite:
+def check_suite(file: Path | Document, *, at: str | None = None, workers: Workers | None = None) -> CheckedSuite:
     """All checks of a suite before a night. Never raises because of the content of the files.
 
-    at: the local time from which the night may begin, in the zone of the suite (ISO 8601), by default now. jobs: processes that share the
-    plans.
+    at: the local time from which the night may begin, in the zone of the suite (ISO 8601), by default now. workers: share the
+    plans; by default processes of this machine.
     """
     checked = CheckedSuite(file.shown if isinstance(file, Document) else str(file), Findings())
     log = checked.findings
@@ -136,7 +136,7 @@ def check_suite(file: Path | Document, *, at: str | None = None, jobs: int | Non
     today = civil(begins, checked.zone).date()
     if checked.tests:
         check_known_failures(suite, checked.tests, today, log)
-    _check_plans(checked, suite, jobs)
+    _check_plans(checked, suite, workers or Workers())
     _check_information(checked, suite)
     _check_devices(checked, suite)
     if log.errors or not checked.tests:
@@ -150,12 +150,12 @@ def check_suite(file: Path | Document, *, at: str | None = None, jobs: int | Non
     return checked
 
 
-def _check_plans(checked: CheckedSuite, suite: Suite, jobs: int | None) -> None:
+def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
     """Checks every plan on every bench that it runs on, each pair once."""
     log = checked.findings
     pairs = {(test.file, test.bench): test for test in checked.tests}
     items = [(file, bench_file(suite, checked.file, bench)) for file, bench in pairs]
-    answers = shared_out(_look_at, items, jobs)
+    answers = results_of(_look_at, items, workers)
     for (pair, test), answer in zip(pairs.items(), answers, strict=True):
         checked.plans[pair] = answer
         for finding in answer.findings:

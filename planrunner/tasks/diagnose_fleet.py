@@ -17,8 +17,9 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.base import plugins
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
-from planrunner.base.processes import processors, shared_out
+from planrunner.base.processes import processors
 from planrunner.base.progress import Announce, Pace
+from planrunner.base.workers import Workers, results_of
 from planrunner.gap.fleet.amplitudes import AmplitudeEstimate, AmplitudeKey, amplitudes
 from planrunner.gap.fleet.attribution import Attribution, Contribution, Estimates, Source, Uncertain, attribute
 from planrunner.instruments.models import DataOrigin
@@ -163,18 +164,19 @@ def diagnose_fleet(
     runs: Sequence[Path],
     nominal: Sequence[str] | None = None,
     origins: Path | None = None,
-    jobs: int | None = None,
+    workers: Workers | None = None,
     notice: Announce | None = None,
 ) -> FleetDiagnosis:
     """Diagnoses runs together. nominal: terms that the simulations fit, by default those of the plans; origins: a CSV table that states
-    device, bench or occasion of runs; jobs: processes, by default one per processor. notice: receives the progress.
+    device, bench or occasion of runs; workers: share the
+    runs; by default one process per processor. notice: receives the progress.
 
     Raises `InputError` with all obstacles, and `IntegrityError`.
     """
     known = _origins(runs, origins)
-    jobs = processors() if jobs is None else jobs
+    workers = workers or Workers(processors())
     given = None if nominal is None else tuple(nominal)
-    found = shared_out(partial(_verdict, given), runs, jobs, Pace("diagnosing the runs", 1.0, notice).reached)
+    found = results_of(partial(_verdict, given), runs, workers, Pace("diagnosing the runs", 1.0, notice).reached)
     verdicts = tuple(one for one in found if isinstance(one, RunVerdict))
     _require_all(one for one in found if not isinstance(one, RunVerdict))
     findings = Findings()
@@ -185,8 +187,8 @@ def diagnose_fleet(
     effects, left = _with_amplitudes(named)
     chosen = tuple((name, _shape(name, verdicts)) for name in effects)
     fitting = Pace("fitting the named effects in every run", 1.0, notice).reached
-    fits = shared_out(partial(_fitted, verdicts[0].nominal, chosen), runs, jobs, fitting)
-    attributed = _attributed(fits, known, jobs)
+    fits = results_of(partial(_fitted, verdicts[0].nominal, chosen), runs, workers, fitting)
+    attributed = _attributed(fits, known, workers)
     if not attributed:
         message = "no amplitude is determined by two or more of the runs"
         raise InputError.at(
@@ -417,7 +419,7 @@ def _shape(name: str, verdicts: Sequence[RunVerdict]) -> float | None:
 
 
 def _attributed(
-    fits: Sequence[Sequence[AmplitudeEstimate]], origins: Sequence[RunOrigin], jobs: int
+    fits: Sequence[Sequence[AmplitudeEstimate]], origins: Sequence[RunOrigin], workers: Workers
 ) -> tuple[Attributed, ...]:
     """All amplitudes that two or more runs determine."""
     by_key: dict[AmplitudeKey, list[tuple[int, float, float]]] = {}
@@ -427,7 +429,7 @@ def _attributed(
                 by_key.setdefault(one.key, []).append((index, one.value, one.standard_uncertainty))
     listed = [item for item in by_key.items() if len(item[1]) > 1]
     listed.sort(key=lambda item: item[0].effect in NOMINAL_TERMS)  # the named effects first
-    return tuple(shared_out(partial(_one_attributed, tuple(origins)), listed, jobs))
+    return tuple(results_of(partial(_one_attributed, tuple(origins)), listed, workers))
 
 
 def _one_attributed(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from datetime import date, datetime
 from pathlib import Path
 
-from planrunner.archive.analyses import StoredAnalysis
+from planrunner.archive.analyses import Basis, StoredAnalysis, add_analysis
 from planrunner.archive.formats import IntegrityError, from_bytes, to_bytes
 from planrunner.archive.lock import FolderLock
 from planrunner.archive.origin import OriginUnknownError, made_here
@@ -27,7 +27,7 @@ from planrunner.base.findings import Finding, Findings, InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.base.progress import Announce
 from planrunner.bench.attendance import check_unattended
-from planrunner.bench.model import locate, runs_on_virtual_clock
+from planrunner.bench.model import Bench, locate, runs_on_virtual_clock
 from planrunner.bench.opening import NotSafeError, OpenBench, guarded_bench
 from planrunner.bench.replacing import REACHED_BY, addresses, other_than_reached
 from planrunner.estimators.analysis import Results, analyse
@@ -79,6 +79,24 @@ class Analysis:
     before: int | None = None
     same: bool = False
     unsigned: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluated:
+    """An analysis that is not written yet. bench: signs it, if it signs its runs. basis: the data that it was made from; files: its
+    contents by file name; reports: the names of those that are reports; the others as in `Analysis`."""
+
+    run: Path
+    bench: Bench
+    basis: Basis
+    files: Mapping[str, bytes]
+    reports: tuple[str, ...]
+    results: Results
+    headline: Headline
+    withheld: tuple[Finding, ...]
+    remarks: tuple[Finding, ...]
+    before: int | None
+    same: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -371,6 +389,17 @@ def analyse_run(
 
     amendment: who makes the analysis and why, stored with it; its plan, if any, replaces the estimates and limits of the run's plan.
     """
+    return keep(evaluate_run(run, issue, checked, notice, amendment))
+
+
+def evaluate_run(
+    run: Path,
+    issue: Issue | None = None,
+    checked: Sound | None = None,
+    notice: Announce | None = None,
+    amendment: Amendment | None = None,
+) -> Evaluated:
+    """As `analyse_run`, but nothing is written: `keep` makes it an analysis of the run. It can be computed by another process."""
     issue = issue or Issue()
     amendment = None if amendment is None else checked_amendment(amendment)
     made = _analyse(run, issue, checked, notice, kept=True, amendment=amendment)
@@ -389,12 +418,30 @@ def analyse_run(
         files[ISSUED] = to_bytes(issued_as(made.shown))
     earlier = made.reader.analyses[-1] if made.reader.analyses else None
     same = earlier is not None and comparable(_read_results(earlier)) == comparable(from_bytes(files[RESULTS]))
-    stored = made.reader.add_analysis(files)
-    unsigned = sign_analysis(made.reader, made.sound.bench, stored, made.results)
-    paths = tuple(stored.path / name for name in reports)
     before = None if earlier is None else earlier.number
+    return Evaluated(
+        run,
+        made.sound.bench,
+        made.reader.basis,
+        files,
+        reports,
+        made.results,
+        made.context.headline,
+        withheld,
+        made.reader.findings,
+        before,
+        same,
+    )
+
+
+def keep(made: Evaluated) -> Analysis:
+    """Writes an evaluation to its run, as a new analysis."""
+    reader = RunReader.open(made.run)
+    stored = add_analysis(reader.folder, made.files, made.basis)
+    unsigned = sign_analysis(replace(reader, basis=made.basis), made.bench, stored, made.results)
+    paths = tuple(stored.path / name for name in made.reports)
     return Analysis(
-        stored.path, made.results, made.context.headline, paths, withheld, made.reader.findings, before, same, unsigned
+        stored.path, made.results, made.headline, paths, made.withheld, made.remarks, made.before, made.same, unsigned
     )
 
 

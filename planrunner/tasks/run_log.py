@@ -94,7 +94,7 @@ def require_log(archive: Path) -> RunLog:
 
 
 def missing_log(
-    archive: Path, runs: Sequence[Examined], remembered: Mapping[str, RememberedHead]
+    archive: Path, runs: Sequence[LoggedRun], remembered: Mapping[str, RememberedHead]
 ) -> LogVerification | None:
     """The verification of an archive without a log; None if nothing says that it had one."""
     found = LogVerification(archive / FOLDER)
@@ -102,7 +102,7 @@ def missing_log(
         message = f"the archive has no log, but {next(iter(remembered))} is a tree head of its log"
         found.error("log-cut", message, "take the log from a backup")
         return found
-    made = sum("log" in run.run for run in runs)
+    made = sum(run.told is not None for run in runs)
     if not made:
         return None
     message = f"there is no log here, but {made} of the runs were entered in one: removed runs cannot be detected"
@@ -112,7 +112,7 @@ def missing_log(
 
 def verify_log(
     log: RunLog,
-    runs: Sequence[Examined] | None = None,
+    runs: Sequence[LoggedRun] | None = None,
     ring: KeyRing | None = None,
     remembered: Mapping[str, RememberedHead] | None = None,
 ) -> LogVerification:
@@ -180,20 +180,37 @@ def _histories(entries: Iterable[LogEntry]) -> dict[str, _History]:
     return found
 
 
-def name_of(run: Examined) -> str:
-    """The name of a run: that in its journal, or else in run.json, or else of the folder."""
-    if run.state is not None:
-        return str(run.state.created["run"])
-    return str(run.run.get("run", run.folder.path.name))
+@dataclass(frozen=True, slots=True)
+class LoggedRun:
+    """What of a run is compared with the log. name: in its journal, or else in run.json, or else of the folder. told: the tree head that
+    run.json remembers. events: of its journal, None if it cannot be read; heads: number of events → digest of the last one."""
+
+    name: str
+    path: Path
+    told: JsonObject | None
+    seal_digest: str | None
+    events: int | None
+    heads: Mapping[int, str]
+    empty: bool
 
 
-def _compare(found: LogVerification, content: LogContent, runs: Sequence[Examined]) -> None:
+def logged_run(run: Examined) -> LoggedRun:
+    """The part of an examined run that the log is compared with."""
+    path, scan = run.folder.path, run.scan
+    name = run.state.created["run"] if run.state is not None else run.run.get("run", path.name)
+    heads = {} if scan is None else {**scan.heads, scan.count: scan.head}
+    events = None if scan is None else scan.count
+    empty = events == 1 and run.seal is None and not run.files
+    return LoggedRun(str(name), path, run.run.get("log"), run.seal_digest, events, heads, empty)
+
+
+def _compare(found: LogVerification, content: LogContent, runs: Sequence[LoggedRun]) -> None:
     histories = _histories(content.entries)
-    present: dict[str, Examined] = {}
+    present: dict[str, LoggedRun] = {}
     for run in runs:
-        name = name_of(run)
+        name = run.name
         if name in present:
-            message = f"{run.folder.path}: this run is in the archive twice, also as {present[name].folder.path}"
+            message = f"{run.path}: this run is in the archive twice, also as {present[name].path}"
             found.error("log-run-added", message, "keep the original, and move the copy elsewhere")
             continue
         present[name] = run
@@ -205,10 +222,12 @@ def _compare(found: LogVerification, content: LogContent, runs: Sequence[Examine
         _check_memory(found, content, run, history)
         if fault:
             hint = "take the run from a backup"
-            found.error("log-run-replaced", f"{run.folder.path}: this is not the run in the log: {fault}", hint)
+            found.error("log-run-replaced", f"{run.path}: this is not the run in the log: {fault}", hint)
         elif run.seal_digest is not None and run.seal_digest not in history.seals:
-            hint = f"if it was sealed where the log could not be reached, add it with `planrunner log append {run.folder.path}`"
-            found.error("log-run-added", f"{run.folder.path}: it was sealed outside the log", hint)
+            hint = (
+                f"if it was sealed where the log could not be reached, add it with `planrunner log append {run.path}`"
+            )
+            found.error("log-run-added", f"{run.path}: it was sealed outside the log", hint)
     for name, history in histories.items():
         if name in present:
             continue
@@ -222,11 +241,11 @@ def _compare(found: LogVerification, content: LogContent, runs: Sequence[Examine
             found.error("log-run-removed", message, hint)
 
 
-def _check_memory(found: LogVerification, content: LogContent, run: Examined, history: _History) -> None:
+def _check_memory(found: LogVerification, content: LogContent, run: LoggedRun, history: _History) -> None:
     """Checks the log against the tree head that the run remembers."""
-    if "log" not in run.run:
+    if run.told is None:
         return
-    told, path = run.run["log"], run.folder.path
+    told, path = run.told, run.path
     if told["origin"] == content.origin:
         for code, fault in head_faults(content, TreeHead.from_json({**told, "at": ""}), f"the tree head in {path}"):
             found.error(code, fault, "take the log from a backup")
@@ -238,26 +257,24 @@ def _check_memory(found: LogVerification, content: LogContent, run: Examined, hi
         found.warning("log-elsewhere", message, "verify the archive in which it was made")
 
 
-def _unlogged(found: LogVerification, run: Examined) -> None:
+def _unlogged(found: LogVerification, run: LoggedRun) -> None:
     """A run that the log does not name. One without any data may be the remainder of a start that was cut short."""
-    empty = run.scan is not None and run.scan.count == 1 and run.seal is None and not run.files
-    message = f"{run.folder.path}: this run is not in the log"
-    if empty:
+    message = f"{run.path}: this run is not in the log"
+    if run.empty:
         found.warning("log-run-empty", f"{message}; it has no data: planrunner ended before the run began", "remove it")
     else:
         hint = "it was made elsewhere, or before the log; `planrunner log append` adds it with the present date"
         found.error("log-run-added", message, hint)
 
 
-def _contradiction(history: _History, run: Examined) -> str:
+def _contradiction(history: _History, run: LoggedRun) -> str:
     """What in a run contradicts the log; empty if nothing does. The journal must begin with every journal in the log."""
-    if run.scan is None:
+    if run.events is None:
         return "its journal cannot be read"
-    heads = run.scan.heads | {run.scan.count: run.scan.head}
     for events, head in history.journals.items():
-        if events > run.scan.count:
-            return f"the log counts {events} events, its journal has {run.scan.count}"
-        if heads.get(events) != head:
+        if events > run.events:
+            return f"the log counts {events} events, its journal has {run.events}"
+        if run.heads.get(events) != head:
             return f"its first {events} events are others"
     return ""
 
@@ -283,11 +300,11 @@ def append_run(log: RunLog, run: Path) -> TreeHead | None:
     if found.seal_digest is None:
         message = "only a finished, sealed run can be added to the log"
         raise InputError.at(Mark(str(run)), "sign-not-sealed", message, "finish the run with `planrunner resume`")
-    name = name_of(found)
-    history = _histories(log.read().entries).get(name, _History())
+    known = logged_run(found)
+    history = _histories(log.read().entries).get(known.name, _History())
     if found.seal_digest in history.seals and history.retired is None:
         return None
-    fault = _contradiction(history, found)
+    fault = _contradiction(history, known)
     if fault:
         raise IntegrityError(f"{run}: this is not the run in the log: {fault}", "log-run-replaced")
     try:
@@ -299,7 +316,9 @@ def append_run(log: RunLog, run: Path) -> TreeHead | None:
 def _enter(log: RunLog, run: Examined) -> TreeHead:
     assert run.seal is not None and run.seal_digest is not None
     sealed = run.seal["journal"]
-    return log.append("sealed", name_of(run), events=sealed["events"], head=sealed["head"], seal=run.seal_digest)
+    return log.append(
+        "sealed", logged_run(run).name, events=sealed["events"], head=sealed["head"], seal=run.seal_digest
+    )
 
 
 def retire_run(log: RunLog, run: str, why: str) -> TreeHead:

@@ -19,6 +19,7 @@ from lxml import etree
 
 from planrunner.archive.storage import Storage
 from planrunner.base.findings import InputError
+from planrunner.base.workers import ALONE
 from planrunner.execution.stopping import StopRequest
 from planrunner.night.record import FAULT, INTERRUPTED
 from planrunner.night.summary import github_annotations
@@ -79,7 +80,7 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def suite_in(lab: Path, text: str) -> SoundSuite:
     file = lab / "night.yaml"
     file.write_text(f"planrunner_suite: 1\ntitle: Night\nzone: UTC\n{text}", encoding="utf-8")
-    return check_suite(file, at="2026-01-12T20:00", jobs=1).sound()
+    return check_suite(file, at="2026-01-12T20:00", workers=ALONE).sound()
 
 
 def night(lab: Path, sound: SoundSuite, stop: StopRequest | None = None, **options: Any) -> NightResult:
@@ -226,6 +227,7 @@ def test_two_suites_run_in_one_archive_at_once(lab: Path) -> None:
 KILLER = """\
 import os, sys
 from pathlib import Path
+from planrunner.base.workers import ALONE
 from planrunner.execution.stopping import StopRequest
 from planrunner.tasks.check_suite import check_suite
 from planrunner.tasks.night import NightOptions, run_night
@@ -238,7 +240,7 @@ def tell(text):
     if sum(heard) == number:
         os.kill(os.getpid(), 9)
 
-sound = check_suite(lab / "night.yaml", at="2026-01-12T20:00", jobs=1).sound()
+sound = check_suite(lab / "night.yaml", at="2026-01-12T20:00", workers=ALONE).sound()
 run_night(sound, NightOptions(lab / "runs", program=(sys.executable, str(lab / "stand_in.py")), tell=tell), StopRequest())
 """
 
@@ -328,7 +330,7 @@ devices: {D1: {benches: a, set: {device_serial: D1}}, D2: {benches: b, set: {dev
 plans: {x: {plan: p.yaml}, y: {plan: p.yaml, needs: x, set: {say: "1"}}}
 """
     (lab / "night.yaml").write_text(f"planrunner_suite: 1\ntitle: Night\nzone: UTC\n{text}", encoding="utf-8")
-    result = night(lab, check_suite(lab / "night.yaml", jobs=1).sound())
+    result = night(lab, check_suite(lab / "night.yaml", workers=ALONE).sound())
     assert result.record["clock"] == "wall"
     assert states(result) == {"x/D1/a": "passed", "x/D2/b": "passed", "y/D1/a": "failed", "y/D2/b": "failed"}
     assert result.exit_code == 1

@@ -9,6 +9,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from planrunner.base.findings import InputError
+from planrunner.base.workers import ALONE
 from planrunner.cli import main
 from planrunner.tasks.diagnose_fleet import diagnose_fleet
 from tests.conftest import ROOT
@@ -127,5 +128,5 @@ def test_a_run_with_another_kind_of_sensor_is_refused(runs: list[Path], tmp_path
     table = tmp_path / "origins.csv"
     table.write_text(f"run,device\n{other.name},19\n", encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        diagnose_fleet([runs[1], other], origins=table, jobs=1)
+        diagnose_fleet([runs[1], other], origins=table, workers=ALONE)
     assert "fleet-other-sensor" in str(caught.value)

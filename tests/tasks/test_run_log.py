@@ -23,7 +23,7 @@ from planrunner.archive.storage import Storage
 from planrunner.base.findings import InputError
 from planrunner.cli import main
 from planrunner.signing.keys import write_private
-from planrunner.tasks.run_log import append_run, verify_log
+from planrunner.tasks.run_log import append_run, logged_run, verify_log
 from planrunner.tasks.sign import sign_later
 from planrunner.tasks.verify import runs_in, verify_run
 from tests.forging import flip, rewrite, with_digest, write_run
@@ -64,7 +64,7 @@ def found(archive: Path) -> set[tuple[str, str]]:
     verified = [verify_run(run) for run in runs(archive)]
     log = RunLog.of(archive)
     assert log is not None
-    of_log = verify_log(log, [one.found for one in verified])
+    of_log = verify_log(log, [logged_run(one.found) for one in verified])
     return {(change, one.code) for all_ in (*(v.changes for v in verified), of_log.changes) for change, one in all_}
 
 

@@ -1,0 +1,289 @@
+"""Work on many items on a Dask cluster (https://distributed.dask.org).
+
+A task is one item, or several if they take less than a moment. A worker computes one item at a time, with one thread of linear algebra, in
+the working directory of this process. If a worker is lost, Dask computes its items again on another one. Only a limited number of items is
+on the cluster at a time, so that neither the scheduler nor this process keeps all of them.
+
+Before it computes, a worker checks that its program and libraries are the same as here, because otherwise last digits may differ. The check
+belongs to each item: workers may join at any time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import math
+import os
+import pickle
+import socket
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock
+from time import monotonic
+from typing import TYPE_CHECKING, TypeVar
+from urllib.parse import urlsplit
+
+import planrunner
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.processes import ProcessEndedError
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+ANSWER_WITHIN = 10.0
+"""Seconds within which a scheduler must answer."""
+WORKERS_WITHIN = 30.0
+"""Seconds within which a cluster must have a worker."""
+
+_AHEAD = 4
+"""Tasks on the cluster for each thread of a worker."""
+_LEAST_AHEAD = 16
+_TASK_LASTS = 0.25
+"""Seconds that a task of several items should take: handing over a task takes milliseconds."""
+_MOST_OF_A_TASK = 512
+_ONE_AT_A_TIME = Lock()
+_COMPARED = ("numpy", "scipy", "numba", "pyarrow")
+_SCHEDULER = "--scheduler"
+
+
+@dataclass(frozen=True, slots=True)
+class _Terms:
+    """What holds for each item. versions: of the program and the libraries. directory: the working directory. seen: a folder that the
+    worker must see."""
+
+    versions: Mapping[str, str]
+    directory: str
+    seen: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """The results of the items of a task up to the first one that failed, and the exception of that one; or why the worker cannot compute.
+    seconds: of computing. unfit: name → (here, there)."""
+
+    results: tuple[object, ...] = ()
+    error: Exception | None = None
+    seconds: float = 0.0
+    unfit: Mapping[str, tuple[str, str]] | None = None
+    unseen: str = ""
+    worker: str = ""
+
+
+@functools.cache
+def versions() -> dict[str, str]:
+    """What the digits of a result depend on: the program (digest of its source), Python and the numerical libraries."""
+    import platform
+    from importlib import metadata
+
+    root, source = Path(planrunner.__file__).parent, hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        source.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    found = {"planrunner": f"{planrunner.__version__} ({source.hexdigest()[:12]})", "python": platform.python_version()}
+    for name in _COMPARED:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
+def computed_on_cluster(
+    work: Callable[[T], R],
+    items: Sequence[T],
+    address: str,
+    seen: Path | None = None,
+    tell: Callable[[float], None] | None = None,
+) -> Iterator[R]:
+    """The results of `work` for all items, in their order; see `workers.results_in_order`. address: of the scheduler. seen: a folder that
+    the workers must see. Raises `InputError` if the cluster cannot be used, and `ProcessEndedError` if it ends."""
+    if not items:
+        return
+    terms = _Terms(versions(), os.getcwd(), None if seen is None else str(seen))
+    with _connected(address) as client:
+        packed = _packed(work)
+        threads = sum(one["nthreads"] for one in client.scheduler_info(n_workers=-1)["workers"].values())
+        ahead = max(_LEAST_AHEAD, _AHEAD * threads)
+        waiting: deque[Future[_Answer]] = deque()
+        sent = done = 0
+        size = 1
+        while done < len(items):
+            while sent < len(items) and len(waiting) < ahead:
+                size = max(
+                    1, min(size, math.ceil((len(items) - sent) / ahead))
+                )  # the last tasks are shared by all workers too
+                waiting.append(client.submit(_compute, packed, terms, tuple(items[sent : sent + size]), pure=False))
+                sent += size
+            answer = _answer_of(waiting.popleft(), address)
+            _require_fit(answer, terms, address)
+            for result in answer.results:
+                done += 1
+                if tell is not None:
+                    tell(done / len(items))
+                yield result  # type: ignore[misc]
+            if answer.error is not None:
+                raise answer.error
+            size = _size(answer)
+
+
+def _size(answer: _Answer) -> int:
+    """Number of items that make a task of a good length, by the time that those of an answer took."""
+    each = answer.seconds / max(1, len(answer.results))
+    return max(1, min(_MOST_OF_A_TASK, int(_TASK_LASTS / each))) if each > 0 else _MOST_OF_A_TASK
+
+
+def _packed(work: Callable[[T], R]) -> bytes:
+    """The work for the workers alone: the scheduler would otherwise import its modules and keep its data."""
+    import cloudpickle
+
+    return bytes(cloudpickle.dumps(work))
+
+
+def _compute(packed: bytes, terms: _Terms, items: Sequence[T]) -> _Answer:
+    """On a worker: the items of a task."""
+    own = versions()
+    unfit = {
+        name: (one, own.get(name, "not installed")) for name, one in terms.versions.items() if own.get(name) != one
+    }
+    if unfit:
+        return _Answer(unfit=unfit, worker=_name())
+    from threadpoolctl import threadpool_limits
+
+    try:
+        work = _unpacked(packed)
+    except (ImportError, AttributeError) as error:
+        return _Answer(unfit={"plug-ins": ("those of the command", str(error))}, worker=_name())
+    with _ONE_AT_A_TIME, _in_directory(terms.directory):
+        if terms.seen is not None and not os.path.exists(terms.seen):
+            return _Answer(unseen=terms.seen, worker=_name())
+        began, results = monotonic(), list[object]()
+        with threadpool_limits(limits=1, user_api="blas"):
+            try:
+                for item in items:
+                    results.append(work(item))
+            except Exception as error:
+                return _Answer(tuple(results), error)
+        return _Answer(tuple(results), None, monotonic() - began)
+
+
+@functools.lru_cache(maxsize=4)  # the tasks of a command share it
+def _unpacked(packed: bytes) -> Callable[[object], object]:
+    work: Callable[[object], object] = pickle.loads(packed)
+    return work
+
+
+@contextlib.contextmanager
+def _in_directory(path: str) -> Iterator[None]:
+    """In the working directory of the command, where the worker has it: relative paths then mean the same, also in messages."""
+    before = os.getcwd()
+    with contextlib.suppress(OSError):
+        os.chdir(path)
+    try:
+        yield
+    finally:
+        os.chdir(before)
+
+
+def _name() -> str:
+    from distributed import get_worker
+
+    return str(get_worker().address)
+
+
+@contextlib.contextmanager
+def _connected(address: str) -> Iterator[Client]:
+    """A client of the scheduler, which has a worker. Raises `InputError`."""
+    try:
+        from distributed import Client
+    except ImportError:
+        message = "Dask is not installed"
+        raise InputError.at(
+            Mark(_SCHEDULER),
+            "scheduler-missing",
+            message,
+            "run `pip install planrunner[cluster]`, or use --jobs",
+        ) from None
+    import logging
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its reports of lost connections are messages below
+
+    class Closed(Client):  # type: ignore[misc,unused-ignore]
+        """Is closed below; a client that was never connected would try to close itself for 20 s."""
+
+        def __del__(self) -> None:
+            pass
+
+    try:
+        _knock(address)
+        client = Closed(address, timeout=ANSWER_WITHIN, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, TypeError, RuntimeError) as error:
+        message = f"no Dask scheduler answers at {address}: {_short(error)}"
+        hint = "check the address that `dask scheduler` prints, such as tcp://10.0.0.5:8786, and that it still runs"
+        raise InputError.at(Mark(_SCHEDULER), "scheduler-unreachable", message, hint) from None
+    try:
+        try:
+            client.wait_for_workers(1, timeout=WORKERS_WITHIN)
+        except TimeoutError:
+            hint = f"start workers with `dask worker {address} --nthreads 1`"
+            raise InputError.at(
+                Mark(_SCHEDULER), "scheduler-idle", f"the scheduler at {address} has no workers", hint
+            ) from None
+        yield client
+    finally:
+        with contextlib.suppress(Exception):
+            client.close(timeout=ANSWER_WITHIN)  # type: ignore[no-untyped-call]
+
+
+def _knock(address: str) -> None:
+    """Connects to an address once: Dask repeats a connection that is refused until its time is up. Raises `OSError` or ValueError."""
+    parts = urlsplit(address)
+    if parts.scheme in ("tcp", "tls"):
+        socket.create_connection((parts.hostname or "", parts.port or 0), timeout=ANSWER_WITHIN).close()
+
+
+def _answer_of(future: Future[_Answer], address: str) -> _Answer:
+    """Raises `ProcessEndedError` if the item cannot be computed because workers or the scheduler end, and `InputError` for workers without
+    planrunner."""
+    from concurrent.futures import CancelledError
+
+    from distributed import KilledWorker
+    from distributed.comm import CommClosedError
+
+    try:
+        answer = future.result()
+    except KilledWorker as error:
+        message = (
+            f"several workers ended while they computed one of the items, the last one at {error.last_worker.address}"
+        )
+        raise ProcessEndedError(f"{message}; their memory may be used up: use fewer workers on each machine") from None
+    except (CancelledError, CommClosedError) as error:
+        raise ProcessEndedError(
+            f"the scheduler at {address} ended before the work was done ({_short(error)})"
+        ) from None
+    except (ImportError, AttributeError, RuntimeError) as error:  # the task could not even be read there
+        message = f"the scheduler or a worker of {address} has no planrunner: {_short(error)}"
+        hint = "install the same planrunner, with the same plug-ins, for the scheduler and on each worker"
+        raise InputError.at(Mark(_SCHEDULER), "scheduler-versions", message, hint) from None
+    return answer
+
+
+def _require_fit(answer: _Answer, terms: _Terms, address: str) -> None:
+    if answer.unfit is not None:
+        other = ", ".join(f"{name} {there} instead of {here}" for name, (here, there) in answer.unfit.items())
+        message = f"the worker {answer.worker} of {address} has other versions: {other}"
+        hint = "install the same versions on each worker: results are otherwise not the same to the last digit"
+        raise InputError.at(Mark(_SCHEDULER), "scheduler-versions", message, hint)
+    if answer.unseen:
+        message = f"the worker {answer.worker} of {address} does not see the folder {answer.unseen}"
+        where = os.path.join(terms.directory, answer.unseen)
+        raise InputError.at(
+            Mark(_SCHEDULER), "scheduler-folder", message, f"share {where} with each worker, under the same path"
+        )
+
+
+def _short(error: BaseException) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0][:200] if lines else type(error).__name__

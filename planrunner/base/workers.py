@@ -1,0 +1,64 @@
+"""Where independent pieces of work are computed: in this process, in processes of this machine, or on a Dask cluster.
+
+The results do not depend on where: `work` is a pure function of one item, random numbers come from the item and not from the worker, and
+results come in the order of the items. `processes` and `cluster` are the two backends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from planrunner.base.dataclass import dataclass
+from planrunner.base.processes import processors, shared_out
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """jobs: processes of this machine, this one included; None: as many as pay. scheduler: address of a Dask scheduler, which is used
+    instead, such as `tcp://10.0.0.5:8786`. seen: a folder that every worker of the cluster must see under the same path."""
+
+    jobs: int | None = None
+    scheduler: str | None = None
+    seen: Path | None = None
+
+
+ALONE = Workers(1)
+"""Only this process."""
+
+_BATCH = 32
+"""Items of each process that are computed before results are handed on."""
+
+
+def results_of(
+    work: Callable[[T], R], items: Sequence[T], workers: Workers, tell: Callable[[float], None] | None = None
+) -> list[R]:
+    """The results of `work` for all items, in their order.
+
+    work: a function of a module, or a `partial` of one, whose argument and result can be pickled. tell: called with the part that is done,
+    0 to 1. Exceptions of `work` are raised here, that of the first such item. Raises `ProcessEndedError` if workers end before the work is
+    done, and `InputError` if the cluster cannot be used.
+    """
+    if workers.scheduler is None:
+        return shared_out(work, items, workers.jobs, tell)
+    return list(results_in_order(work, items, workers, tell))
+
+
+def results_in_order(
+    work: Callable[[T], R], items: Sequence[T], workers: Workers, tell: Callable[[float], None] | None = None
+) -> Iterator[R]:
+    """As `results_of`, but each result is handed on as soon as those before it are, so that never all of them are kept."""
+    if workers.scheduler is not None:
+        from planrunner.base.cluster import computed_on_cluster
+
+        yield from computed_on_cluster(work, items, workers.scheduler, workers.seen, tell)
+        return
+    size = _BATCH * (processors() if workers.jobs is None else workers.jobs) if workers.jobs != 1 else 1
+    for first in range(0, len(items), size):
+        yield from shared_out(work, items[first : first + size], workers.jobs)
+        if tell is not None:
+            tell(min(1.0, (first + size) / len(items)))
