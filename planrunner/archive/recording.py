@@ -29,9 +29,9 @@ class Statistics:
 
     count: samples (rows with a NaN in any channel are left out and counted in `rejected`). mean, minimum, maximum: (k,). covariance: (k, k)
     between samples. standard_error: (k,) of the mean, from the scatter of `batches` consecutive batch means, which allows for noise that is
-    correlated within a batch. Both scatters are taken about the course that the motion gives. start, end: s, of the first and the last
-    sample; largest_gap: s between consecutive samples. course: (p, batches), the fitted course: for uncorrelated samples, its part of the
-    scatter of the batch means is the sum of its squares.
+    correlated within a batch. A motion that is known changes the output within the segment (its course); both scatters are those of the
+    differences from this course. start, end: s, of the first and the last sample; largest_gap: s between consecutive samples. course:
+    (p, batches), the fitted course: for uncorrelated samples, its part of the scatter of the batch means is the sum of its squares.
     """
 
     channels: tuple[str, ...]

@@ -130,7 +130,8 @@ def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]
 
 def input_direction(mounting: Mapping[str, MountedAxis], output: str) -> Array | None:
     """The input axis of an output in the sensor's frame, (3,): that of `mounting` for the axis in its name, or that axis itself. None
-    if the name gives no axis. Without azimuth only its component along z, so that no possibly valid rate is refused."""
+    if the name gives no axis. If the azimuth of the axis is not given, only the component along z is returned, so that no rate is refused
+    that may be valid."""
     axis = axis_of(output)
     if axis is None:
         return None

@@ -51,7 +51,7 @@ def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> t
 
 
 def mean_covariance(start: Array, end: Array, span: float) -> Array:
-    """Covariance (n, n) of the means of flicker with B = 1 over n segments, less its average over `span` around them.
+    """Covariance (n, n) of the means, over n segments, of flicker with B = 1 minus its average over `span` around them.
 
     start, end: (n,), s. A span shorter than the time from the first start to the last end is replaced by that time.
     """

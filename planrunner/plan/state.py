@@ -12,7 +12,7 @@ READINGS = ("position_error", "rate_error", "temperature_error", "temperature_dr
 
 
 class Tolerated(Record):
-    """Largest values of what the instruments read, on either side of zero."""
+    """Largest permitted magnitudes of the readings of the instruments."""
 
     position_error: Quantity | None = key(
         QuantityOf("angle", "positive"), "Following error of the table, on every axis.", "5 arcsec", default=None

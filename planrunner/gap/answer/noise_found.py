@@ -1,4 +1,5 @@
-"""The noise of each channel as the recording shows it, beside its declaration. Noise is reported, and is no rival of an effect."""
+"""The noise of each channel as the recording shows it, beside its declaration. Noise is reported, but does not compete with the
+effects as an explanation."""
 
 from __future__ import annotations
 
