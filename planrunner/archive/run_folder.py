@@ -117,6 +117,7 @@ class RunWriter:
         storage: Storage | None = None,
         identity: str | None = None,
         approvals: bytes | None = None,
+        check_standard: JsonObject | None = None,
     ) -> RunWriter:
         """A new run folder in `root`, which is created if absent.
 
@@ -124,8 +125,8 @@ class RunWriter:
         is killed, chooses it.
 
         info: JSON data given with the run (device serial, operator, ambient …). approvals: content of approvals.json, if the bench requires
-        approvals. If the folder has a log, the run is entered as begun. Raises `InputError` when it cannot be written, and
-        `IntegrityError` for a log that was changed.
+        approvals. check_standard: state of the check standard of the bench, if it has one. If the folder has a log, the run is entered as
+        begun. Raises `InputError` when it cannot be written, and `IntegrityError` for a log that was changed.
         """
         storage = storage or Storage(durability)
         now = datetime.now(UTC)
@@ -139,6 +140,7 @@ class RunWriter:
             "durability": storage.durability,
             "versions": versions(),
             "info": dict(info),
+            **({} if check_standard is None else {"check_standard": check_standard}),
         }
         try:
             log = RunLog.of(root, storage)

@@ -41,7 +41,7 @@ class Calibration(Record):
 
 def check_dates(calibration: Calibration, log: Findings) -> None:
     """Adds errors for dates that do not exist, and for a due date before the calibration."""
-    made, due = _day(calibration.date), _day(calibration.due)
+    made, due = parsed_day(calibration.date), parsed_day(calibration.due)
     for name, stated, day in (("date", calibration.date, made), ("due", calibration.due, due)):
         if day is None and stated is not None:
             message = f"'{stated}' is not a calendar date"
@@ -59,7 +59,7 @@ def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date,
     """
     lasts = math.ceil(seconds / 86400)  # days; added to today they may be beyond the calendar
     for what, calibration in calibrations:
-        made, due = _day(calibration.date), _day(calibration.due)
+        made, due = parsed_day(calibration.date), parsed_day(calibration.due)
         if made is not None and made > today:
             message = f"the calibration of {what} is dated {made}, which is after {today}"
             log.error(
@@ -81,7 +81,8 @@ def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date,
             log.warning("bench-calibration-due", calibration.at("due"), message, "plan a recalibration")
 
 
-def _day(text: str | None) -> date | None:
+def parsed_day(text: str | None) -> date | None:
+    """A calendar date; None if the text is none."""
     try:
         return date.fromisoformat(text) if text else None
     except ValueError:

@@ -19,6 +19,7 @@ from planrunner.base.findings import Findings, InputError, Mark, closest, neares
 from planrunner.base.shipped import shipped
 from planrunner.bench.approval_rule import APPROVALS, ApprovalRule
 from planrunner.bench.calibration import LINE, Calibration, Laboratory, check_dates
+from planrunner.bench.check_standard import CHECK_STANDARD, CheckStandardRule
 from planrunner.bench.protection import PROTECTION, Protection, kept_chamber, kept_table
 from planrunner.bench.signing import SigningSpec
 from planrunner.bench.simulation import SimulationSpec
@@ -241,6 +242,17 @@ class Bench(Record):
         RecordOf(SigningSpec),
         "The bench's own key, which signs the seal and the analyses of every run.",
         {"key": "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIGLkQmCXDi/PQZJZziZo7k97osN1kINhk5QiG1kpfDFm"},
+        default=None,
+    )
+    check_standard: CheckStandardRule | None = key(
+        CHECK_STANDARD,
+        "The check standard of the bench: other plans run only while it is in control.",
+        {
+            "device": "CS-01",
+            "plan": "check_standard.yaml",
+            "coefficients": {"drift.D_X_F": {"reference": "0.30 deg/h ± 0.02 deg/h"}},
+            "max_age": "24 h",
+        },
         default=None,
     )
     specification: Specification | None = key(

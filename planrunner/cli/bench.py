@@ -1,4 +1,5 @@
-"""`planrunner bench`: the shipped benches and the installed instrument drivers; whether a bench's instruments answer."""
+"""`planrunner bench`: the shipped benches and the installed instrument drivers; whether the instruments of a bench answer, and whether its
+check standard is in control."""
 
 from __future__ import annotations
 
@@ -7,8 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner.base import plugins
+from planrunner.base.findings import InputError, Mark
 from planrunner.bench.model import read_bench, shipped_benches
 from planrunner.cli import exit_codes
+from planrunner.cli.archive_arguments import add_index
 from planrunner.cli.printing import print_json
 
 if TYPE_CHECKING:
@@ -23,10 +26,48 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     pinging.add_argument("bench", help="bench file, or the name of a shipped bench")
     pinging.add_argument("--data", type=Path, metavar="DIR", help="folder that contains the recordings")
     pinging.add_argument("--json", action="store_true", help="print the answers as JSON")
+    standard = actions.add_parser(
+        "check-standard",
+        help="whether the check standard of a bench is in control, according to the runs of an archive",
+    )
+    standard.add_argument("bench", help="bench file, or the name of a shipped bench")
+    standard.add_argument(
+        "--runs", metavar="ARCHIVE", type=Path, default=Path("runs"), help="folder of the runs (default: runs)"
+    )
+    add_index(standard)
+    standard.add_argument("--json", action="store_true", help="print the state as JSON")
+    standard.epilog = "Exit codes: 0 in control, 1 not in control, 2 wrong input."
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.action == "check-standard":
+        return _check_standard(args)
     return _ping(args) if args.action == "ping" else _list(as_json=args.json)
+
+
+def _check_standard(args: argparse.Namespace) -> int:
+    from planrunner.cli.progress import reading_progress
+    from planrunner.tasks.check_standard import control_state
+    from planrunner.tasks.history import Freshness
+
+    bench, _, shown = read_bench(args.bench, Path())
+    with reading_progress(args.quiet or args.json) as notice:
+        fresh = Freshness(not args.no_refresh, args.rebuild, notice)
+        state = control_state(bench, args.runs, index=args.index, fresh=fresh)
+    if state is None:
+        hint = "declare it under `check_standard:` in the bench file"
+        raise InputError.at(Mark(shown), "bench-check-standard", "this bench has no check standard", hint)
+    if args.json:
+        print_json(state.to_json())
+    else:
+        from planrunner.reporting import terminal
+        from planrunner.reporting.history_tables import control_table
+        from planrunner.reporting.printable import printable
+
+        if state.coefficients:
+            terminal.console().print(terminal.data_table(control_table(state)))
+        print(printable(state.words(), keep=""))
+    return exit_codes.DONE if state.in_control else exit_codes.LIMIT_FAILED
 
 
 def _list(*, as_json: bool) -> int:

@@ -41,6 +41,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print a list of findings as JSON")
     add_attendance(parser)
+    parser.add_argument(
+        "--runs",
+        metavar="ARCHIVE",
+        type=Path,
+        default=Path("runs"),
+        help="folder of the runs, for benches with a check standard (default: runs)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -73,6 +80,10 @@ def _answer(args: argparse.Namespace, plan: str) -> _Answer:
     checked = check_plan(Path(plan), bench=args.bench)
     if args.unattended and checked.bench is not None and checked.schedule is not None:
         check_unattended(checked.bench, checked.schedule, checked.findings)
+    if checked.bench is not None and checked.bench.check_standard is not None:
+        from planrunner.tasks.check_standard import check_before_run
+
+        check_before_run(checked.bench, Path(plan).stem, args.runs, checked.findings)
     if args.data is not None and checked.models is not None and checked.models.replays:
         from planrunner.tasks.check_recording import check_recording
 

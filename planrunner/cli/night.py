@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    sound = check_suite(Path(args.suite), at=args.at, workers=workers_of(args, None)).sound()
+    sound = check_suite(Path(args.suite), at=args.at, archive=args.runs, workers=workers_of(args, None)).sound()
     print_findings(sound.findings)
     from planrunner.execution.stopping import StopRequest
     from planrunner.night.summary import github_annotations

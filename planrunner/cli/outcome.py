@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done
 from planrunner.cli.printing import print_findings, print_json
+from planrunner.reporting.printable import printable
 
 if TYPE_CHECKING:
     from planrunner.estimators.analysis import Results
@@ -67,14 +68,22 @@ def conclude(analysis: Analysis, *, as_json: bool) -> Done:
     return Done(code_of(analysis.results), found)
 
 
-def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool) -> int:
+def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool, run: Path | None = None) -> int:
     """The end of a command that made one run: its results, and the exit code. A run that its bench did not sign, although it must, counts
-    as a fault, unless the results already have a code of their own."""
+    as a fault, unless the results already have a code of their own. After a run of the check standard of the bench, also whether it is in
+    control. run: its folder, if it was made on a bench."""
+    from planrunner.tasks.check_standard import state_after
+
     done = conclude(analysis, as_json=as_json)
     unsigned = [finding.message for finding in (*outcome.unsigned, *analysis.unsigned)]
+    state = None if run is None else state_after(run)
     if as_json:
-        print_json(done.found | ({"unsigned": unsigned} if unsigned else {}))
-    return done.code or (exit_codes.FAULT if unsigned else exit_codes.DONE)
+        more = {"unsigned": unsigned} if unsigned else {}
+        print_json(done.found | more | ({} if state is None else {"check_standard": state.to_json()}))
+    if state is not None:
+        print(printable(f"{'note' if state.in_control else 'warning'}: {state.words()}", keep=""), file=sys.stderr)
+    failed = exit_codes.DONE if state is None or state.in_control else exit_codes.LIMIT_FAILED
+    return done.code or (exit_codes.FAULT if unsigned else failed)
 
 
 def code_of(results: Results) -> int:

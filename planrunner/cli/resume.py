@@ -70,4 +70,4 @@ def run(args: argparse.Namespace) -> int:
     print_findings((*outcome.remarks, *outcome.unsigned))
     with reading_progress(args.quiet) as notice:
         analysis = running.analyse_run(folder, notice=notice)
-    return finish(analysis, outcome, as_json=args.json)
+    return finish(analysis, outcome, as_json=args.json, run=folder)

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from planrunner.base.documents import Json
+from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.cli.check import sound_plan
 from planrunner.cli.operator import add_live_page, operator_of
 from planrunner.cli.outcome import finish, tell
 from planrunner.cli.printing import print_findings
 from planrunner.cli.progress import reading_progress, run_progress
 from planrunner.plan.run_information import gather
+
+if TYPE_CHECKING:
+    from planrunner.tasks.check import Sound
+    from planrunner.tasks.check_standard import Admission
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,6 +37,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="do not wait for the disk after every event: faster, but a power failure can lose data",
     )
     add_run_arguments(parser)
+    parser.add_argument(
+        "--override-check-standard",
+        metavar="REASON",
+        help="run although the check standard of the bench is not in control; the run keeps the reason (with --override-by)",
+    )
+    parser.add_argument(
+        "--override-by", metavar="NAME", help="who decides this: a name in `may_override` of the bench file"
+    )
     parser.add_argument(
         "--id",
         metavar="DIGITS",
@@ -70,6 +86,7 @@ def identity(text: str) -> str:
 def run(args: argparse.Namespace) -> int:
     sound = sound_plan(args.plan, args.bench)
     info = gather(sound.plan, args.set, args.info)
+    admission = _admission(args, sound, info)
     from planrunner.execution.stopping import StopRequest
     from planrunner.tasks import run as running
 
@@ -85,10 +102,27 @@ def run(args: argparse.Namespace) -> int:
             progress=progress,
             operator=operator_of(args, notify),
             identity=args.id,
+            admission=admission,
         )
     if not outcome.ok:
         return tell(folder, outcome, as_json=args.json)
     print_findings((*outcome.remarks, *outcome.unsigned))
     with reading_progress(args.quiet) as notice:
         analysis = running.analyse_run(folder, checked=sound, notice=notice)
-    return finish(analysis, outcome, as_json=args.json)
+    return finish(analysis, outcome, as_json=args.json, run=folder)
+
+
+def _admission(args: argparse.Namespace, sound: Sound, info: Mapping[str, Json]) -> Admission | None:
+    """Whether the check standard of the bench lets the run begin, its warnings printed."""
+    why, by = args.override_check_standard, args.override_by
+    if bool(why) != bool(by):
+        message = "--override-check-standard and --override-by belong together"
+        raise InputError.at(COMMAND_LINE, "command-usage", message, "give both or neither")
+    if sound.bench.check_standard is None and not why:
+        return None
+    from planrunner.tasks.check_standard import Override, admit
+
+    with reading_progress(args.quiet) as notice:
+        found = admit(sound.bench, Path(sound.file).stem, info, args.runs, Override(by, why) if why else None, notice)
+    print_findings(found.findings)
+    return found

@@ -59,7 +59,7 @@ def require_usable(args: argparse.Namespace) -> None:
 
 def checked_suite(args: argparse.Namespace, file: Path) -> CheckedSuite:
     """The suite, checked; the page is written on request."""
-    checked = check_suite(file, at=args.at, workers=workers_of(args, None))
+    checked = check_suite(file, at=args.at, archive=args.runs, workers=workers_of(args, None))
     table = timetable_of(checked)
     if args.html is not None and table is not None:
         left = {finding.mark for finding in checked.findings if finding.code == "suite-does-not-fit"}

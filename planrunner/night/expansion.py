@@ -8,10 +8,12 @@ from datetime import date
 from fnmatch import fnmatchcase
 from itertools import product
 from pathlib import Path
+from types import MappingProxyType
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark, closest
 from planrunner.night.suite import KnownFailure, Suite, SuiteDevice, SuitePlan
+from planrunner.plan.run_information import DEVICE
 
 MOST_TESTS = 1000
 
@@ -22,7 +24,8 @@ class PlannedTest:
 
     name: unique, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1`. entry: name of the plan in the suite. information: all run
     information that the suite gives for it, asked for by the plan or not. after, needs: indices of the tests that must have ended, and of
-    those that must have passed.
+    those that must have passed. mark: its place in the suite.
+    standard: whether it measures the check standard of its bench.
     """
 
     index: int
@@ -35,22 +38,38 @@ class PlannedTest:
     parameters: Mapping[str, str]
     information: Mapping[str, str]
     seed: int | None
+    mark: Mark
     after: tuple[int, ...] = ()
     needs: tuple[int, ...] = ()
-
-    @property
-    def mark(self) -> Mark:
-        return self.plan.origin.mark
+    standard: bool = False
 
 
-def expand_suite(suite: Suite, folder: Path, log: Findings) -> tuple[PlannedTest, ...]:
-    """The tests in the order of the file. folder: of the suite. Unknown names, cycles and plans without a test become findings."""
+@dataclass(frozen=True, slots=True)
+class StandardFirst:
+    """The check standard of a bench that is measured before its other tests. file: of the plan. blocks: whether the others need it to be in
+    control."""
+
+    device: str
+    file: Path
+    blocks: bool
+
+
+CHECK_STANDARD = "check standard"
+"""Stands in the place of the name of a plan; no plan can have this name."""
+
+
+def expand_suite(
+    suite: Suite, folder: Path, log: Findings, standards: Mapping[str, StandardFirst] = MappingProxyType({})
+) -> tuple[PlannedTest, ...]:
+    """The tests in the order of the file, after those of the check standards. folder: of the suite. standards: bench → its check standard,
+    if that is measured first. Unknown names, cycles and plans without a test become findings."""
     before = log.raised
     _check_names(suite, log)
     _check_cycles(suite, log)
     if log.raised > before:
         return ()
-    found: list[PlannedTest] = []
+    found = [_of_standard(suite, index, bench, standards[bench]) for index, bench in enumerate(standards)]
+    first = {test.bench: test.index for test in found}
     for entry, plan in suite.plans.items():
         tests = list(_tests_of(entry, suite, folder, len(found)))
         if len(found) + len(tests) > MOST_TESTS:
@@ -68,10 +87,22 @@ def expand_suite(suite: Suite, folder: Path, log: Findings) -> tuple[PlannedTest
     return tuple(
         replace(
             test,
-            after=_waited_for(test, (*test.plan.after, *test.plan.needs), groups),
-            needs=_waited_for(test, test.plan.needs, groups),
+            after=(*standard, *_waited_for(test, (*test.plan.after, *test.plan.needs), groups)),
+            needs=(*needed, *_waited_for(test, test.plan.needs, groups)),
         )
         for test in found
+        for standard in [() if test.standard or test.bench not in first else (first[test.bench],)]
+        for needed in [standard if standard and standards[test.bench].blocks else ()]
+    )
+
+
+def _of_standard(suite: Suite, index: int, bench: str, about: StandardFirst) -> PlannedTest:
+    """The test that measures the check standard of a bench."""
+    plan, mark = SuitePlan(plan=about.file.name), suite.benches[bench].at("check_standard_first")
+    information = {**suite.set, **dict.fromkeys(DEVICE, about.device)}
+    name = f"{CHECK_STANDARD}/{about.device}/{bench}"
+    return PlannedTest(
+        index, name, CHECK_STANDARD, plan, about.file, bench, about.device, {}, information, None, mark, standard=True
     )
 
 
@@ -104,6 +135,7 @@ def _tests_of(entry: str, suite: Suite, folder: Path, first: int) -> Iterator[Pl
                     parameters,
                     given,
                     None if about is None else about.seed,
+                    plan.origin.mark,
                 )
                 index += 1
 

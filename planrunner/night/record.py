@@ -82,6 +82,7 @@ class NightRecord:
     remarks: list[str] = field(default_factory=list)
     warm_ups: list[JsonObject] = field(default_factory=list)
     notifications: list[JsonObject] = field(default_factory=list)
+    check_standards: list[JsonObject] = field(default_factory=list)
     sessions: int = 0
 
     def take(self, event: Mapping[str, Json]) -> None:
@@ -105,6 +106,8 @@ class NightRecord:
                 test.state, test.reason = "not_run", event["reason"]
             case "warm_up":
                 self.warm_ups.append({"bench": event["bench"], "begins": event["now"], "ends": event["until"]})
+            case "check_standard":
+                self.check_standards.append({"bench": event["bench"], "state": event["state"]})
             case "remark":
                 self.remarks.append(event["text"])
             case "notified":
@@ -164,6 +167,7 @@ class NightRecord:
                 {"bench": item["bench"], "begins": self.time(item["begins"]), "ends": self.time(item["ends"])}
                 for item in self.warm_ups
             ],
+            "check_standards": list(self.check_standards),
             "remarks": list(self.remarks),
             "notifications": list(self.notifications),
         }

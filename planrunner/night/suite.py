@@ -9,7 +9,7 @@ from planrunner.base.findings import Findings
 from planrunner.bench.calibration import LINE
 from planrunner.plan import source
 from planrunner.plan.kinds import Boolean, Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
-from planrunner.plan.model import NAME
+from planrunner.plan.model import NAME, PERSON
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 HEADER = "planrunner_suite"
@@ -46,6 +46,15 @@ class NightWindow(Record):
     )
 
 
+class StandardOverride(Record):
+    """Tests run although the check standard of the bench is not in control."""
+
+    by: str = key(
+        Text(PERSON, "a person's name"), "Who decides this: a name in `may_override` of the bench file.", "anna"
+    )
+    why: str = key(Text(LINE, "a reason"), "Why; every run keeps it.", "table was levelled, certificate follows")
+
+
 class SuiteBench(Record):
     """A bench of the night. Benches work in parallel."""
 
@@ -61,6 +70,18 @@ class SuiteBench(Record):
         QuantityOf("time", "positive"),
         "The warm-up is repeated if the bench has been idle for longer than this time; by default it is not repeated.",
         "2 h",
+        default=None,
+    )
+    check_standard_first: bool = key(
+        Boolean(),
+        "Measures the check standard of the bench before all other tests; if it is not in control then, no other test runs on this bench.",
+        True,
+        default=False,
+    )
+    override_check_standard: StandardOverride | None = key(
+        RecordOf(StandardOverride),
+        "Lets tests run although the check standard is not in control.",
+        {"by": "anna", "why": "table was levelled"},
         default=None,
     )
     window: NightWindow | None = key(
@@ -315,6 +336,7 @@ SECTIONS: tuple[tuple[str, str, type[Record]], ...] = (
     ("A suite", "The top of the file.", Suite),
     ("`window`", "", NightWindow),
     ("`benches`: each bench", "", SuiteBench),
+    ("`benches`: `override_check_standard`", "", StandardOverride),
     ("`devices`: each device", "", SuiteDevice),
     ("`plans`: each plan", "", SuitePlan),
     ("`known_failures`", "", KnownFailure),

@@ -39,6 +39,12 @@ def summary(night: JsonObject) -> str:
         lines.append(f"- Exit code: {night['exit_code']}")
     if night["remarks"]:
         lines += ["", "## Remarks", "", *(f"- {_cell(text)}" for text in night["remarks"])]
+    if night["check_standards"]:
+        lines += ["", "## Check standards", "", "| bench | check standard | state | why |", "|---|---|---|---|"]
+        for item in night["check_standards"]:
+            state, why = item["state"], "; ".join(item["state"]["reasons"])
+            words = state["standing"] if state["standing"] == "in control" else f"**{state['standing'].upper()}**"
+            lines.append(f"| {_cell(item['bench'])} | {_cell(state['device'])} | {words} | {_cell(why) or '–'} |")
     order = sorted(night["tests"], key=lambda test: (test["state"] == "passed", test["state"] == "known_failure"))
     lines += ["", "## Tests", "", "| test | result | reason | run |", "|---|---|---|---|"]
     for test in order:

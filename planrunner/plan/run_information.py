@@ -10,6 +10,14 @@ from planrunner.base.findings import COMMAND_LINE, MISLEADING, Findings, InputEr
 from planrunner.plan import source
 from planrunner.plan.model import Plan
 
+DEVICE = ("device_serial", "item_identification")
+"""Items of the run information that name the device; the first one that is given counts."""
+
+
+def device_of(info: Mapping[str, object]) -> str:
+    """The device that run information names; empty if it names none."""
+    return next((str(info[name]) for name in DEVICE if info.get(name)), "")
+
 
 def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, str]:
     """All given run information; `--set name=value` takes precedence over the file. Raises `InputError` for missing, unknown or

@@ -8,6 +8,7 @@ from datetime import datetime
 from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 from planrunner.instruments.models import DataOrigin
 from planrunner.night.history.agreement import ParticipantAgreement
+from planrunner.night.history.check_standard import ControlState
 from planrunner.night.history.comparison import RunComparison
 from planrunner.night.history.control_charts import EWMA_WIDTH, SHEWHART
 from planrunner.night.history.drift import HORIZON
@@ -82,6 +83,26 @@ def alarms(found: Trend, k: int) -> list[str]:
         "CUSUM down": charts.cusum_down,
     }
     return [name for name, chart in named.items() if chart.alarms[k]]
+
+
+def control_table(state: ControlState) -> Table:
+    """One row for each coefficient of a check standard: the newest value and what it is compared with."""
+    titles = ("coefficient", "unit", "newest value", "u", "centre", "lower limit", "upper limit", "values", "outside")
+    rows = []
+    for one in state.coefficients:
+        limits = [one.centre, one.lower, one.upper]
+        rows.append(
+            (
+                one.quantity,
+                one.trend.unit,
+                words.number(one.trend.values[-1]),
+                words.number(one.trend.standard_uncertainties[-1], 2),
+                *("—" if value is None else words.number(value) for value in limits),
+                str(len(one.trend.values)),
+                ", ".join(test.value for test in one.failed),
+            )
+        )
+    return Table(f"Check standard {state.device} of bench {state.bench}", tuple(map(TableColumn, titles)), tuple(rows))
 
 
 def agreement_table(title: str, found: Sequence[ParticipantAgreement], unit: str) -> Table:

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Mapping
 from dataclasses import field
 from datetime import datetime, tzinfo
 from pathlib import Path
 
 from planrunner.archive.space import recording_bytes
 from planrunner.base.dataclass import dataclass
-from planrunner.base.findings import Finding, Findings, InputError, closest
+from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
 from planrunner.base.workers import Workers, results_of
 from planrunner.bench.attendance import check_unattended
-from planrunner.bench.model import NAME, runs_on_virtual_clock
+from planrunner.bench.model import NAME, Bench, locate, read_bench, runs_on_virtual_clock
 from planrunner.night.civil_time import civil, zone_of
-from planrunner.night.expansion import PlannedTest, check_known_failures, expand_suite
+from planrunner.night.expansion import PlannedTest, StandardFirst, check_known_failures, expand_suite
 from planrunner.night.suite import HEADER, Suite, SuiteDevice, read_suite
 from planrunner.night.timetable import NightForecast, foresee, night_hours
 from planrunner.plan import source
+from planrunner.plan.run_information import DEVICE
 from planrunner.tasks.check import Document, check_plan
 
 
@@ -109,11 +111,14 @@ def bench_file(suite: Suite, file: str, name: str) -> str:
     return written if re.fullmatch(NAME, written) else str(Path(file).parent / written)
 
 
-def check_suite(file: Path | Document, *, at: str | None = None, workers: Workers | None = None) -> CheckedSuite:
+def check_suite(
+    file: Path | Document, *, at: str | None = None, workers: Workers | None = None, archive: Path | None = None
+) -> CheckedSuite:
     """All checks of a suite before a night. Never raises because of the content of the files.
 
     at: the local time from which the night may begin, in the zone of the suite (ISO 8601), by default now. workers: share the
-    plans; by default processes of this machine.
+    plans; by default processes of this machine. archive: with the runs of the check standards of the benches;
+    without it, their state is not checked.
     """
     checked = CheckedSuite(file.shown if isinstance(file, Document) else str(file), Findings())
     log = checked.findings
@@ -131,7 +136,8 @@ def check_suite(file: Path | Document, *, at: str | None = None, workers: Worker
     except InputError as error:
         log.extend(error.findings)
     _check_notifications(suite, log)
-    checked.tests = expand_suite(suite, Path(checked.file).parent, log)
+    rules = _rules(suite, checked.file)
+    checked.tests = expand_suite(suite, Path(checked.file).parent, log, _standards(suite, rules, log))
     begins = time.time() if at is None else datetime.fromisoformat(at).replace(tzinfo=checked.zone).timestamp()
     today = civil(begins, checked.zone).date()
     if checked.tests:
@@ -139,6 +145,7 @@ def check_suite(file: Path | Document, *, at: str | None = None, workers: Worker
     _check_plans(checked, suite, workers or Workers())
     _check_information(checked, suite)
     _check_devices(checked, suite)
+    _check_standards(checked, suite, rules, archive)
     if log.errors or not checked.tests:
         return checked
     hours = night_hours(suite, begins, checked.zone)
@@ -148,6 +155,71 @@ def check_suite(file: Path | Document, *, at: str | None = None, workers: Worker
         hint = "leave tests out, widen the window or the budget, or use another bench"
         log.warning("suite-does-not-fit", test.mark, f"{test.name} will not run: {reason}", hint)
     return checked
+
+
+def _rules(suite: Suite, file: str) -> dict[str, tuple[Bench, Path]]:
+    """Bench of the suite → the bench, and the folder of its file, for benches with a check standard. What is wrong with a bench is found
+    with its plans."""
+    found = {}
+    for name in suite.benches:
+        written = bench_file(suite, file, name)
+        try:
+            bench = read_bench(written, Path())[0]
+        except InputError:
+            continue
+        if bench.check_standard is not None:
+            found[name] = bench, locate(written, Path())[0].parent
+    return found
+
+
+def _standards(suite: Suite, rules: Mapping[str, tuple[Bench, Path]], log: Findings) -> dict[str, StandardFirst]:
+    """The check standards that the suite measures first."""
+    found = {}
+    for name, about in suite.benches.items():
+        rule = rules[name][0].check_standard if name in rules else None
+        given = about.override_check_standard
+        if rule is None:
+            for key, stated in (
+                ("check_standard_first", about.check_standard_first),
+                ("override_check_standard", given),
+            ):
+                if stated:
+                    message = f"bench '{name}' has no check standard"
+                    hint = "remove this key, or declare `check_standard` in the bench file"
+                    log.error("suite-check-standard", about.at(key), message, hint)
+            continue
+        if given is not None and given.by not in rule.may_override:
+            message = f"'{given.by}' may not override the check standard of this bench"
+            hint = closest(given.by, rule.may_override) or "`may_override` in the bench file names who may"
+            log.error("bench-check-override", given.at("by"), message, hint)
+        if about.check_standard_first:
+            blocks = rule.action == "refuse" and given is None
+            found[name] = StandardFirst(rule.device, rules[name][1] / rule.plan, blocks)
+    return found
+
+
+def _check_standards(
+    checked: CheckedSuite, suite: Suite, rules: Mapping[str, tuple[Bench, Path]], archive: Path | None
+) -> None:
+    """The plan of a check standard says which device it measured. A check standard that no test of the suite measures is in control now."""
+    log = checked.findings
+    for name, (bench, _) in rules.items():
+        rule, own = bench.check_standard, [test for test in checked.tests if test.bench == name]
+        assert rule is not None
+        measured = [test for test in own if rule.measured_by(test.file.stem, test.information)]
+        for test in measured:
+            pair = checked.plans[test.file, test.bench]
+            if pair.ok and not dict(pair.asks).keys() & {*DEVICE}:
+                message = f"the plan of the check standard does not record {DEVICE[0]}"
+                log.error(
+                    "suite-check-standard", test.mark, message, f"add `{DEVICE[0]}: required` under `record:` in it"
+                )
+        if archive is not None and own and not measured and suite.benches[name].override_check_standard is None:
+            from planrunner.tasks.check_standard import check_in_control, control_state
+
+            state = control_state(bench, archive)
+            if state is not None:
+                check_in_control(bench, state, log)
 
 
 def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
@@ -161,12 +233,17 @@ def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
         for finding in answer.findings:
             if finding.code in ("file-missing", "meaning-unknown-bench", "file-directory"):
                 of_bench = finding.mark.file != str(test.file)
-                at = suite.benches[test.bench].at("bench") if of_bench else test.plan.at("plan")
+                at = suite.benches[test.bench].at("bench") if of_bench else _plan_of(test)
                 log.error(finding.code, at, f"{finding.mark.file}: {finding.message}", finding.hint)
             elif finding.severity != "note":
                 log.extend([finding])
     used = {test.bench for test in checked.tests}
     checked.virtual = all(answer.virtual for (_, bench), answer in checked.plans.items() if bench in used)
+
+
+def _plan_of(test: PlannedTest) -> Mark:
+    """Where the suite names the plan of a test."""
+    return test.mark if test.standard else test.plan.at("plan")
 
 
 def _look_at(pair: tuple[Path, str]) -> PlanOnBench:

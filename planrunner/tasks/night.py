@@ -35,6 +35,7 @@ from planrunner.base.documents import Json, JsonObject
 from planrunner.base.exclusive import ExclusiveFile, HeldError
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.bench.model import read_bench
 from planrunner.execution.stopping import StopRequest
 from planrunner.night.civil_time import Opening, civil, shown_time
 from planrunner.night.expansion import PlannedTest, known_failure
@@ -44,6 +45,7 @@ from planrunner.night.record import FAULT, FOLDER, INTERRUPTED, RECORD, NightRec
 from planrunner.night.suite import Notification
 from planrunner.night.summary import headline, summary
 from planrunner.night.timetable import Begin, BenchHours, EndOfTest, NightCourse, NightHours
+from planrunner.tasks.check_standard import control_state
 from planrunner.tasks.check_suite import SoundSuite
 
 JOURNAL = "night.jsonl"
@@ -508,6 +510,9 @@ class _Night:
             word for name, value in test.information.items() if name in asks for word in ("--set", f"{name}={value}")
         ]
         seed = [] if test.seed is None else ["--seed", str(test.seed)]
+        override = self._sound.suite.benches[test.bench].override_check_standard
+        if override is not None and not test.standard:
+            given += ["--override-check-standard", override.why, "--override-by", override.by]
         flushed = ["--flushed"] if self._options.flushed else []
         words = ["run", str(test.file), "--bench", self._sound.bench_of(test), "--runs", str(self._options.runs)]
         return identity, "run", [*words, "--id", identity, "--unattended", *common, *flushed, *given, *seed, *data]
@@ -558,6 +563,8 @@ class _Night:
         document: JsonObject,
     ) -> None:
         test = self._sound.tests[index]
+        if test.standard and ending in (EndOfTest.PASSED, EndOfTest.LIMIT):
+            ending, reason = self._judge_standard(test, ending, reason)
         final = self._course.ended(index, now, ending)
         run = self._run_folder(identity) if identity else None
         analysis = document.get("analysis")
@@ -599,6 +606,17 @@ class _Night:
         again = "" if final else "; it is repeated"
         self._say(now, f"{state if final else ending.value:<12} {test.name}{': ' + reason if reason else ''}{again}")
         self._write_reports()
+
+    def _judge_standard(self, test: PlannedTest, ending: EndOfTest, reason: str) -> tuple[EndOfTest, str]:
+        """How the test of a check standard ended: it passed if the check standard is in control now."""
+        try:
+            state = control_state(read_bench(self._sound.bench_of(test), Path())[0], self._options.runs)
+        except InputError as error:
+            return EndOfTest.FAULT, f"the state of the check standard cannot be determined: {error}"
+        if state is None:
+            return ending, reason
+        self._log("check_standard", {"bench": test.bench, "state": state.to_json()})
+        return (ending, reason) if state.in_control else (EndOfTest.LIMIT, state.words())
 
     # -- stopping --------------------------------------------------------------------------------------------------------
 

@@ -58,6 +58,7 @@ from planrunner.tasks.approvals import still_approved
 from planrunner.tasks.bench_signature import sign_analysis, sign_seal
 from planrunner.tasks.certify import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
 from planrunner.tasks.check import Document, Sound, check_plan
+from planrunner.tasks.check_standard import Admission, admit
 from planrunner.tasks.report import report_context
 from planrunner.tasks.stamp import after_sealing, stamper_of
 
@@ -129,22 +130,35 @@ def start(
     progress: ProgressCallback | None = None,
     operator: Operator | None = None,
     identity: str | None = None,
+    admission: Admission | None = None,
 ) -> tuple[Path, Outcome]:
     """Execute a sound plan in a new run folder in `runs`; returns the folder and the outcome.
 
     Disk space is checked and every instrument connected before the folder is made and anything moves. operator: answers the plan's prompts;
-    None for an unattended run. identity: end of the folder's name, hexadecimal digits. Raises `InputError` and `InstrumentError` for
+    None for an unattended run. identity: end of the folder's name, hexadecimal digits. admission: from the check standard of the
+    bench; by default it is sought in `runs`. Raises `InputError` and `InstrumentError` for
     obstacles to the start.
     """
     kept = _approved(sound)
     operator = _attended(sound, operator)
+    name = Path(sound.file).stem
+    admission = admission or admit(sound.bench, name, info, runs)
     seed = sound.bench.seed if seed is None else seed
     require_space(runs, recording_bytes(sound.schedule, sound.sensor.sample_rate, len(sound.sensor.outputs) + 1))
-    name = Path(sound.file).stem
 
     def create() -> RunWriter:
         files = sound.plan_bytes, sound.bench_bytes
-        return RunWriter.create(runs, name, *files, info, durability, seed=seed, identity=identity, approvals=kept)
+        return RunWriter.create(
+            runs,
+            name,
+            *files,
+            info,
+            durability,
+            seed=seed,
+            identity=identity,
+            approvals=kept,
+            check_standard=admission.record,
+        )
 
     return _carry_out(sound, data_root, seed, create, stop, progress, operator)
 

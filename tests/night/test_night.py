@@ -412,3 +412,34 @@ def test_how_a_process_ended(code: int, document: Any, ending: EndOfTest, words:
 def test_a_process_that_was_asked_to_stop_has_not_failed() -> None:
     assert judged(130, {}, asked=True)[0] is None
     assert judged(130, {}, asked=True, overdue=True)[0] is EndOfTest.FAULT
+
+
+def test_a_check_standard_that_is_not_in_control_blocks_its_bench_alone(
+    lab: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The stand-in answers that the run passed, but leaves no values: no chart, so no other test on this bench. An override lets them
+    run, and each gets the reason."""
+    monkeypatch.setenv("PLANRUNNER_INDEX", str(lab / "index.sqlite"))
+    bench = (ROOT / "plans" / "benches" / "virtual.yaml").read_text(encoding="utf-8")
+    rule = "{device: CS-01, plan: standard.yaml, coefficients: {drift.D_X_F: {}}, max_age: 1 d, may_override: [anna]}"
+    (lab / "lab.yaml").write_text(f"{bench}check_standard: {rule}\n", encoding="utf-8")
+    (lab / "standard.yaml").write_text(PLAN, encoding="utf-8")
+    text = """\
+benches: {a: {bench: ./lab.yaml, check_standard_first: true%s}, b: {bench: virtual}}
+devices: {D1: {}}
+plans: {x: {plan: p.yaml}}
+"""
+    result = night(lab, suite_in(lab, text % ""))
+    assert states(result) == {"check standard/CS-01/a": "failed", "x/D1/a": "not_run", "x/D1/b": "passed"}
+    first, blocked, _ = result.record["tests"]
+    assert "the check standard CS-01 of bench 'virtual' is missing" in first["reason"]
+    assert blocked["reason"] == "it needs check standard/CS-01/a, which did not pass"
+    check_reports(result)
+    assert "| a | CS-01 | **MISSING** |" in (result.folder / "summary.md").read_text(encoding="utf-8")
+    again = suite_in(lab, text % ', override_check_standard: {by: anna, why: "levelled"}')
+    (lab / "calls").write_text("", encoding="utf-8")
+    result = night(lab, again)
+    assert states(result) == {"check standard/CS-01/a": "failed", "x/D1/a": "passed", "x/D1/b": "passed"}
+    words = [json.loads(line) for line in (lab / "calls").read_text(encoding="utf-8").splitlines()]
+    given = [one[one.index("--override-check-standard") :] for one in words if "--override-check-standard" in one]
+    assert [one[:4] for one in given] == [["--override-check-standard", "levelled", "--override-by", "anna"]]

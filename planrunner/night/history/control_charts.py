@@ -143,9 +143,13 @@ def control_charts(values: Sequence[float], u: Sequence[float], baseline: int = 
     """All charts of n ≥ 2 values in the order of time, with their standard uncertainties. None if the values do not scatter at all and
     state no uncertainty, so that there are no limits."""
     x, s = np.asarray(values, dtype=float), np.asarray(u, dtype=float)
-    centre = centre_of(x, s, baseline)
-    sigma = np.sqrt(s**2 + centre.between**2)
-    if len(x) < 2 or not (sigma > 0).all():
+    return charts_about(x, s, centre_of(x, s, baseline)) if len(x) > 1 else None
+
+
+def charts_about(x: Array, u: Array, centre: Centre) -> ControlCharts | None:
+    """All charts of the values x with the standard uncertainties u, (n,), about a given centre. None if there are no limits."""
+    sigma = np.sqrt(u**2 + centre.between**2)
+    if not (sigma > 0).all():
         return None
     up, down = cusum(x, centre.mean, sigma)
     return ControlCharts(centre, sigma, shewhart(x, centre.mean, sigma), ewma(x, centre.mean, sigma), up, down)

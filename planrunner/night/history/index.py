@@ -317,7 +317,7 @@ class Index:
 
     def history(self, device: str, quantity: str, since: str = "") -> list[HistoryPoint]:
         """A coefficient of a device over time, the oldest first. since: first day or moment; empty for all."""
-        return self.points(quantity, RunFilter(device=_literal(device), since=since))
+        return self.points(quantity, RunFilter(device=literal(device), since=since))
 
     def faults(self) -> list[FaultRow]:
         """Folders that are not in the index, by name."""
@@ -361,7 +361,8 @@ def _pattern(text: str) -> tuple[str, str | None]:
     return "".join(plain), "".join(like) if wild else None
 
 
-def _literal(text: str) -> str:
+def literal(text: str) -> str:
+    """A text for `RunFilter` that admits this text alone."""
     return "".join(f"\\{letter}" if letter in "*?\\" else letter for letter in text)
 
 

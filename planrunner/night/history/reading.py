@@ -32,9 +32,8 @@ from planrunner.night.history.rows import (
     RunRow,
 )
 from planrunner.plan import source
+from planrunner.plan.run_information import device_of
 
-DEVICE = ("device_serial", "item_identification")
-"""Items of the run information that name the device."""
 OPERATOR, FIRMWARE = "operator", "firmware"
 MOUNTING = ("mounting", "fixture")
 _READ = (RUN, PLAN, BENCH, JOURNAL, seals.NAME, stored.FOLDER)
@@ -88,7 +87,7 @@ def _indexed(place: str, mark: str, reader: RunReader) -> IndexedRun:
         created=datetime.fromisoformat(reader.run["created"]).astimezone(UTC).isoformat(timespec="microseconds"),
         plan=str(reader.run["plan"]),
         title=plan["title"],
-        device=next((info[name] for name in DEVICE if info.get(name)), ""),
+        device=device_of(info),
         bench=bench["name"],
         laboratory=bench["laboratory"],
         operator=info.get(OPERATOR, ""),

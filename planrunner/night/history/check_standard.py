@@ -1,0 +1,233 @@
+"""Whether the check standard of a bench is in control.
+
+A new value x of the check standard with the stated standard uncertainty u is compared with
+
+- a reference value R with the standard uncertainty u_R, if the bench file states one: |x − R| ≤ 3·√(u² + u_R² + τ²);
+- its own first values, if there are enough of them: the charts of `control_charts`, whose mean and τ come from these.
+
+τ is the stated repeatability, or else that of the first values. A value that is judged never takes part in its own limits. The method is
+that of the NIST/SEMATECH e-Handbook of Statistical Methods, 2.2.2: a Shewhart chart, and an exponentially weighted moving average for small
+changes, of the values of a check standard about an accepted value, with limits from data that were taken before; SOP 17 (NISTIR 7383)
+describes the same with three standard deviations as limits of action, and a test against the reference value. Here the stated
+uncertainty of each value widens its own limits (docs/decisions/0045). The comparison with a reference has no average: its uncertainty u_R
+is the same in all values, and would not become smaller.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
+from enum import Enum
+
+import numpy as np
+
+from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import JsonObject
+from planrunner.bench.check_standard import CheckedCoefficient, CheckStandardRule
+from planrunner.night.history.control_charts import (
+    Centre,
+    ControlCharts,
+    between_runs,
+    charts_about,
+    control_charts,
+    shewhart,
+)
+from planrunner.night.history.rows import HistoryPoint, RunRow
+from planrunner.night.history.trend import Trend, trend
+from planrunner.night.words import spell_out
+from planrunner.plan.units import UnknownUnitError, unit
+
+CHECK_STANDARD_FORMAT = 1
+
+
+class ControlStanding(Enum):
+    """What a check standard says of its bench."""
+
+    IN_CONTROL = "in control"
+    OUT_OF_CONTROL = "out of control"
+    TOO_OLD = "too old"
+    MISSING = "missing"
+    NOT_ESTABLISHED = "not established"
+    """There is no reference value, and there are too few values for limits."""
+
+
+class ControlTest(Enum):
+    """The comparisons of a value."""
+
+    REFERENCE = "reference"
+    SHEWHART = "Shewhart"
+    EWMA = "EWMA"
+    CUSUM = "CUSUM"
+
+
+@dataclass(frozen=True)
+class CoefficientControl:
+    """A coefficient of the check standard. trend: its history, the newest value last. centre, lower, upper: what the newest value is
+    compared with, and its limits (reference or Shewhart); None if no limits are established. charts: of its own history, None with too few
+    values. failed: the comparisons in which the newest value is outside. missing: earlier values that are still needed for limits."""
+
+    quantity: str
+    trend: Trend
+    centre: float | None
+    lower: float | None
+    upper: float | None
+    charts: ControlCharts | None
+    failed: tuple[ControlTest, ...]
+    missing: int
+
+    def words(self) -> str:
+        """The newest value and its limits."""
+        value = f"{self.quantity} is {self.trend.values[-1]:.6g} {self.trend.unit}"
+        if self.centre is None or self.upper is None:
+            return f"{value}, and {self.missing} more values are needed for limits"
+        inside = "outside" if {ControlTest.REFERENCE, ControlTest.SHEWHART} & {*self.failed} else "within"
+        about = f"{value}, {inside} {self.centre:.6g} ± {self.upper - self.centre:.2g}"
+        slow = [one.value for one in self.failed if one in (ControlTest.EWMA, ControlTest.CUSUM)]
+        return f"{about}, and outside the limits of {' and '.join(slow)}" if slow else about
+
+    def to_json(self) -> JsonObject:
+        return {
+            "quantity": self.quantity,
+            "unit": self.trend.unit,
+            "value": self.trend.values[-1],
+            "standard_uncertainty": self.trend.standard_uncertainties[-1],
+            "values": len(self.trend.values),
+            "centre": self.centre,
+            "lower": self.lower,
+            "upper": self.upper,
+            "failed": [one.value for one in self.failed],
+            "missing": self.missing,
+        }
+
+
+@dataclass(frozen=True)
+class ControlState:
+    """The check standard of a bench at a moment. run: its newest run, None without one. reasons: why it is not in control, in words."""
+
+    bench: str
+    device: str
+    standing: ControlStanding
+    run: RunRow | None = None
+    coefficients: tuple[CoefficientControl, ...] = ()
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def in_control(self) -> bool:
+        return self.standing is ControlStanding.IN_CONTROL
+
+    def words(self) -> str:
+        """The state in one line."""
+        head = f"the check standard {self.device} of bench '{self.bench}' is {self.standing.value}"
+        return f"{head}: {'; '.join(self.reasons)}" if self.reasons else head
+
+    def to_json(self) -> JsonObject:
+        """See schemas/check-standard.schema.json."""
+        return {
+            "planrunner_check_standard": CHECK_STANDARD_FORMAT,
+            "bench": self.bench,
+            "device": self.device,
+            "standing": self.standing.value,
+            "run": None if self.run is None else self.run.folder,
+            "created": None if self.run is None else self.run.created,
+            "coefficients": [one.to_json() for one in self.coefficients],
+            "reasons": list(self.reasons),
+        }
+
+
+def judge(
+    rule: CheckStandardRule,
+    bench: str,
+    runs: Sequence[RunRow],
+    points: Mapping[str, Sequence[HistoryPoint]],
+    now: datetime,
+) -> ControlState:
+    """The state at a moment. runs: of the check standard on this bench, the newest first. points: coefficient → its values in these runs,
+    the oldest first."""
+    newest = next((run for run in runs if run.state == "sealed"), None)
+    if newest is None:
+        reason = f"no finished run of the plan '{rule.plan_name}' with this device on this bench is in the archive"
+        return ControlState(bench, rule.device, ControlStanding.MISSING, None, (), (reason,))
+    found: list[CoefficientControl] = []
+    wrong: list[str] = []
+    unknown: list[str] = []
+    if newest.verdict == "fail":
+        wrong.append("a limit of its own plan failed, or an estimate could not be made")
+    for quantity, about in rule.coefficients.items():
+        held = trend(rule.device, quantity, [one for one in points.get(quantity, ()) if one.run.state == "sealed"])
+        if not held.points or held.points[-1].run.folder != newest.folder:
+            wrong.append(f"its newest run gave no usable value of {quantity}")
+            continue
+        try:
+            one = _control(quantity, held, about, rule.values)
+        except UnknownUnitError as error:
+            wrong.append(f"{quantity}: {error}")
+            continue
+        found.append(one)
+        if one.failed:
+            wrong.append(one.words())
+        elif one.centre is None:
+            unknown.append(one.words())
+    old = list(_age(newest, rule, now))
+    standing = next(
+        (
+            state
+            for state, reasons in (
+                (ControlStanding.OUT_OF_CONTROL, wrong),
+                (ControlStanding.TOO_OLD, old),
+                (ControlStanding.NOT_ESTABLISHED, unknown),
+            )
+            if reasons
+        ),
+        ControlStanding.IN_CONTROL,
+    )
+    return ControlState(bench, rule.device, standing, newest, tuple(found), (*wrong, *old, *unknown))
+
+
+def _age(run: RunRow, rule: CheckStandardRule, now: datetime) -> Iterator[str]:
+    age = (now - datetime.fromisoformat(run.created)).total_seconds()
+    if age > rule.max_age.value:
+        yield f"its newest run is {spell_out(age)} old, at most {spell_out(rule.max_age.value)} is permitted"
+
+
+def _control(quantity: str, held: Trend, about: CheckedCoefficient, enough: int) -> CoefficientControl:
+    """The newest value of a history against its limits. Raises `UnknownUnitError` if a stated quantity has another dimension."""
+    x, u = np.array(held.values), np.array(held.standard_uncertainties)
+    own = unit(held.unit)
+
+    def stated(value: float, text: str) -> float:
+        if unit(text).dimension != own.dimension:
+            raise UnknownUnitError(f"the bench file states {text}, but the run gives {held.unit}")
+        return own.from_si(value)
+
+    earlier = min(enough, len(x) - 1)
+    tau = between_runs(x[:earlier], u[:earlier])
+    if about.repeatability is not None:
+        tau = stated(about.repeatability.value, about.repeatability.unit.text) - own.from_si(0.0)
+    charts = None
+    if earlier == enough:
+        charts = control_charts(held.values, held.standard_uncertainties, earlier)
+        if charts is not None and about.repeatability is not None:
+            centre = Centre(charts.centre.mean, charts.centre.standard_uncertainty, tau, earlier)
+            charts = charts_about(x, u, centre)
+    failed = []
+    limits: tuple[float, float, float] | None = None
+    if charts is not None:
+        limits = charts.centre.mean, float(charts.shewhart.lower[-1]), float(charts.shewhart.upper[-1])
+        named = {
+            ControlTest.SHEWHART: (charts.shewhart,),
+            ControlTest.EWMA: (charts.ewma,),
+            ControlTest.CUSUM: (charts.cusum_up, charts.cusum_down),
+        }
+        failed += [test for test, both in named.items() if any(bool(chart.alarms[-1]) for chart in both)]
+    if about.reference is not None:
+        R = stated(about.reference.value, about.reference.unit.text)
+        u_R = about.reference.standard_uncertainty / own.factor
+        sigma = math.sqrt(float(u[-1]) ** 2 + u_R**2 + tau**2)
+        chart = shewhart(x[-1:], R, np.array([sigma]))
+        limits = R, float(chart.lower[0]), float(chart.upper[0])
+        failed += [ControlTest.REFERENCE] if chart.alarms[0] else []
+    if limits is None:
+        missing = max(1, enough - (len(x) - 1))
+        return CoefficientControl(quantity, held, None, None, None, charts, tuple(failed), missing)
+    return CoefficientControl(quantity, held, *limits, charts, tuple(failed), 0)

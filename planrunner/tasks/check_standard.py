@@ -1,0 +1,139 @@
+"""The check standard of a bench before a run: its state from the archive, and whether the run may begin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from planrunner.archive.run_reader import RunReader
+from planrunner.base.documents import Json, JsonObject
+from planrunner.base.findings import COMMAND_LINE, Finding, Findings, InputError, closest
+from planrunner.base.progress import Announce
+from planrunner.bench.model import Bench, bench_of
+from planrunner.night.history.check_standard import ControlState, judge
+from planrunner.night.history.index import literal
+from planrunner.night.history.rows import RunFilter
+from planrunner.tasks.history import Freshness, opened
+
+CODE = "bench-check-standard"
+
+
+@dataclass(frozen=True, slots=True)
+class Override:
+    """A person lets a run begin although the check standard is not in control, and says why."""
+
+    by: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Admission:
+    """A run may begin. record: what run.json keeps about the check standard. findings: warnings."""
+
+    record: JsonObject | None = None
+    findings: tuple[Finding, ...] = ()
+
+
+def control_state(
+    bench: Bench,
+    archive: Path,
+    *,
+    index: str | None = None,
+    now: datetime | None = None,
+    fresh: Freshness = Freshness(),  # noqa: B008 - frozen
+) -> ControlState | None:
+    """The state of the check standard of a bench according to the runs of an archive; None if the bench has none. now: by default the
+    current time. Raises `InputError` if the index cannot be used."""
+    rule = bench.check_standard
+    if rule is None:
+        return None
+    now = now or datetime.now(UTC)
+    if not archive.is_dir():
+        return judge(rule, bench.name, (), {}, now)
+    wanted = RunFilter(
+        device=literal(rule.device), plan=literal(rule.plan_name), bench=literal(bench.name), since=rule.since or ""
+    )
+    with opened(archive, index, fresh) as found:
+        points = {quantity: found.points(quantity, wanted) for quantity in rule.coefficients}
+        return judge(rule, bench.name, found.runs(wanted), points, now)
+
+
+def check_in_control(bench: Bench, state: ControlState, log: Findings) -> None:
+    """Adds a finding at the rule in the bench file if the check standard is not in control."""
+    rule = bench.check_standard
+    if rule is None or state.in_control:
+        return
+    allowed = (
+        f"{' or '.join(rule.may_override)} may override this for a run (--override-check-standard)"
+        if rule.may_override
+        else "nobody may override this on this bench"
+    )
+    hint = (
+        f"run {rule.plan} with device_serial={rule.device} on this bench; if it fails again, find the cause; {allowed}"
+    )
+    add = log.error if rule.action == "refuse" else log.warning
+    add(CODE, bench.at("check_standard"), state.words(), hint)
+
+
+def check_before_run(bench: Bench, plan_name: str, archive: Path, log: Findings) -> None:
+    """The check of a plan: the plan that measures the check standard may always run."""
+    rule = bench.check_standard
+    if rule is None or plan_name == rule.plan_name:
+        return
+    state = control_state(bench, archive)
+    if state is not None:
+        check_in_control(bench, state, log)
+
+
+def admit(
+    bench: Bench,
+    plan_name: str,
+    info: Mapping[str, Json],
+    archive: Path,
+    override: Override | None = None,
+    notice: Announce | None = None,
+) -> Admission:
+    """Whether a run may begin on a bench. Raises `InputError` if its check standard is not in control and nobody who is authorised lets the
+    run begin, or if an override does not apply."""
+    rule = bench.check_standard
+    if rule is None:
+        if override is not None:
+            message = f"bench '{bench.name}' has no check standard"
+            raise InputError.at(COMMAND_LINE, "command-usage", message, "leave the override out")
+        return Admission()
+    if override is not None and override.by not in rule.may_override:
+        message = f"'{override.by}' may not override the check standard of bench '{bench.name}'"
+        hint = closest(override.by, rule.may_override) or "`may_override` in the bench file names who may"
+        raise InputError.at(rule.at("may_override"), "bench-check-override", message, hint)
+    if rule.measured_by(plan_name, info):
+        return Admission()
+    state = control_state(bench, archive, fresh=Freshness(notice=notice))
+    assert state is not None  # the bench has a rule
+    log = Findings()
+    check_in_control(bench, state, log)
+    if log.errors and override is None:
+        raise InputError(log)
+    record: JsonObject = {
+        "device": state.device,
+        "run": None if state.run is None else state.run.folder,
+        "standing": state.standing.value,
+        "reasons": list(state.reasons),
+    }
+    if override is not None and not state.in_control:
+        record["override"] = {"by": override.by, "why": override.why}
+        log = Findings()
+        message = f"{state.words()}; {override.by} let this run begin: {override.why}"
+        log.warning(CODE, bench.at("check_standard"), message)
+    return Admission(record, tuple(log))
+
+
+def state_after(run: Path) -> ControlState | None:
+    """The state of the check standard after a run that measured it, from the archive of the run; None after any other run."""
+    reader = RunReader.open(run)
+    bench = bench_of(reader.bench_bytes, str(reader.path / "bench.yaml"))
+    rule = bench.check_standard
+    if rule is None or not rule.measured_by(str(reader.run["plan"]), reader.run["info"]):
+        return None
+    return control_state(bench, run.absolute().parent)

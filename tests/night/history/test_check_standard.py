@@ -1,0 +1,321 @@
+"""The check standard of a bench: limits worked by hand, its states, and what the commands and a suite do with it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from planrunner.base.workers import ALONE
+from planrunner.bench.model import Bench, parse_bench
+from planrunner.night.history.check_standard import ControlStanding, ControlState, ControlTest
+from planrunner.night.history.databases import INDEX
+from planrunner.plan import source
+from planrunner.tasks.check_standard import control_state
+from planrunner.tasks.check_suite import check_suite
+from tests.in_process import planrunner
+from tests.night.history.made_runs import BEGIN, MadeRun, make_run
+
+ROOT = Path(__file__).resolve().parents[3]
+VIRTUAL = (ROOT / "plans" / "benches" / "virtual.yaml").read_text(encoding="utf-8")
+STANDARD = MadeRun(device="CS-01", bench="virtual", plan="standard")
+
+
+@pytest.fixture(autouse=True)
+def own_index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(INDEX, str(tmp_path / "index.sqlite"))
+
+
+def bench_with(**keys: Any) -> Bench:
+    rule = {"device": "CS-01", "plan": "standard.yaml", "coefficients": {"drift.bias": {}}, "max_age": "400 d", **keys}
+    text = f"{VIRTUAL}check_standard: {json.dumps(rule)}\n"
+    bench, log = parse_bench(source.parse(text, "lab.yaml"))
+    assert bench is not None and not log.errors, [str(item) for item in log]
+    return bench
+
+
+def archive_of(folder: Path, values: list[float], u: float, **made: Any) -> Path:
+    """A run a day."""
+    archive = folder / "runs"
+    archive.mkdir(exist_ok=True)
+    for day, value in enumerate(values):
+        make_run(archive, replace(STANDARD, days=day, values={"bias": (value, u)}, **made), day)
+    return archive
+
+
+def state(bench: Bench, archive: Path, days: float = 12.0) -> ControlState:
+    found = control_state(bench, archive, now=BEGIN + timedelta(days=days))
+    assert found is not None
+    return found
+
+
+# -- limits worked by hand ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("newest", "inside"), [(1.385, True), (1.395, False), (0.615, True), (0.605, False)])
+def test_limits_about_a_reference_worked_by_hand(tmp_path: Path, newest: float, inside: bool) -> None:
+    """u = 0.12, u_R = 0.04 and repeatability 0.03: σ² = 0.0144 + 0.0016 + 0.0009 = 0.13², so the limits are 1 ± 0.39."""
+    about = {"reference": "1.0 deg/h ± 0.04 deg/h", "repeatability": "0.03 deg/h"}
+    found = state(bench_with(coefficients={"drift.bias": about}), archive_of(tmp_path, [newest], 0.12))
+    (one,) = found.coefficients
+    assert (one.centre, one.lower, one.upper) == pytest.approx((1.0, 0.61, 1.39))
+    assert found.in_control is inside
+    assert one.failed == (() if inside else (ControlTest.REFERENCE,))
+    assert inside or f"{newest} deg/h, outside 1 ± 0.39" in found.words()
+
+
+@pytest.mark.parametrize(("newest", "inside"), [(1.63, True), (1.64, False)])
+def test_limits_from_earlier_values_worked_by_hand(tmp_path: Path, newest: float, inside: bool) -> None:
+    """Ten values 1.0, 1.2, 1.0 … have the mean 1.1 and moving ranges of 0.2: σ = 0.2/1.12838 = 0.177245, so the limits are
+    1.1 ± 0.531736. The newest value takes no part: with it the limits would be wider."""
+    bench = bench_with(coefficients={"drift.bias": {}}, values=10)
+    found = state(bench, archive_of(tmp_path, [1.0, 1.2] * 5 + [newest], 0.0))
+    (one,) = found.coefficients
+    assert one.centre == pytest.approx(1.1)
+    assert (one.lower, one.upper) == pytest.approx((1.1 - 0.531736, 1.1 + 0.531736), abs=1e-6)
+    assert found.in_control is inside
+    assert one.failed == (() if inside else (ControlTest.SHEWHART,))
+
+
+def test_a_small_lasting_shift_is_found_by_the_average_and_the_sums(tmp_path: Path) -> None:
+    """After ten values about 1.1 with σ = 0.177, eight values of 1.37 (1.5 σ) each lie within the Shewhart limits. By hand: the sum
+    grows by 1.523 − 0.5 a value and exceeds 5 with the fifth."""
+    bench = bench_with(values=10)
+    found = state(bench, archive_of(tmp_path, [1.0, 1.2] * 5 + [1.37] * 8, 0.0), days=18)
+    (one,) = found.coefficients
+    assert one.failed == (ControlTest.EWMA, ControlTest.CUSUM)
+    assert "within 1.1 ± 0.53, and outside the limits of EWMA and CUSUM" in found.words()
+    assert one.charts is not None
+    z = 0.27 / (0.2 / (2 / math.sqrt(math.pi)))
+    assert one.charts.cusum_up.first_alarm == 14
+    before = one.charts.cusum_up.statistic[9]
+    assert one.charts.cusum_up.statistic[10:15] == pytest.approx([before + (k + 1) * (z - 0.5) for k in range(5)])
+
+
+# -- states ------------------------------------------------------------------------------------------------------------
+
+
+def test_states(tmp_path: Path) -> None:
+    bench = bench_with(coefficients={"drift.bias": {"reference": "1.0 deg/h"}}, max_age="36 h")
+    assert state(bench, tmp_path / "nowhere").standing is ControlStanding.MISSING
+    archive = archive_of(tmp_path, [1.1], 0.1)
+    assert state(bench, archive, days=1).standing is ControlStanding.IN_CONTROL
+    old = state(bench, archive, days=2)
+    assert old.standing is ControlStanding.TOO_OLD
+    assert old.reasons == ("its newest run is 48 h old, at most 36 h is permitted",)
+    make_run(archive, replace(STANDARD, days=2, values={"other": (1.0, 0.1)}), 1)
+    silent = state(bench, archive, days=2)
+    assert silent.standing is ControlStanding.OUT_OF_CONTROL and "no usable value of drift.bias" in silent.words()
+    make_run(archive, replace(STANDARD, days=2.5, finished=False, analysed=False), 2)
+    assert state(bench, archive, days=2.6).run == silent.run  # an unfinished run says nothing
+    make_run(archive, replace(STANDARD, days=3, limit=(2.0, 3.0)), 3)
+    assert "a limit of its own plan failed" in state(bench, archive, days=3).words()
+
+
+def test_runs_of_other_devices_benches_and_plans_do_not_count(tmp_path: Path) -> None:
+    archive = tmp_path / "runs"
+    archive.mkdir()
+    others = [replace(STANDARD, device="CS-02"), replace(STANDARD, bench="virtual 2"), replace(STANDARD, plan="other")]
+    for number, other in enumerate(others):
+        make_run(archive, other, number)
+    assert state(bench_with(), archive).standing is ControlStanding.MISSING
+
+
+def test_too_few_values_establish_no_limits_and_a_chart_begins_anew_after_a_change(tmp_path: Path) -> None:
+    archive = archive_of(tmp_path, [1.0, 1.2, 1.0, 1.2, 9.0, 9.2, 9.0, 9.2], 0.0)
+    few = state(bench_with(values=10), archive)
+    assert few.standing is ControlStanding.NOT_ESTABLISHED and "3 more values are needed" in few.words()
+    assert state(bench_with(values=4), archive).standing is ControlStanding.OUT_OF_CONTROL
+    after = f"{BEGIN + timedelta(days=4):%Y-%m-%d}"
+    assert state(bench_with(values=3, since=after), archive).standing is ControlStanding.IN_CONTROL
+
+
+def test_a_reference_in_another_dimension_is_said(tmp_path: Path) -> None:
+    bench = bench_with(coefficients={"drift.bias": {"reference": "1.0 mg"}})
+    assert "states mg, but the run gives deg/h" in state(bench, archive_of(tmp_path, [1.0], 0.1)).words()
+
+
+def test_wrong_rules_are_found_at_their_place() -> None:
+    rule = {
+        "device": "CS-01",
+        "plan": "standard.yaml",
+        "coefficients": {"drift.bias": {"reference": "1 deg/h", "repeatability": "1 mg"}},
+        "max_age": "1 d",
+        "since": "2026-02-30",
+    }
+    log = parse_bench(source.parse(f"{VIRTUAL}check_standard: {json.dumps(rule)}\n", "lab.yaml"))[1]
+    assert sorted(item.code for item in log) == ["meaning-date", "meaning-dimension"]
+    empty = {**rule, "coefficients": {}, "since": "2026-02-03"}
+    log = parse_bench(source.parse(f"{VIRTUAL}check_standard: {json.dumps(empty)}\n", "lab.yaml"))[1]
+    assert [item.code for item in log] == ["meaning-check-standard"]
+
+
+# -- commands ----------------------------------------------------------------------------------------------------------
+
+PLAN = """\
+planrunner: 1
+title: Drift in eight positions
+bench: lab.yaml
+sensor: {kind: flexure-gyro, outputs: [torquer_x, torquer_y]}
+record: {device_serial: required}
+defaults: {temperature: 25 degC, settle: 1 s, dwell: 10 s}
+segments:
+  - for_each:
+      orientation:
+        P1: {x: up, y: north, z: west}
+        P2: {x: down, y: north, z: east}
+        P3: {x: north, y: up, z: east}
+        P4: {x: north, y: down, z: west}
+        P5: {x: east, y: south, z: down}
+        P6: {x: south, y: east, z: up}
+        P7: {x: west, y: south, z: up}
+        P8: {x: south, y: west, z: down}
+estimates:
+  drift: {estimator: flexure_gyro_static, segments: P*}
+"""
+
+
+def lab(folder: Path, reference: str = "1.83 deg/h ± 0.1 deg/h", **keys: Any) -> None:
+    """A bench with a check standard, the plan that measures it, and another plan."""
+    rule = {
+        "device": "CS-01",
+        "plan": "standard.yaml",
+        "coefficients": {"drift.D_X_F": {"reference": reference}},
+        "max_age": "1 d",
+        "may_override": ["anna"],
+        **keys,
+    }
+    (folder / "lab.yaml").write_text(f"{VIRTUAL}check_standard: {json.dumps(rule)}\n", encoding="utf-8")
+    for name in ("standard", "work"):
+        (folder / f"{name}.yaml").write_text(PLAN, encoding="utf-8")
+
+
+def run_json(folder: Path) -> dict[str, Any]:
+    newest = max((folder / "runs").glob("2*-work-*"))
+    data: dict[str, Any] = json.loads((newest / "run.json").read_text(encoding="utf-8"))
+    Draft202012Validator(json.loads((ROOT / "schemas" / "run.schema.json").read_bytes())).validate(data)
+    return data
+
+
+def test_a_bench_whose_check_standard_is_in_control_works_and_the_run_says_so(tmp_path: Path) -> None:
+    lab(tmp_path)
+    missing = planrunner("check", "work.yaml", cwd=tmp_path)
+    assert missing.returncode == 2
+    assert "lab.yaml:57:17: error[bench-check-standard]" in missing.stderr
+    assert planrunner("check", "standard.yaml", cwd=tmp_path).returncode == 0  # this plan may always run
+    refused = planrunner("run", "work.yaml", "--set", "device_serial=D1", "--quiet", cwd=tmp_path)
+    assert refused.returncode == 2 and "is missing" in refused.stderr and "may override this" in refused.stderr
+    assert not list(tmp_path.glob("runs/2*"))
+    # The plan of the check standard with another device measures no check standard.
+    other = planrunner("run", "standard.yaml", "--set", "device_serial=D1", "--quiet", cwd=tmp_path)
+    assert other.returncode == 2
+    measured = planrunner("run", "standard.yaml", "--set", "device_serial=CS-01", "--quiet", cwd=tmp_path)
+    assert measured.returncode == 0 and "is in control" in measured.stderr
+    assert planrunner("check", "work.yaml", cwd=tmp_path).returncode == 0
+    worked = planrunner("run", "work.yaml", "--set", "device_serial=D1", "--quiet", cwd=tmp_path)
+    assert worked.returncode == 0, worked.stderr
+    kept = run_json(tmp_path)["check_standard"]
+    assert kept["standing"] == "in control" and kept["device"] == "CS-01" and "-standard-" in kept["run"]
+    assert planrunner("verify", "runs", "--all", cwd=tmp_path).returncode == 0
+    shown = planrunner("bench", "check-standard", "lab.yaml", "--json", cwd=tmp_path)
+    assert shown.returncode == 0
+    schema = json.loads((ROOT / "schemas" / "check-standard.schema.json").read_bytes())
+    Draft202012Validator(schema).validate(json.loads(shown.stdout))
+    assert "1.83" in planrunner("bench", "check-standard", "lab.yaml", cwd=tmp_path).stdout
+
+
+def test_a_bench_whose_check_standard_is_out_of_control_refuses_and_an_override_is_kept(tmp_path: Path) -> None:
+    lab(tmp_path, "2.9 deg/h ± 0.1 deg/h")  # the gyro has 1.83 deg/h
+    measured = planrunner("run", "standard.yaml", "--set", "device_serial=CS-01", "--json", "--quiet", cwd=tmp_path)
+    assert measured.returncode == 1 and "out of control" in measured.stderr
+    assert json.loads(measured.stdout)["check_standard"]["standing"] == "out of control"
+    words = ("run", "work.yaml", "--set", "device_serial=D1", "--quiet")
+    refused = planrunner(*words, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert (
+        "lab.yaml:57:17" in refused.stderr
+        and "drift.D_X_F is 1." in refused.stderr
+        and "outside 2.9 ±" in refused.stderr
+    )
+    stranger = planrunner(*words, "--override-check-standard", "x", "--override-by", "bob", cwd=tmp_path)
+    assert stranger.returncode == 2 and "bench-check-override" in stranger.stderr
+    half = planrunner(*words, "--override-check-standard", "x", cwd=tmp_path)
+    assert half.returncode == 2 and "belong together" in half.stderr
+    let = planrunner(*words, "--override-check-standard", "levelled again", "--override-by", "anna", cwd=tmp_path)
+    assert let.returncode == 0 and "anna let this run begin: levelled again" in let.stderr
+    assert run_json(tmp_path)["check_standard"]["override"] == {"by": "anna", "why": "levelled again"}
+
+
+def test_a_bench_may_only_warn(tmp_path: Path) -> None:
+    lab(tmp_path, action="warn")
+    done = planrunner("run", "work.yaml", "--set", "device_serial=D1", "--quiet", cwd=tmp_path)
+    assert done.returncode == 0 and "warning[bench-check-standard]" in done.stderr
+    assert run_json(tmp_path)["check_standard"]["standing"] == "missing"
+
+
+# -- nights ------------------------------------------------------------------------------------------------------------
+
+
+def suite(folder: Path, bench: str) -> Path:
+    file = folder / "night.yaml"
+    file.write_text(
+        "planrunner_suite: 1\ntitle: Night\n"
+        f"benches: {{a: {bench}, b: {{bench: virtual}}}}\n"
+        "devices:\n"
+        "  D1: {benches: a, set: {device_serial: D1}}\n"
+        "  D2: {benches: b, set: {device_serial: D2}}\n"
+        "plans: {work: {plan: work.yaml}}\n",
+        encoding="utf-8",
+    )
+    return file
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("reference", "expected"), [("1.83 deg/h", "passed"), ("2.9 deg/h", "not_run")])
+def test_a_night_measures_the_check_standard_first_and_blocks_its_bench(
+    tmp_path: Path, reference: str, expected: str
+) -> None:
+    lab(tmp_path, f"{reference} ± 0.1 deg/h")
+    suite(tmp_path, "{bench: ./lab.yaml, check_standard_first: true}")
+    checked = planrunner("check", "night.yaml", cwd=tmp_path)
+    assert checked.returncode == 0 and "check standard/CS-01/a" in checked.stdout
+    done = planrunner("night", "night.yaml", "--flushed", "--json", "--quiet", cwd=tmp_path)
+    record = json.loads(done.stdout)
+    Draft202012Validator(json.loads((ROOT / "schemas" / "night.schema.json").read_bytes())).validate(record)
+    states = {test["test"]: test["state"] for test in record["tests"]}
+    first = "passed" if expected == "passed" else "failed"
+    assert states == {"check standard/CS-01/a": first, "work/D1/a": expected, "work/D2/b": "passed"}
+    (standard,) = record["check_standards"]
+    assert standard["state"]["standing"] == ("in control" if expected == "passed" else "out of control")
+    (summary,) = (tmp_path / "runs" / "nights").glob("2*/summary.md")
+    text = summary.read_text(encoding="utf-8")
+    assert "## Check standards" in text
+    if expected == "not_run":
+        assert "**OUT OF CONTROL** | drift.D_X_F is 1." in text
+        assert "it needs check standard/CS-01/a, which did not pass" in text
+        assert done.returncode == 3
+
+
+def test_a_suite_on_a_bench_that_is_not_in_control_is_refused_unless_it_is_overridden(tmp_path: Path) -> None:
+    lab(tmp_path)
+    archive = tmp_path / "runs"
+    found = check_suite(suite(tmp_path, "{bench: ./lab.yaml}"), workers=ALONE, archive=archive).findings
+    assert [item.code for item in found] == ["bench-check-standard"] and found.errors
+    override = "{bench: ./lab.yaml, override_check_standard: {by: anna, why: levelled}}"
+    assert check_suite(suite(tmp_path, override), workers=ALONE, archive=archive).ok
+    wrong = check_suite(suite(tmp_path, override.replace("anna", "ann")), workers=ALONE, archive=archive).findings
+    assert [item.code for item in wrong if item.severity == "error"] == ["bench-check-override"]
+    none = check_suite(suite(tmp_path, "{bench: virtual, check_standard_first: true}"), workers=ALONE).findings
+    assert "suite-check-standard" in [item.code for item in none]
+
+
+def test_now_is_the_time_of_the_computer(tmp_path: Path) -> None:
+    """Runs of 2024 are old today."""
+    found = control_state(bench_with(), archive_of(tmp_path, [1.0], 0.1))
+    assert found is not None and found.standing is ControlStanding.TOO_OLD
