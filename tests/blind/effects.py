@@ -53,6 +53,10 @@ def _warm_up_time(_: Schedule, rng: np.random.Generator) -> Shape:
     return (float(np.exp(rng.uniform(np.log(200), np.log(2500)))),)
 
 
+def _moment(schedule: Schedule, rng: np.random.Generator) -> Shape:
+    return (float(rng.uniform(schedule.time[0], schedule.time[-1])),)
+
+
 def _tone(_: Schedule, rng: np.random.Generator) -> Shape:
     return float(rng.uniform(0.7, 9.0)), float(rng.uniform(0, 2 * np.pi))
 
@@ -125,7 +129,15 @@ FOREIGN = {
         Kind("magnetic_times_temperature", (1e-4,) * 3),
     )
 }
-KINDS = {**CATALOGUE, **FOREIGN}
+FURTHER = {
+    kind.name: kind
+    for kind in (
+        Kind("gyro_bias_step", (1e-3,) * 3, draw=_moment),
+        Kind("accel_bias_step", (1e-3,) * 3, draw=_moment, needs="accel"),
+    )
+}
+"""Effects of the catalogue that the campaign does not draw, so that a seed keeps its cases; see `confusion`."""
+KINDS = {**CATALOGUE, **FOREIGN, **FURTHER}
 
 
 def applies(kind: Kind, schedule: Schedule, sensor: Sensor) -> bool:

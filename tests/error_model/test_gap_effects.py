@@ -31,6 +31,8 @@ IDS = [
     "gyro_dead_zone",
     "gyro_saturation",
     "gyro_bias_random_walk",
+    "accel_bias_step",
+    "gyro_bias_step",
     "gyro_warm_up",
     "gyro_thermal_hysteresis",
     "gyro_thermal_gradient",
@@ -72,9 +74,7 @@ FOR_ESTIMATES = [
     "reference_latency",
     "accel_thermal_hysteresis",
     "accel_warm_up",
-    "accel_bias_step",
     "gyro_angular_acceleration",
-    "gyro_bias_step",
     "gyro_fold_over",
 ]
 """Effects that the diagnosis does not weigh unless they are named."""

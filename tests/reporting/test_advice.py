@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from planrunner.error_model.effects.gyro import GyroWarmUp
 from planrunner.error_model.effects.gyro_output import GyroNoiseExcess
 from planrunner.error_model.effects.table import TableTilt
+from planrunner.error_model.effects.warming import GyroWarmUp
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.reporting.advice import advice
 

@@ -6,10 +6,9 @@ from __future__ import annotations
 import numpy as np
 
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Array, Shaped, Variant, per_axis, single
+from planrunner.error_model.effects.interface import Variant, per_axis, single
 from planrunner.error_model.effects.nominal import towards_others
 from planrunner.error_model.effects.products import products
-from planrunner.error_model.effects.warming import decaying, time_to_settle
 from planrunner.error_model.observed import Observed
 
 G = 9.80665  # m/s²
@@ -182,23 +181,3 @@ class AccelThermalHysteresis:
             return []
         sign = observed.last_change[observed.owner]
         return single(per_axis(observed, "accel", "h", "mg", 1e-3 * G, 1e-3 * G, sign))
-
-
-class AccelWarmUp(Shaped):
-    """Output + a·exp(−t/τ) per axis, t since power-on."""
-
-    id, stage, hypothesis, shape_name, shape_unit = "accel_warm_up", "sensor", False, "tau", "s"
-    about = About(
-        "accelerometer bias changes while the sensor warms up",
-        "After power-on, the bias of each accelerometer approaches its final value exponentially.",
-        Actor.PLAN,
-        "Begin the first segment {wait} or more after power-on, or compensate the warm-up: {found}.",
-        time_to_settle,
-    )
-    shown_by, over_segments = "the same state at several times since power-on, beginning early", True
-
-    def grid(self, observed: Observed) -> Array:
-        return np.geomspace(60.0, 7200.0, 13) if observed.of_kind("accel") else np.empty(0)
-
-    def at(self, observed: Observed, value: float) -> Variant:
-        return Variant(tuple(decaying(observed, "accel", "mg", 1e-3 * G, 1e-3 * G, value)), value)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Array, Shaped, Variant, per_axis, single
+from planrunner.error_model.effects.interface import Variant, per_axis, single
 from planrunner.error_model.effects.nominal import towards_others
 from planrunner.error_model.effects.products import products
-from planrunner.error_model.effects.warming import decaying, time_to_settle
 from planrunner.error_model.observed import Observed
 
 DEG = np.pi / 180
@@ -123,26 +122,6 @@ class GyroG2Sensitivity:
         for name, product in products(observed.force):
             columns += per_axis(observed, "gyro", f"K_{name}", "deg/s/g^2", DEG / G**2, 1e-3 * DEG / G**2, product)
         return single(columns)
-
-
-class GyroWarmUp(Shaped):
-    """Output + a·exp(−t/τ) per axis, t since power-on."""
-
-    id, stage, shape_name, shape_unit = "gyro_warm_up", "sensor", "tau", "s"
-    about = About(
-        "gyro bias changes while the sensor warms up",
-        "After power-on, the bias of each gyro approaches its final value exponentially.",
-        Actor.PLAN,
-        "Begin the first segment {wait} or more after power-on, or compensate the warm-up: {found}.",
-        time_to_settle,
-    )
-    shown_by, over_segments = "the same state at several times since power-on, beginning early", True
-
-    def grid(self, observed: Observed) -> Array:
-        return np.geomspace(60.0, 7200.0, 13) if observed.of_kind("gyro") else np.empty(0)
-
-    def at(self, observed: Observed, value: float) -> Variant:
-        return Variant(tuple(decaying(observed, "gyro", "deg/s", DEG, 1e-2 * DEG, value)), value)
 
 
 class GyroThermalHysteresis:

@@ -6,18 +6,54 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from planrunner.error_model.effects.interface import Column, per_axis
+from planrunner.error_model.effects.about import About, Actor
+from planrunner.error_model.effects.interface import Array, Shaped, Variant, per_axis
 from planrunner.error_model.observed import Observed
 
+_SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2 * np.pi / 180), "accel": ("mg", 9.80665e-3, 9.80665e-3)}
+"""By kind of triad: the unit of the amplitude, its SI value, and the prior scale in SI."""
 
-def time_to_settle(tau: float) -> Mapping[str, str]:
+
+def _time_to_settle(tau: float) -> Mapping[str, str]:
     """The time after which less than a hundredth of a warm-up with a time constant in s remains."""
     return {"wait": f"{tau * np.log(100.0) / 60:.2g} min"}
 
 
-def decaying(observed: Observed, kind: str, unit: str, factor: float, magnitude: float, tau: float) -> list[Column]:
-    """a·exp(−t/τ) per axis, a in `unit` at power-on. The columns are those of the amplitude when the recording begins, which may be long
-    after power-on."""
-    decay = np.exp(-(observed.time - observed.time[0]) / tau)
-    left = max(float(np.exp(-observed.time[0] / tau)), 1e-300)
-    return per_axis(observed, kind, "a", unit, factor * left, magnitude, decay)
+def _about(triad: str) -> About:
+    return About(
+        f"{triad} bias changes while the sensor warms up",
+        f"After power-on, the bias of each {triad} approaches its final value exponentially.",
+        Actor.PLAN,
+        "Begin the first segment {wait} or more after power-on, or compensate the warm-up: {found}.",
+        _time_to_settle,
+    )
+
+
+class _WarmUp(Shaped):
+    """Output + a·exp(−t/τ) per axis, t since power-on."""
+
+    stage, shape_name, shape_unit = "sensor", "tau", "s"
+    shown_by, over_segments = "the same state at several times since power-on, beginning early", True
+    kind: str
+
+    def grid(self, observed: Observed) -> Array:
+        return np.geomspace(60.0, 7200.0, 13) if observed.of_kind(self.kind) else np.empty(0)
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        """The columns are those of the amplitude when the recording begins, which may be long after power-on."""
+        unit, factor, magnitude = _SCALES[self.kind]
+        decay = np.exp(-(observed.time - observed.time[0]) / value)
+        left = max(float(np.exp(-observed.time[0] / value)), 1e-300)
+        return Variant(tuple(per_axis(observed, self.kind, "a", unit, factor * left, magnitude, decay)), value)
+
+
+class GyroWarmUp(_WarmUp):
+    """Bias of each gyro + a·exp(−t/τ), t since power-on."""
+
+    id, kind, about = "gyro_warm_up", "gyro", _about("gyro")
+
+
+class AccelWarmUp(_WarmUp):
+    """Bias of each accelerometer + a·exp(−t/τ), t since power-on."""
+
+    id, hypothesis, kind, about = "accel_warm_up", False, "accel", _about("accelerometer")

@@ -48,7 +48,7 @@ def shape(candidate: Candidate) -> list[ParameterEstimate]:
     values = np.array([item.variant.shape for item in candidate.variants if item.variant.shape is not None])
     if not len(values) or not isinstance(effect, Shaped):
         return []
-    evidence = np.array([float(item.log_bayes.max()) for item in candidate.variants])
+    evidence = np.array([float(item.log_bayes[candidate.at]) for item in candidate.variants])
     order = np.argsort(values)
     values, evidence = values[order], evidence[order]
     width = np.gradient(np.log(values)) if len(values) > 1 else np.ones(1)

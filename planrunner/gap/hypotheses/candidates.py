@@ -64,11 +64,13 @@ class Weighed:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect and its weighed variants. log_bayes: (G,), averaged over the shape."""
+    """An effect and its weighed variants. log_bayes: (G,), averaged over the shape. at: the setting of the noise under which forms are
+    compared: the likeliest without a random walk of the gyros, since a walk explains much of what a wrong form explains."""
 
     effect: Effect
     variants: tuple[Weighed, ...]
     log_bayes: Array
+    at: int = 0
 
     @property
     def id(self) -> str:
@@ -76,7 +78,7 @@ class Candidate:
 
     @property
     def best(self) -> Weighed:
-        return max(self.variants, key=lambda weighed: float(weighed.log_bayes.max()))
+        return max(self.variants, key=lambda weighed: float(weighed.log_bayes[self.at]))
 
     @cached_property
     def stacked(self) -> tuple[Array, ...]:
@@ -85,8 +87,8 @@ class Candidate:
 
     def likely_forms(self) -> list[tuple[Weighed, float]]:
         """The likeliest forms, at most `_FORMS`, and their shares of the effect's probability."""
-        best = sorted(self.variants, key=lambda weighed: -float(weighed.log_bayes.max()))[:_FORMS]
-        evidence = np.array([float(weighed.log_bayes.max()) for weighed in best])
+        best = sorted(self.variants, key=lambda weighed: -float(weighed.log_bayes[self.at]))[:_FORMS]
+        evidence = np.array([float(weighed.log_bayes[self.at]) for weighed in best])
         share = np.exp(evidence - evidence.max())
         return list(zip(best, (share / share.sum()).tolist(), strict=True))
 
@@ -189,6 +191,7 @@ class Weighing:
         """A copy with changed weights. The likelihood of a setting changes as that of its weights does; settings share weights."""
         made = copy(self)
         made.__dict__.pop("base", None)
+        made.__dict__.pop("likeliest", None)
         made.weights, made.log_likelihood = [], []
         for channel, (weights, likelihood) in enumerate(zip(self.weights, self.log_likelihood, strict=True)):
             changed = {id(weight): change(weight, channel) for weight in weights}
@@ -217,6 +220,11 @@ class Weighing:
         walking = np.repeat([s.walk > 0 for s in gyro], len(accel))
         with np.errstate(divide="ignore"):
             return np.log(np.where(walking, 0.0, prior)), np.log(np.where(walking, prior, 0.0))
+
+    @cached_property
+    def likeliest(self) -> tuple[int, ...]:
+        """The likeliest settings without, and with, a random walk of the gyros, if that is a hypothesis."""
+        return tuple(int(np.argmax(self.base + prior)) for prior in self.log_prior if np.isfinite(prior).any())
 
     def evidence(self, log_bayes: Array, walking: bool = False) -> float:
         """Log evidence of a hypothesis with log BF (G,) over the noise, marginalised."""

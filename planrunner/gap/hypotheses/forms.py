@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +46,7 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
             usable, log_bayes = _settled(weighing, effect, usable, log_bayes)
     if isinstance(effect, Curved) and float(log_bayes.max()) > _BENT:
         usable, log_bayes = _curved(weighing, effect, usable, log_bayes)
-    return Candidate(effect, tuple(usable), log_bayes)
+    return Candidate(effect, tuple(usable), log_bayes, weighing.likeliest[0])
 
 
 def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
@@ -68,7 +67,7 @@ def _settled(
     """A strong effect on the output, searched for at the fitted output: the nominal parameters are fitted together with its best form,
     and the effect is evaluated again with the result; repeated while this explains more."""
     for _ in range(_SETTLING):
-        best = max(usable, key=lambda weighed: float(weighed.log_bayes.max()))
+        best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         seen = replace(weighing.observed, fitted=weighing.fitted([raw[:, 0] for raw in best.raw]))
         coarse = [
             item
@@ -78,7 +77,7 @@ def _settled(
         if len(coarse) < 3:
             break
         again, value = _refined(weighing, effect, coarse, seen)
-        if float(value.max()) < float(log_bayes.max()) + _GAINED:
+        if value[weighing.likeliest[0]] < log_bayes[weighing.likeliest[0]] + _GAINED:
             break
         usable, log_bayes = again, value
     return usable, log_bayes
@@ -89,15 +88,15 @@ def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Ob
     prior.
 
     Three rounds add four values between the best shape and each neighbour, enough for the sharp peak of an effect at a hundred standard
-    deviations.
+    deviations. The best shape beside a random walk of the gyros may be another one; both are refined.
     """
     have = {float(item.variant.shape or 0.0): item for item in coarse}
     grid = np.array(sorted(have))
     for _ in range(3):
         shapes = np.array(sorted(have))
-        top = int(np.argmax([float(have[shape].log_bayes.max()) for shape in shapes]))
-        around = np.log(shapes[max(0, top - 1) : top + 2])
-        between = np.concatenate([np.linspace(a, b, 6)[1:-1] for a, b in pairwise(around)])
+        tops = {int(np.argmax([have[shape].log_bayes[at] for shape in shapes])) for at in weighing.likeliest}
+        intervals = sorted({k for top in tops for k in (top - 1, top) if 0 <= k < len(shapes) - 1})
+        between = np.concatenate([np.linspace(*np.log(shapes[k : k + 2]), 6)[1:-1] for k in intervals])
         new = weighing.weigh([effect.at(seen, float(np.exp(value))) for value in between])
         have |= {float(item.variant.shape or 0.0): item for item in new if item.kept > ABSORBED}
     shapes = np.array(sorted(have))

@@ -86,8 +86,7 @@ def competitors(weighing: Weighing) -> Kinds:
 def something_else(weighing: Weighing) -> float:
     """log BF of patterns of the coefficients, alone and in combination, against none at the likeliest setting of the noise. Of a weighing
     beside effects: the evidence for something else beside these."""
-    at = int(np.argmax(weighing.base + weighing.log_prior[0]))
-    channels = [Left.whole(weight) for weight in _weights(weighing, at)]
+    channels = [Left.whole(weight) for weight in _weights(weighing, weighing.likeliest[0])]
     patterns = _Patterns(weighing)
     each = patterns.weighed(channels)
     kinds = [float(log_mean_exp(value, 0)) for value in each.values()]

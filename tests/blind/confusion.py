@@ -1,0 +1,150 @@
+"""Recordings of single effects that are easily taken for each other: generated, diagnosed and counted by what was named. They share no code
+with the diagnosis.
+
+    python -m tests.blind.confusion GROUP CASES --seed SEED [--first NUMBER] [--json FILE]
+
+Each effect of the group has `CASES` cases, with a strength λ between `WEAKEST` and `STRONGEST`, log-uniform.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tests.blind import folder
+from tests.blind.device import SENSORS
+from tests.blind.generator import Case, Work, _one, _stream, _surroundings, signatures, simulate
+
+WEAKEST, STRONGEST = 36.0, 1e4
+SURE = 0.99
+GROUPS: dict[str, tuple[str, ...]] = {
+    "steps": ("gyro_bias_step", "gyro_bias_random_walk"),
+    "accelerometer steps": ("accel_bias_step",),
+    "late": ("gyro_bandwidth", "time_latency"),
+}
+"""Effects that are easily taken for each other."""
+SETUPS = {
+    "steps": (("tumble", "mems"), ("rocking", "fog"), ("thermal", "fog"), ("rates", "mems")),
+    "accelerometer steps": (("tumble", "mems"), ("rates", "mems")),
+    "late": (("rocking", "mems"), ("rocking", "fog")),
+}
+"""Plans and sensors that show the effects of a group."""
+
+
+def case_of(group: str, seed: int, number: int, effect: str) -> Case:
+    """Case `number` of a group, in which this effect acts alone."""
+    setups = SETUPS[group]
+    plan, sensor_name = setups[number % len(setups)]
+    rng = _stream(seed, number, 2 + GROUPS[group].index(effect))
+    factors, device = _surroundings(SENSORS[sensor_name], rng)
+    work = Work(signatures(plan, sensor_name), factors, device)
+    energy = float(np.exp(rng.uniform(np.log(WEAKEST), np.log(STRONGEST))))
+    fault = _one(work, [effect], energy, rng)
+    name = f"{effect}-{number:05d}"
+    columns = simulate(work, [fault], False, rng)
+    entry = {"effect": effect, "theta": fault.theta.tolist(), "shape": list(fault.shape), "lambda": energy}
+    label = {"case": name, "kind": "single", "effects": [effect], "entries": [entry]}
+    return Case(name, plan, sensor_name, columns, label, (fault,), device)
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """One answer beside the truth. named: effects of the verdict; members: of its class; right: the effect alone is named, or is a member;
+    probability: of the verdict; in_set: the 95 % set holds the effect. parameters: name → value and standard uncertainty."""
+
+    case: str
+    effect: str
+    energy: float
+    kind: str
+    named: tuple[str, ...]
+    members: tuple[str, ...]
+    right: bool
+    probability: float
+    in_set: bool
+    theta: tuple[float, ...]
+    shape: tuple[float, ...]
+    parameters: dict[str, tuple[float, float]]
+
+
+def answered(case: Case, seed: int, here: Path) -> Answered:
+    """The answer of planrunner to one case."""
+    from tests.blind.product import diagnosis_of
+
+    folder.write_case(here, case, seed)
+    plain = diagnosis_of(folder.shown(here, case.name)).to_json()
+    said, (entry,) = plain["verdict"], case.label["entries"]
+    named, members = tuple(said["effects"]), tuple(said["class"])
+    options = set(members or ["+".join(named) or said["kind"]])
+    return Answered(
+        case.name,
+        entry["effect"],
+        float(entry["lambda"]),
+        str(said["kind"]),
+        named,
+        members,
+        entry["effect"] in options,
+        float(sum(plain["posterior"].get(option, 0.0) for option in options)),
+        entry["effect"] in plain["ambiguity_set"],
+        tuple(entry["theta"]),
+        tuple(entry["shape"]),
+        {f"{p['effect']}.{p['name']}": (p["value"], p["standard_uncertainty"]) for p in plain["parameters"]},
+    )
+
+
+def answers(group: str, cases: int, seed: int, first: int = 0) -> Iterator[Answered]:
+    """Cases of every effect generated and diagnosed, one set-up after the other."""
+    with tempfile.TemporaryDirectory() as name:
+        here = Path(name)
+        folder.write_setups(here)
+        several = len(SETUPS[group])
+        for number in sorted(range(first, first + cases), key=lambda number: number % several):
+            for effect in GROUPS[group]:
+                yield answered(case_of(group, seed, number, effect), seed, here)
+
+
+def score(found: Sequence[Answered]) -> dict[str, object]:
+    """What was said of each effect, and how often it was right where it was said with certainty."""
+    sure = [one for one in found if one.probability >= SURE and one.kind != "none"]
+    return {
+        "said": {
+            effect: dict(Counter(_said(one) for one in found if one.effect == effect).most_common())
+            for effect in dict.fromkeys(one.effect for one in found)
+        },
+        "right": [sum(one.right for one in found), len(found)],
+        "right where P >= .99": [sum(one.right for one in sure), len(sure)],
+        "95 % set holds the truth": [sum(one.in_set for one in found), len(found)],
+        "mean P of the verdict": float(np.mean([one.probability for one in found])),
+    }
+
+
+def _said(one: Answered) -> str:
+    return " or ".join(one.members) or "+".join(one.named) or one.kind
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("group", choices=GROUPS)
+    parser.add_argument("cases", type=int)
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args(arguments)
+    found = []
+    for one in answers(args.group, args.cases, args.seed, args.first):
+        found.append(one)
+        print(json.dumps(asdict(one)), flush=True)
+    made = score(found)
+    print(json.dumps(made, indent=1))
+    if args.json is not None:
+        args.json.write_text(json.dumps({"score": made, "cases": [asdict(one) for one in found]}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
