@@ -96,7 +96,9 @@ def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Ob
         shapes = np.array(sorted(have))
         tops = {int(np.argmax([have[shape].log_bayes[at] for shape in shapes])) for at in weighing.likeliest}
         intervals = sorted({k for top in tops for k in (top - 1, top) if 0 <= k < len(shapes) - 1})
-        between = np.concatenate([np.linspace(*np.log(shapes[k : k + 2]), 6)[1:-1] for k in intervals])
+        between = np.concatenate(
+            [np.linspace(a, b, 6)[1:-1] for a, b in np.log([shapes[k : k + 2] for k in intervals])]
+        )
         new = weighing.weigh([effect.at(seen, float(np.exp(value))) for value in between])
         have |= {float(item.variant.shape or 0.0): item for item in new if item.kept > ABSORBED}
     shapes = np.array(sorted(have))
