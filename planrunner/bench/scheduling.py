@@ -152,6 +152,8 @@ class _Planner:
         self._timed = True  # until a segment is left out, because the soak time of the sensor is unknown after it
         self._soaked: float | None = None
         self._mounted: Orientation | None = None
+        self._surroundings: dict[str, Quantity | None] = {}
+        self._warned: set[str] = set()
         self._complained: set[tuple[str, Mark]] = set()
         self._without_orientation: dict[Mark, str] = {}
         self._without_dwell: dict[Mark, str] = {}
@@ -179,6 +181,7 @@ class _Planner:
         self._check_mode(item)
         self._check_samples(item, dwell)
         check_measured(state, marks, self.models, self._once)
+        self._check_surroundings(item)
         start = self.time + transition + soak + settle
         if ramp_to is not None:
             self.temperatures.ramp(ramp_to, start, dwell, marks["temperature"])
@@ -201,6 +204,8 @@ class _Planner:
             soak=soak,
             temperature=kelvin,
             ramp_to=ramp_to,
+            supply_voltage=None if state.supply_voltage is None else state.supply_voltage.value,
+            ambient_pressure=None if state.ambient_pressure is None else state.ambient_pressure.value,
             sample_rate=rate.value if rate else None,
             mode=state.mode,
             on_break=state.on_break or "retake",
@@ -292,6 +297,23 @@ class _Planner:
         if mode is not None and sensor is not None and mode not in sensor.modes and not self.models.replays:
             hint = closest(mode, sensor.modes) or "leave mode out: this sensor has only one mode"
             self._once("physics-mode", item.marks["mode"], f"the sensor of this bench has no mode '{mode}'", hint)
+
+    def _check_surroundings(self, item: StatedSegment) -> None:
+        """A warning for a supply voltage or a pressure that changes although nobody is asked to change it."""
+        for key in ("supply_voltage", "ambient_pressure"):
+            stated = getattr(item.state, key)
+            before = self._surroundings.setdefault(key, stated)
+            if stated is None:
+                continue
+            self._surroundings[key] = stated
+            changed = before is not None and before.value != stated.value
+            if changed and self.models.origin == "measured" and not item.prompts and key not in self._warned:
+                self._warned.add(key)
+                message = (
+                    f"'{item.label}' needs {stated} after {before}, but no instrument sets the {key.replace('_', ' ')}"
+                )
+                hint = "ask for it with a `prompt`, such as `prompt: Set the supply to {supply_voltage}`"
+                self.log.warning("physics-surroundings", item.marks[key], message, hint)
 
     def _check_samples(self, item: StatedSegment, dwell: float | None) -> None:
         rate, sensor, sampled = item.state.sample_rate, self.models.sensor, self._sampled(item)

@@ -242,8 +242,7 @@ def _among_others(observed: Observed) -> Observed:
     attitudes = [observed.attitude[0]] + [turn @ observed.attitude[0] for turn in (*turns, half, turns[0] @ half)]
     ends = len(observed.time) + np.arange(len(attitudes))
     sample = {
-        name: np.concatenate([getattr(observed, name), np.repeat(getattr(observed, name)[-1:], len(attitudes) - 1)])
-        for name in ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate")
+        name: np.concatenate([own, np.repeat(own[-1:], len(attitudes) - 1)]) for name, own in observed.sampled.items()
     }
     extended: dict[str, Any] = sample
     return replace(

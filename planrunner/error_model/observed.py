@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.physics.earth import Site
 from planrunner.physics.moved_body import BodyMotion
-from planrunner.plan.schedule import Motion, RecordedMotion, Rock, Spin
+from planrunner.plan.schedule import Motion, RecordedMotion, Rock, Segment, Spin
 from planrunner.plan.units import unit
 
 Array = NDArray[np.float64]
@@ -59,7 +59,8 @@ def channel_of(name: str, text: str, white: float, flicker: float, resolution: f
 @dataclass(frozen=True, slots=True)
 class ObservedSegment:
     """One segment of an `Observed`, with n samples. motion, attitude (3, 3), last_change: of the segment; time, angle, rate, acceleration,
-    temperature, temperature_rate: (n,); values: (n, K). course: of a motion that does not follow from attitude and angle."""
+    temperature, temperature_rate: (n,); values: (n, K). course: of a motion that does not follow from attitude and angle. overvoltage,
+    overpressure: (n,), or None for zero."""
 
     label: str
     motion: Motion
@@ -73,6 +74,8 @@ class ObservedSegment:
     values: Array
     last_change: float = 0.0
     course: BodyMotion | None = None
+    overvoltage: Array | None = None
+    overpressure: Array | None = None
 
 
 def joined(
@@ -109,7 +112,17 @@ def joined(
         rejected,
         along=along,
         bins=bins,
+        excess_voltage=_excess([one.overvoltage for one in segments], segments),
+        excess_pressure=_excess([one.overpressure for one in segments], segments),
         courses=tuple(one.course for one in segments) if any(one.course is not None for one in segments) else (),
+    )
+
+
+def _excess(parts: Sequence[Array | None], segments: Sequence[ObservedSegment]) -> Array | None:
+    if all(one is None for one in parts):
+        return None
+    return np.concatenate(
+        [np.zeros(len(of.time)) if one is None else one for one, of in zip(parts, segments, strict=True)]
     )
 
 
@@ -125,7 +138,8 @@ class Observed:
     observed only along gravity, as one channel: perpendicular to it, errors cannot be distinguished from the unknown orientation. bins: for
     a long recording, whose "samples" are means over consecutive samples; None for single samples. felt: angular rate and specific force
     (N, 3) each, instead of those that follow from site, attitude and table. courses: (S,), of segments whose motion the recording shows; an
-    entry is None if attitude and angle give the motion, and the tuple is empty if all entries are.
+    entry is None if attitude and angle give the motion, and the tuple is empty if all entries are. excess_voltage, excess_pressure: (N,),
+    as `overvoltage` and `overpressure`, or None for zero.
     """
 
     site: Site
@@ -149,6 +163,8 @@ class Observed:
     bins: Bins | None = None
     felt: tuple[Array, Array] | None = None
     courses: tuple[BodyMotion | None, ...] = ()
+    excess_voltage: Array | None = None
+    excess_pressure: Array | None = None
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -330,9 +346,35 @@ class Observed:
         """Temperature above the reference, (N,), K."""
         return self.temperature - REFERENCE_TEMPERATURE
 
+    @cached_property
+    def overvoltage(self) -> Array:
+        """Supply voltage above the nominal one of the sensor, (N,), V."""
+        return np.zeros(len(self.time)) if self.excess_voltage is None else self.excess_voltage
+
+    @cached_property
+    def overpressure(self) -> Array:
+        """Ambient pressure above the standard atmosphere, (N,), Pa."""
+        return np.zeros(len(self.time)) if self.excess_pressure is None else self.excess_pressure
+
+    @property
+    def sampled(self) -> dict[str, Array]:
+        """What an `Observed` holds for every sample except the values: name of the field → (N,)."""
+        names = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate")
+        found = {name: getattr(self, name) for name in (*names, "excess_voltage", "excess_pressure")}
+        return {name: own for name, own in found.items() if own is not None}
+
     def of_kind(self, kind: str) -> list[int]:
         """Indices of the channels of a triad."""
         return [index for index, channel in enumerate(self.channels) if channel.kind == kind]
+
+
+def planned_excess(segment: Segment, nominal_supply: float) -> tuple[float, float]:
+    """V above the nominal supply and Pa above the standard atmosphere, as planned; 0 where the plan does not state them."""
+    voltage, pressure = segment.supply_voltage, segment.ambient_pressure
+    return (
+        0.0 if voltage is None else voltage - nominal_supply,
+        0.0 if pressure is None else pressure - STANDARD_PRESSURE,
+    )
 
 
 def orientation_key(attitude: Array) -> tuple[float, ...]:
@@ -341,6 +383,7 @@ def orientation_key(attitude: Array) -> tuple[float, ...]:
 
 
 REFERENCE_TEMPERATURE = 25.0  # degC
+STANDARD_PRESSURE = 101325.0  # Pa
 
 
 @dataclass(frozen=True)

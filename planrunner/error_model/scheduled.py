@@ -8,13 +8,15 @@ import numpy as np
 
 from planrunner.error_model.observed import (
     REFERENCE_TEMPERATURE,
+    STANDARD_PRESSURE,
     Channel,
     Observed,
     ObservedSegment,
     channel_of,
     joined,
+    planned_excess,
 )
-from planrunner.instruments.models import SensorModel
+from planrunner.instruments.models import NOMINAL_SUPPLY, SensorModel
 from planrunner.physics.earth import Site
 from planrunner.physics.sampled_motion import motion_at
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
@@ -36,14 +38,31 @@ def everything(site: Site, channels: Sequence[Channel], rate: float) -> Observed
     motions: list[Motion] = [Rest(), Rest(), Rest(), Rest(), spin, rock]
     warm = [298.15, 298.15, 318.15, 278.15, 298.15, 298.15]
     segments = [
-        Segment(i, f"S{i}", places[i % 4], "", motion, 10.0, temperature=kelvin, start=20.0 * i)
+        Segment(
+            i,
+            f"S{i}",
+            places[i % 4],
+            "",
+            motion,
+            10.0,
+            temperature=kelvin,
+            supply_voltage=NOMINAL_SUPPLY + i % 2,
+            ambient_pressure=STANDARD_PRESSURE - 1e4 * (i % 2),
+            start=20.0 * i,
+        )
         for i, (motion, kelvin) in enumerate(zip(motions, warm, strict=True))
     ]
     return scheduled(segments, site, channels, rate)
 
 
-def scheduled(segments: Sequence[Segment], site: Site, channels: Sequence[Channel], rate: float) -> Observed:
-    """A few samples of every segment that turns about one axis or rests; such segments only. rate: Hz."""
+def scheduled(
+    segments: Sequence[Segment],
+    site: Site,
+    channels: Sequence[Channel],
+    rate: float,
+    nominal_supply: float = NOMINAL_SUPPLY,
+) -> Observed:
+    """A few samples of every segment that turns about one axis or rests; such segments only. rate: Hz; nominal_supply: V."""
     usable = [s for s in segments if s.attitude is not None and isinstance(s.motion, Rest | Spin | Rock)]
     since = np.arange(_SAMPLES) / rate
     warm = [_celsius(segment.temperature) for segment in usable]
@@ -52,6 +71,7 @@ def scheduled(segments: Sequence[Segment], site: Site, channels: Sequence[Channe
     parts = []
     for segment, begin, last, change in zip(usable, warm, end, changes, strict=True):
         slope = (last - begin) / (segment.dwell or 1.0)
+        voltage, pressure = planned_excess(segment, nominal_supply)
         moving = motion_at(segment.motion, since, None)
         parts.append(
             ObservedSegment(
@@ -66,6 +86,8 @@ def scheduled(segments: Sequence[Segment], site: Site, channels: Sequence[Channe
                 np.full(_SAMPLES, slope),
                 np.zeros((_SAMPLES, len(channels))),
                 float(change),
+                overvoltage=np.full(_SAMPLES, voltage),
+                overpressure=np.full(_SAMPLES, pressure),
             )
         )
     return joined(site, channels, parts, magnetic=site.magnetic_field)

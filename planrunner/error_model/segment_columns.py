@@ -9,7 +9,7 @@ mean over the segment.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import field, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,7 +26,14 @@ from planrunner.error_model.effects.interface import (
     ShapedOverSegments,
     WrongDeclarationOf,
 )
-from planrunner.error_model.observed import REFERENCE_TEMPERATURE, Channel, Observed, ObservedSegment, joined
+from planrunner.error_model.observed import (
+    REFERENCE_TEMPERATURE,
+    Channel,
+    Observed,
+    ObservedSegment,
+    joined,
+    planned_excess,
+)
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import Stimulus
 from planrunner.plan.schedule import Segment, Spin
@@ -48,21 +55,22 @@ _CHANGED = 1.0  # K between segments: less is no change of temperature
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SegmentStates:
-    """Time and temperature of n segments, all (n,). time: s since power-on, the middle; seconds: length; celsius: mean; ramp: change of the
-    temperature from beginning to end, K; last_change: sign of the last change of temperature, 0 before the first."""
+    """Time, temperature, supply and pressure of n segments, all (n,). time: s since power-on, the middle; seconds: length; celsius: mean;
+    ramp: change of the temperature from beginning to end, K; last_change: sign of the last change of temperature, 0 before the first.
+    overvoltage: V above the nominal supply of the sensor; overpressure: Pa above the standard atmosphere, means."""
 
     time: Array
     seconds: Array
     celsius: Array
     ramp: Array
     last_change: Array
+    overvoltage: Array
+    overpressure: Array
 
     def at(self, rows: Sequence[int]) -> SegmentStates:
         """Of some segments."""
         place = list(rows)
-        return SegmentStates(
-            self.time[place], self.seconds[place], self.celsius[place], self.ramp[place], self.last_change[place]
-        )
+        return SegmentStates(**{one.name: getattr(self, one.name)[place] for one in fields(self)})
 
     def measured(self, celsius: Array) -> SegmentStates:
         """With mean temperatures (n,) of a thermometer; ramps as planned."""
@@ -71,13 +79,23 @@ class SegmentStates:
         )
 
 
-def states_of(segments: Sequence[Segment], start: Array, seconds: Array) -> SegmentStates:
-    """Planned temperatures; the reference temperature where none is planned. start, seconds: (n,), s, planned or recorded."""
+def states_of(segments: Sequence[Segment], start: Array, seconds: Array, nominal_supply: float) -> SegmentStates:
+    """Planned temperatures, supply voltages and pressures; reference values where none are planned. start, seconds: (n,), s, planned or
+    recorded; nominal_supply: of the sensor, V."""
     kelvin = [one.temperature for one in segments]
     begin = np.array([REFERENCE_TEMPERATURE if one is None else one - ZERO_CELSIUS for one in kelvin])
     ends = [one.ramp_to for one in segments]
     end = np.array([own if to is None else to - ZERO_CELSIUS for own, to in zip(begin, ends, strict=True)])
-    return SegmentStates(start + seconds / 2, seconds, (begin + end) / 2, end - begin, _last_changes(begin, end))
+    over = np.array([planned_excess(one, nominal_supply) for one in segments]).reshape(-1, 2)
+    return SegmentStates(
+        start + seconds / 2,
+        seconds,
+        (begin + end) / 2,
+        end - begin,
+        _last_changes(begin, end),
+        over[:, 0],
+        over[:, 1],
+    )
 
 
 def _last_changes(begin: Array, end: Array) -> Array:
@@ -265,6 +283,8 @@ class ErrorsAtSegments:
                     zero + (ramp / seconds if ramp else 0.0),
                     np.zeros((len(angle), len(TRIADS))),
                     float(states.last_change[row]),
+                    overvoltage=zero + states.overvoltage[row],
+                    overpressure=zero + states.overpressure[row],
                 )
             )
         return joined(self.site, TRIADS, made, magnetic=self.site.magnetic_field)

@@ -188,6 +188,8 @@ class AddedEffects:
             np.zeros(len(warm)) if steady else np.gradient(warm, step),
             np.zeros((len(warm), len(channels))),
             self.change,
+            overvoltage=moments.overvoltage,
+            overpressure=moments.overpressure,
         )
         return joined(self.world.site, channels, [part], magnetic=self.world.site.magnetic_field)
 

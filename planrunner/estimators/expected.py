@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import BATCHES, RecordedSegment, Statistics, expected_segment
 from planrunner.base.dataclass import dataclass
+from planrunner.error_model.observed import STANDARD_PRESSURE, planned_excess
 from planrunner.error_model.terms import ErrorModel, columns_of
 from planrunner.estimators.full_scale import input_direction
 from planrunner.estimators.interface import DesignRequest
@@ -148,6 +149,10 @@ def _means(
     if own.dimension == DIMENSIONS["temperature"]:
         kelvin = np.where(np.isfinite(felt.temperature), felt.temperature, assumption.kelvin)
         return (kelvin - own.offset) / own.factor, True
+    if own.dimension in (DIMENSIONS["voltage"], DIMENSIONS["pressure"]) and output.senses is None:
+        excess = np.array([planned_excess(one, request.sensor.nominal_supply) for one in request.segments])
+        supply, pressure = request.sensor.nominal_supply + excess[:, 0], STANDARD_PRESSURE + excess[:, 1]
+        return (supply if own.dimension == DIMENSIONS["voltage"] else pressure) / own.factor, True
     turns, forced = (own.dimension == DIMENSIONS[name] for name in ("angular rate", "acceleration"))
     if not (turns or forced or output.senses or own.dimension == unit("pulse/s").dimension):
         return 0.0, True  # an encoder, a position: nothing that an inertial effect moves

@@ -26,6 +26,9 @@ DataOrigin = Literal["measured", "simulated", "replayed"]
 Senses = Literal["angular rate", "acceleration"]
 """Quantities sensed by inertial outputs; also the names of these dimensions."""
 
+NOMINAL_SUPPLY = 5.0
+"""Supply voltage [V] of a sensor that states none."""
+
 _SHORT = 1e-3  # s; a lag too short to be felt
 
 
@@ -159,6 +162,7 @@ class SensorModel:
     modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that only has one. one_rate: whether it
     samples only at `sample_rate` [Hz], or also at lower rates. thermal_lag: time constant [s] of its temperature relative to the air, 0 if
     not declared. records_angle: whether it records the table's angle about one axis, so that motion about several axes cannot be recorded.
+    nominal_supply: V, supply voltage from which effects of the supply count.
     """
 
     kind: str
@@ -169,6 +173,7 @@ class SensorModel:
     one_rate: bool = False
     thermal_lag: float = 0.0
     records_angle: bool = False
+    nominal_supply: float = NOMINAL_SUPPLY
 
     def rate_refused(self, asked: float | None) -> str:
         """Why it cannot be sampled at `asked` Hz; empty if it can, or if no rate is requested."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings
-from planrunner.plan.kinds import Schema
-from planrunner.plan.quantity import Quantity, read_quantity
+from planrunner.instruments.models import NOMINAL_SUPPLY
+from planrunner.plan.kinds import QuantityOf, Schema, key
+from planrunner.plan.quantity import Quantity, parse_quantity, read_quantity
 from planrunner.plan.quantity import schema as quantity_schema
 from planrunner.plan.source import Node, Sequence
 from planrunner.plan.units import unit
@@ -59,3 +60,14 @@ class Polynomial:
 
     def _unit(self, power: int) -> str:
         return f"{self.unit}/K" + (f"^{power}" if power > 1 else "")
+
+
+def nominal_supply() -> Quantity:
+    """The key of a sensor for the supply voltage from which effects of the supply count."""
+    voltage: Quantity = key(
+        QuantityOf("voltage", "positive"),
+        "Supply voltage from which effects of the supply count; also that of segments that state none.",
+        "12 V",
+        default=parse_quantity(f"{NOMINAL_SUPPLY:g} V"),
+    )
+    return voltage

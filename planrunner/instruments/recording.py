@@ -73,7 +73,9 @@ class RecordingPlayer(PlaysBack):
             )
             for name, channel in parameters.channels.items()
         )
-        return SensorModel(parameters.kind, outputs, rate, one_rate=True)
+        return SensorModel(
+            parameters.kind, outputs, rate, one_rate=True, nominal_supply=parameters.nominal_supply.value
+        )
 
     @classmethod
     def connect(cls, parameters: RecordingParameters, surroundings: Surroundings) -> RecordingPlayer | SummaryPlayer:

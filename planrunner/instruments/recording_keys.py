@@ -9,6 +9,7 @@ from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings
 from planrunner.instruments.formats.choice import Format, FormatChoice
 from planrunner.instruments.formats.file import TimeStamps
+from planrunner.instruments.parameters import nominal_supply
 from planrunner.plan.kinds import Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, WordOr, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.source import Node, Scalar
@@ -281,6 +282,7 @@ class RecordingParameters(Record):
         default=None,
     )
     sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "100 Hz")
+    nominal_supply: Quantity = nominal_supply()
 
     @property
     def files(self) -> tuple[str, ...]:

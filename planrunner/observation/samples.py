@@ -15,6 +15,7 @@ from planrunner.observation.bins import SQUARED, Averaged, bins_of, sizes
 from planrunner.observation.bins import averaged as in_bins
 from planrunner.observation.moved import recorded_course, supposed_course
 from planrunner.observation.refusals import ObservationError
+from planrunner.observation.supply import Monitors
 from planrunner.observation.temperature import changes, settled, temperature_of
 from planrunner.physics.earth import Site
 from planrunner.physics.moved_body import BodyMotion, averaged
@@ -36,6 +37,8 @@ def observed(
     measured: Sequence[Channel] | None = None,
     angle_channel: str | None = None,
     temperature_channel: str | None = None,
+    supply_channel: str | None = None,
+    pressure_channel: str | None = None,
     magnetic: Sequence[float] | None = None,
     power_on: float = 0.0,
 ) -> Observed:
@@ -43,8 +46,8 @@ def observed(
 
     only: the channels to use, by default all; measured: the channels, regardless of names and units. Names give their axes (`axis_of`);
     angular-rate channels are gyros and acceleration channels accelerometers, whatever their names. angle_channel: the table's encoder;
-    temperature_channel: thermometer; by default the plan's values are used. power_on: recording time of power-on, s. Raises
-    `ObservationError` if the recording cannot be diagnosed.
+    temperature_channel: thermometer; supply_channel: voltmeter of the supply; pressure_channel: barometer; by default the plan's values are
+    used. power_on: recording time of power-on, s. Raises `ObservationError` if the recording cannot be diagnosed.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
@@ -54,6 +57,7 @@ def observed(
         raise ObservationError("the recording has no channel of angular rate or acceleration along an axis x, y or z")
     size = sizes(recording)
     limits = {output.name: output.full_scale for output in sensor.outputs}
+    monitors = Monitors(temperature_channel, supply_channel, pressure_channel, sensor.nominal_supply)
     made = [
         _part(
             item,
@@ -61,7 +65,7 @@ def observed(
             limits,
             channels,
             angle_channel,
-            temperature_channel,
+            monitors,
             power_on,
             None if size is None else int(size[index]),
         )
@@ -113,7 +117,7 @@ def _part(
     limits: Mapping[str, float],
     channels: tuple[Channel, ...],
     angle: str | None,
-    thermometer: str | None,
+    monitors: Monitors,
     power_on: float,
     size: int | None,
 ) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
@@ -121,20 +125,21 @@ def _part(
     temperature, NaN if it changes; and the course of a motion that attitude and angle do not give. limits: full scale of each output."""
     motion = item.segment.motion
     if isinstance(motion, RecordedMotion):
-        return _moved_part(item, motion, site, limits, channels, thermometer, power_on, size)
+        return _moved_part(item, motion, site, limits, channels, monitors, power_on, size)
     if item.segment.attitude is None:
         raise ObservationError(f"the orientation of segment '{item.label}' is unknown: leave it out of the diagnosis")
     if not isinstance(motion, Rest | Spin | Rock):
         raise ObservationError(f"segment '{item.label}' is a cycle of turns and stops: leave it out of the diagnosis")
-    extra = [name for name in (angle, thermometer) if name is not None]
+    extra = [*([] if angle is None else [angle]), *monitors.channels]
     rows = rows_of(item, channels, extra, size, angle)
     time, table = rows.time, rows.table
     left = 1.0 if size is None else fading(motion, size, 1 / rows.step)
     encoder = None if angle is None or item.expected else _in_si(item, angle, table)
     part = motion_at(motion, time - rows.begin, encoder, left)
-    warm = _in_si(item, thermometer, table) if thermometer is not None else None
+    warm = None if monitors.thermometer is None else _in_si(item, monitors.thermometer, table)
     temperature = temperature_of(item, time, warm)
     part["temperature"], part["temperature_rate"] = temperature.celsius, temperature.rate
+    part |= monitors.excess_of(item, time, table)
     part["values"] = np.column_stack([table[channel.name] * channel.factor for channel in channels])
     part["time"] = time - power_on
     return part, rows, temperature.uncertainty, None
@@ -146,7 +151,7 @@ def _moved_part(
     site: Site,
     limits: Mapping[str, float],
     channels: tuple[Channel, ...],
-    thermometer: str | None,
+    monitors: Monitors,
     power_on: float,
     size: int | None,
 ) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
@@ -155,18 +160,19 @@ def _moved_part(
     if own:
         message = f"'{own[0]}' shows the motion of segment '{item.label}' and cannot be judged by it"
         raise ObservationError(message, "leave it out of the outputs, or give the motion by other channels")
-    extra = [*motion.channels, *([] if thermometer is None else [thermometer])]
+    extra = [*motion.channels, *monitors.channels]
     rows = rows_of(item, channels, extra, size, motion.angle or None)
     time, table = rows.time, rows.table
     if item.expected:
         moved = supposed_course(time, site)
     else:
-        shown = {name: _in_si(item, name, table) for name in extra}
+        shown = {name: _in_si(item, name, table) for name in motion.channels}
         moved = recorded_course(motion, item.segment.attitude, site, time, shown)
-    warm = _in_si(item, thermometer, table) if thermometer is not None else None
+    warm = None if monitors.thermometer is None else _in_si(item, monitors.thermometer, table)
     temperature = temperature_of(item, time, warm)
     values = moved.as_shown(np.column_stack([table[channel.name] * channel.factor for channel in channels]))
     part = {**moved.table, "temperature": temperature.celsius, "temperature_rate": temperature.rate, "values": values}
+    part |= monitors.excess_of(item, time, table)
     part["time"] = time - power_on
     over, usable = moved.averaging if size is None else 1, moved.usable
     for name in (*motion.channels, *(channel.name for channel in channels)):

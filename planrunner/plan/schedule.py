@@ -139,7 +139,8 @@ class Segment:
 
     attitude: shape (3, 3), rows are the sensor's x, y, z axes in site East-North-Up, so v_sensor = attitude @ v_site; at the start
         of the motion; None if the plan says `unknown`.
-    temperature, ramp_to: K. soak, settle, dwell, transition, start: s; `dwell` is None for the length of the recording;
+    temperature, ramp_to: K. supply_voltage: V; ambient_pressure: Pa; None if the plan does not state them.
+    soak, settle, dwell, transition, start: s; `dwell` is None for the length of the recording;
         `transition` is the planned time to get there (moves, spin-up, temperature), `start` the planned beginning of the dwell since
         the run began. sample_rate: Hz, None for the sensor's own.
     mode: of the sensor; None if the plan does not set it.
@@ -159,6 +160,8 @@ class Segment:
     soak: float = 0.0
     temperature: float | None = None
     ramp_to: float | None = None
+    supply_voltage: float | None = None
+    ambient_pressure: float | None = None
     sample_rate: float | None = None
     mode: str | None = None
     on_break: str = "retake"

@@ -90,6 +90,21 @@ class State(Record):
         default=None,
         traits=StateTraits(swept=True, decisive=True, sweep_example="-40, 20, 60 degC"),
     )
+    supply_voltage: Quantity | None = key(
+        QuantityOf("voltage", "positive"),
+        "Voltage that supplies the sensor. A person sets it, not a driver: ask for it with `prompt`. Virtual sensors follow it.",
+        "5 V",
+        default=None,
+        traits=StateTraits(swept=True, decisive=True, sweep_example="4.5, 5, 5.5 V"),
+    )
+    ambient_pressure: Quantity | None = key(
+        QuantityOf("pressure", "positive"),
+        "Absolute pressure of the air about the sensor. A person sets it, not a driver: ask for it with `prompt`. Virtual sensors "
+        "follow it.",
+        "900 hPa",
+        default=None,
+        traits=StateTraits(swept=True, decisive=True, sweep_example="200, 600, 1000 hPa"),
+    )
     soak: Quantity | StabilitySpec | None = key(
         ByShape(QuantityOf("time", "not negative"), STABILITY, what="a time or {for: …}"),
         "Wait after a new temperature is reached: for a time, or until readings have settled.",

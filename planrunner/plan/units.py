@@ -76,6 +76,7 @@ DIMENSIONS: dict[str, Dimension] = {
     "length": (("length", 1.0),),
     "speed": (("length", 1.0), ("time", -1.0)),
     "pressure": (("length", -1.0), ("mass", 1.0), ("time", -2.0)),
+    "voltage": (("current", -1.0), ("length", 2.0), ("mass", 1.0), ("time", -3.0)),
 }
 EXAMPLES = {
     "ratio": "0.5 %",
@@ -90,6 +91,7 @@ EXAMPLES = {
     "length": "12 mm",
     "speed": "10 m/s",
     "pressure": "101.3 kPa",
+    "voltage": "5 V",
 }
 
 
@@ -171,6 +173,11 @@ _DAILY = {
         Unit("deg/h/K^2", _DEG / 3600, (("angle", 1.0), ("temperature", -2.0), ("time", -1.0))),
         Unit("ug/K", STANDARD_GRAVITY / 1e6, (("length", 1.0), ("temperature", -1.0), ("time", -2.0))),
         Unit("ug/K^2", STANDARD_GRAVITY / 1e6, (("length", 1.0), ("temperature", -2.0), ("time", -2.0))),
+        Unit("V", 1.0, DIMENSIONS["voltage"]),
+        Unit("mV", 1e-3, DIMENSIONS["voltage"]),
+        Unit("Pa", 1.0, DIMENSIONS["pressure"]),
+        Unit("hPa", 100.0, DIMENSIONS["pressure"]),
+        Unit("kPa", 1000.0, DIMENSIONS["pressure"]),
         Unit("ug/g^2", 1e-6 / STANDARD_GRAVITY, (("length", -1.0), ("time", 2.0))),
         Unit("ug/g^3", 1e-6 / STANDARD_GRAVITY**2, (("length", -2.0), ("time", 4.0))),
         Unit("ppm/(deg/s)", 1e-6 / _DEG, (("angle", -1.0), ("time", 1.0))),
@@ -259,7 +266,7 @@ def suggestion(text: str, dimension: Dimension | None = None) -> str:
     """
     if text.strip().lower() in _OTHERWISE:
         return f"did you mean '{_OTHERWISE[text.strip().lower()]}'?"
-    for known in (*_DAILY, "kHz", "Pa", "kPa", "hPa", "V", "mV", "degF"):
+    for known in (*_DAILY, "kHz", "degF"):
         if known.lower() == text.strip().lower():
             return f"units are case-sensitive: did you mean '{known}'?"
     near = nearest(text.strip(), [name for name, one in _DAILY.items() if dimension in (None, one.dimension)])

@@ -77,6 +77,8 @@ HELD: tuple[Shown[SegmentSummary], ...] = (
     Shown(TableColumn("Orientation"), lambda item: words.orientation(item.segment)),
     Shown(TableColumn("Motion"), lambda item: words.motion(item.segment.motion), (words.AT_REST,)),
     Shown(TableColumn("Temperature", Role.NUMBER, "°C"), lambda item: words.temperature(item.segment), ("–",)),
+    Shown(TableColumn("Supply", Role.NUMBER, "V"), lambda item: words.supply(item.segment), ("–",)),
+    Shown(TableColumn("Pressure", Role.NUMBER, "hPa"), lambda item: words.pressure(item.segment), ("–",)),
     Shown(TableColumn("Recorded", Role.NUMBER, "s"), _recorded),
     Shown(TableColumn("Samples", Role.COUNT), _samples),
     Shown(TableColumn("Rejected", Role.COUNT), _rejected, ("0",)),

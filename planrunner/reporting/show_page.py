@@ -126,6 +126,8 @@ def _segment_json(item: Segment) -> JsonObject:
         "motion": words.motion(item.motion),
         "rate_deg_per_s": math.degrees(item.rate),
         "temperature_degC": None if item.temperature is None else item.temperature - ZERO_CELSIUS,
+        "supply_V": item.supply_voltage,
+        "pressure_Pa": item.ambient_pressure,
         "ramp_to_degC": None if item.ramp_to is None else item.ramp_to - ZERO_CELSIUS,
     }
 
@@ -193,6 +195,8 @@ def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
         *([Shown(TableColumn("Orientation"), words.orientation)] if turned or not brief else []),
         *_motion_columns(segments, brief),
         Shown(TableColumn("T" if brief else "Temperature", Role.NUMBER, "°C"), words.temperature, ("–",)),
+        Shown(TableColumn("Supply", Role.NUMBER, "V"), words.supply, ("–",)),
+        Shown(TableColumn("Pressure", Role.NUMBER, "hPa"), words.pressure, ("–",)),
         Shown(TableColumn("Reach", Role.NUMBER, "s"), lambda item: words.number(round(item.transition, 1))),
         *(_WAIT if brief else _SOAK_AND_SETTLE),
         Shown(TableColumn("Dwell"), lambda item: words.duration(item.dwell)),

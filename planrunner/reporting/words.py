@@ -72,6 +72,16 @@ def temperature(segment: Segment) -> str:
     return held if segment.ramp_to is None else f"{held} → {celsius(segment.ramp_to)}"
 
 
+def supply(segment: Segment) -> str:
+    """The stated supply voltage in V; a dash if the plan states none."""
+    return "–" if segment.supply_voltage is None else number(round(segment.supply_voltage, 9))
+
+
+def pressure(segment: Segment) -> str:
+    """The stated ambient pressure in hPa; a dash if the plan states none."""
+    return "–" if segment.ambient_pressure is None else number(round(segment.ambient_pressure / 100, 9))
+
+
 def rate(segment: Segment) -> str:
     """The commanded rate in °/s; a dash at rest."""
     return number(round(math.degrees(segment.rate), 9)) if isinstance(segment.motion, Spin) else "–"

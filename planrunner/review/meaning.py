@@ -181,6 +181,8 @@ def _segment(item: StatedSegment, log: Findings) -> dict[str, Branch]:
         "orientation": _of(state.orientation),
         "motion": _motion(state, item.marks, log),
         "temperature": _of(state.temperature),
+        "supply_voltage": _of(state.supply_voltage),
+        "ambient_pressure": _of(state.ambient_pressure),
         "soak": _wait(state.soak),
         "settle": _wait(state.settle),
         "dwell": _dwell(state.dwell),

@@ -314,6 +314,8 @@ def corrected_observation(
                 only=_with_axis(used),
                 angle_channel=_only(units, "angle"),
                 temperature_channel=_only(units, "temperature"),
+                supply_channel=_only(units, "voltage"),
+                pressure_channel=_only(units, "pressure"),
                 magnetic=sound.models.site.magnetic_field,
             )
         seen, wrong = corrected(seen)

@@ -96,7 +96,13 @@ def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]],
     if any(issubclass(driver_of(entry), AddedEffects) for entry in sound.bench.instruments.values()):
         message = f"the bench '{sound.bench.name}' already has added effects"
         raise InputError.at(Mark(sound.file), "simulate-twice", message, "add the effects in the bench file instead")
-    observed = scheduled(sound.schedule.segments, sound.models.site, channels, sound.sensor.sample_rate)
+    observed = scheduled(
+        sound.schedule.segments,
+        sound.models.site,
+        channels,
+        sound.sensor.sample_rate,
+        sound.sensor.nominal_supply,
+    )
     found: dict[str, Addition] = {}
     for name, values in effects:
         if name in found:

@@ -47,7 +47,9 @@ def of_schedule() -> tuple[Channel, ...]:
 
 def of_simulation() -> tuple[Channel, ...]:
     instrument = AddedEffects(AddedEffectsParameters(effects={}), World(VirtualClock(), SITE))
-    moments = Moments(SEGMENT, TIME, 0.0, 10.0, np.zeros(50), np.zeros(50), np.full(50, 298.15))
+    moments = Moments(
+        SEGMENT, TIME, 0.0, 10.0, np.zeros(50), np.zeros(50), np.full(50, 298.15), np.zeros(50), np.zeros(50)
+    )
     gives = {name: Gives(text, NOISE.white, NOISE.resolution) for name, text in {**UNITS, **OTHERS}.items()}
     return instrument._observed(moments, gives).channels
 

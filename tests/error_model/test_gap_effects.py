@@ -76,6 +76,12 @@ FOR_ESTIMATES = [
     "accel_warm_up",
     "gyro_angular_acceleration",
     "gyro_fold_over",
+    *(
+        f"{kind}_{what}_{cause}"
+        for kind in ("gyro", "accel")
+        for what in ("bias", "scale")
+        for cause in ("supply", "pressure")
+    ),
 ]
 """Effects that the diagnosis does not weigh unless they are named."""
 DECLARATIONS = [

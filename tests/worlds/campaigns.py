@@ -81,6 +81,8 @@ def _plan(steps: Sequence[Step], head: str, estimates: str) -> str:
         rate = f", motion: {_cycle(step)}" if step.moves else rate
         rate = f", motion: {_ROCKING}" if step.rocks else rate
         rate += f", mode: {step.mode}" if step.mode else ""
+        rate += f", supply_voltage: {step.volts} V" if step.volts else ""
+        rate += f", ambient_pressure: {step.hectopascals} hPa" if step.hectopascals else ""
         lines.append(f"  - {{label: {step.label}, orientation: {{{axes}}}, dwell: {step.dwell} s{rate}}}")
     return "\n".join(["planrunner: 1", head, "segments:", *lines, "estimates:", estimates, ""])
 
@@ -346,6 +348,82 @@ RICH_UNIT = Campaign(
     UNIT.white,
     "model",
     RichUnit,
+)
+
+
+# The same at other supply voltages and pressures ----------------------------------------------------------------------
+
+_STATES = ((12.0, 1010.0), (13.5, 1010.0), (12.0, 620.0))  # V, hPa
+_HALVES = ((*_TWELVE_STEPS[::2], *_TURN_STEPS[:3]), (*_TWELVE_STEPS[1::2], *_TURN_STEPS[3:]))
+_SUPPLIED_STEPS = tuple(  # there and back again, so that a drift looks like none of the states
+    replace(step, label=f"{step.label}-{volts:g}V-{pressure:g}hPa", dwell=30.0, volts=volts, hectopascals=pressure)
+    for steps, states in zip(_HALVES, (_STATES, _STATES[::-1]), strict=True)
+    for volts, pressure in states
+    for step in steps
+)
+_NOMINAL_SUPPLY, _ATMOSPHERE = 12.0, 1013.25  # V, hPa
+
+
+class SuppliedUnit:
+    """A unit whose biases and scale factors change in proportion to its supply and to the pressure of the air. Both differ by some per cent
+    from what the plan states, and drift within each step; two meters show what they are."""
+
+    def __init__(self, draw: np.random.Generator) -> None:
+        self.plain = Unit(draw)
+        self.stray = draw.standard_normal((len(_SUPPLIED_STEPS), 2)) * [0.1, 8.0]  # V, hPa
+        self.drift = draw.standard_normal((len(_SUPPLIED_STEPS), 2)) * [1e-3, 0.1]  # V/s, hPa/s
+        self.gyro_bias = draw.standard_normal((2, 3)) * [[40.0], [0.2]]  # deg/h per V and per hPa
+        self.accel_bias = draw.standard_normal((2, 3)) * [[3e-3], [2e-5]]  # m/s² per V and per hPa
+        self.gyro_scale = draw.standard_normal((2, 3)) * [[3e-4], [3e-6]]  # per V and per hPa
+        self.accel_scale = draw.standard_normal((2, 3)) * [[3e-4], [3e-6]]
+        known, self.truth = self.plain.truth, dict[str, float]()
+        for i, axis in enumerate("xyz"):
+            self.truth[f"gyro_bias_{axis}"] = known[f"gyro_bias_{axis}"] / 3600
+            self.truth[f"accel_bias_{axis}"] = known[f"accel_bias_{axis}"]
+            for k, cause in enumerate(("supply", "pressure")):
+                self.truth[f"gyro_bias_{cause}_{axis}"] = self.gyro_bias[k, i] / 3600  # deg/s
+                self.truth[f"accel_bias_{cause}_{axis}"] = self.accel_bias[k, i] / STANDARD_GRAVITY * 1e6
+                self.truth[f"gyro_scale_{cause}_{axis}"] = 1e6 * self.gyro_scale[k, i]
+                self.truth[f"accel_scale_{cause}_{axis}"] = 1e6 * self.accel_scale[k, i]
+            for kind, matrix in (("gyro", self.plain.gyro), ("accel", self.plain.accel)):
+                self.truth[f"{kind}_scale_factor_{axis}"] = 1e6 * (matrix[i, i] - 1)
+                for j, other in enumerate("xyz"):
+                    if i != j:
+                        self.truth[f"{kind}_misalignment_towards_{other}_{axis}"] = np.degrees(matrix[i, j]) * 3600
+            for j, other in enumerate("xyz"):
+                self.truth[f"gyro_g_sensitivity_K_{other}_{axis}"] = self.plain.sensitivity[i, j] / 3600
+
+    def outputs(self, felt: Felt) -> Array:
+        stated = np.array([(step.volts, step.hectopascals) for step in _SUPPLIED_STEPS])
+        begun = np.array([felt.time[felt.step == k][0] for k in range(len(stated))])
+        since = (felt.time - begun[felt.step])[:, None]
+        actual = (stated + self.stray)[felt.step] + self.drift[felt.step] * since
+        off = actual - [_NOMINAL_SUPPLY, _ATMOSPHERE]
+        gyro = (off @ self.gyro_bias + off @ self.gyro_scale * felt.rate) / 3600
+        accel = off @ self.accel_bias + off @ self.accel_scale * felt.force
+        return np.hstack([self.plain.outputs(felt) + np.hstack([gyro, accel]), actual])
+
+
+_SUPPLIED_GYRO = (
+    "[gyro_bias, gyro_scale_factor, gyro_misalignment, gyro_g_sensitivity, gyro_bias_supply, gyro_scale_supply, "
+    "gyro_bias_pressure, gyro_scale_pressure]"
+)
+_SUPPLIED_ACCEL = _SUPPLIED_GYRO.replace("gyro_g_sensitivity, ", "").replace("gyro", "accel")
+SUPPLIED_UNIT = Campaign(
+    _plan(
+        _SUPPLIED_STEPS,
+        "title: unit\nsensor: {kind: imu, outputs: [gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z, supply_voltage, "
+        "ambient_pressure]}\ndefaults: {settle: 5 s}",
+        "  model:\n    estimator: error_model\n    supply_channel: supply_voltage\n    pressure_channel: ambient_pressure\n    outputs:\n"
+        + "".join(f"      gyro_{axis}: {_SUPPLIED_GYRO}\n      accel_{axis}: {_SUPPLIED_ACCEL}\n" for axis in "xyz"),
+    ),
+    UNIT.bench + f"    nominal_supply: {_NOMINAL_SUPPLY} V\n    voltmeter_noise: 2 mV\n    barometer_noise: 0.05 hPa\n",
+    _SUPPLIED_STEPS,
+    UNIT.sampling,
+    {**UNIT.channels, "supply_voltage": "V", "ambient_pressure": "hPa"},
+    np.append(UNIT.white, [2e-3, 0.05]),
+    "model",
+    SuppliedUnit,
 )
 
 
@@ -674,6 +752,7 @@ CAMPAIGNS: Mapping[str, Campaign] = {
     "scale_factor": RATES,
     "imu_multi_position": UNIT,
     "error_model": RICH_UNIT,
+    "error_model, supply and pressure": SUPPLIED_UNIT,
     "accelerometer_multi_position": TRIAD,
     "scale_factor_tilted": TILTED,
     "scale_factor_tilted, within segments": TILTED_WITHIN,

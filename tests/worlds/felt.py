@@ -30,7 +30,8 @@ UPWARD = EARTH * np.sin(np.radians(LATITUDE))
 class Step:
     """axes: where the sensor's x, y and z point when the table stands at its home angle. dwell: s recorded; pause: s before it; rate:
     deg/s, positive about up. moves: deg, turns about up, over and over again, each after a stop of `stop` s, at `rate` deg/s. mode: of a
-    platform; rocks: whether the base of a platform rocks, which only its gimbals and rings show."""
+    platform; rocks: whether the base of a platform rocks, which only its gimbals and rings show. volts, hectopascals: stated supply of the
+    sensor and pressure of the air; 0 where they are not stated."""
 
     label: str
     axes: str
@@ -41,6 +42,8 @@ class Step:
     stop: float = 0.0
     mode: str = ""
     rocks: bool = False
+    volts: float = 0.0
+    hectopascals: float = 0.0
 
     def angle(self, time: Array) -> Array:
         """Of the table, rad, some seconds since the step began."""

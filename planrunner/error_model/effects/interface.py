@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -101,6 +102,20 @@ class FollowsTemperature(Effect, Protocol):
     with_temperature: name of the amplitude, without the letter of its axis."""
 
     with_temperature: str
+
+
+class Follows(StrEnum):
+    """What the amplitudes of an effect are proportional to, besides the motion."""
+
+    SUPPLY = "supply voltage"
+    PRESSURE = "ambient pressure"
+
+
+@runtime_checkable
+class FollowsSurroundings(Effect, Protocol):
+    """An effect that acts in proportion to the supply voltage or the ambient pressure, which a plan may leave to the recording."""
+
+    follows: Follows
 
 
 @runtime_checkable

@@ -19,11 +19,14 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.error_model.effects.interface import (
+    Follows,
+    FollowsSurroundings,
     FollowsTemperature,
     HasShape,
     ShapedOverSegments,
     shown_by,
 )
+from planrunner.error_model.observed import STANDARD_PRESSURE
 from planrunner.error_model.segment_columns import KINDS, SegmentStates, states_of
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import FitNote, judge, planned_basis, require_basis
@@ -104,15 +107,19 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
     def design(self, request: DesignRequest[ErrorModelParameters]) -> Design:
         """Information of the planned segments about each output. Raises `EstimationError`."""
         parameters = request.parameters
-        _known_thermometer(parameters, {output.name: output.unit for output in request.sensor.outputs})
+        _known_monitors(parameters, {output.name: output.unit for output in request.sensor.outputs})
         by_name: dict[str, DesignBlock] = {}
         remarks: list[Remark] = []
+        only_recorded: dict[str, None] = {}
         unknown = [segment.label for segment in request.segments if isinstance(segment.motion, RecordedMotion)]
         for group in _planned(request):
             if unknown:  # the plan is sound as far as effects and outputs go; only the recording shows whether it determines them
                 continue
             its_own = replace(request, segments=tuple(request.segments[row] for row in group.rows))
             for one in group.outputs:
+                if quantities := _only_recorded(one, request):
+                    only_recorded |= dict.fromkeys(quantities)
+                    continue
                 made = planned_blocks(its_own, [one.name], one.names, one.columns.matrix, one.columns.magnitudes)
                 made = tuple(_block_with_contrasts(block, one) for block in made)
                 by_name[one.name] = made[0]
@@ -125,9 +132,11 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
             message = f"{len(unknown)} segments have a motion that only the recording shows"
             hint = "`planrunner check --data` tries the estimate on the recording"
             return Design((), notes=(f"{message}: {hint}",), remarks=tuple(remarks))
-        blocks = tuple(by_name[name] for name in parameters.outputs)
+        blocks = tuple(by_name[name] for name in parameters.outputs if name in by_name)
         remarks += planned_drift(request, [one for one in blocks if WITHIN not in one.labels])
-        return Design(blocks, remarks=tuple(dict.fromkeys(remarks)))
+        hint = "`planrunner check --data` tries the estimate on the recording"
+        notes = tuple(f"no segment states the {name}, which only the recording shows: {hint}" for name in only_recorded)
+        return Design(blocks, notes=notes, remarks=tuple(dict.fromkeys(remarks)))
 
     def foresee(self, request: DesignRequest[ErrorModelParameters]) -> Foresight:
         """The coefficients of the expected recording; without uncertainties if a shape is to be found, which only a recording shows."""
@@ -135,10 +144,12 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         parts = [(one, part) for one in outputs if (part := shaped_part(one)) is not None]
         unstated = dict.fromkeys(name for one in outputs for name in _unstated(one, request.parameters))
         moved = any(isinstance(segment.motion, RecordedMotion) for segment in request.segments)
-        if not parts and not unstated and not moved:
+        only_recorded = dict.fromkeys(name for one in outputs for name in _only_recorded(one, request))
+        if not parts and not unstated and not moved and not only_recorded:
             return by_expectation(self, request)
         reasons = [f"the shape of {part.effect.id} is only known from a recording" for _, part in parts]
         reasons += ["only the recording shows the motion"] if moved else []
+        reasons += [f"only the recording shows the {name}" for name in only_recorded]
         reasons += [f"the plan does not state under `expected` what is expected of {name}" for name in unstated]
         why = " and ".join(dict.fromkeys(reasons))
         found = [Unpredicted(one.name, one.unit, why, one.description) for one in common_amplitudes(outputs).amplitudes]
@@ -157,9 +168,9 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         """Amplitudes from the means of the segments. Raises `EstimationError`."""
         parameters = request.parameters
         units = {name: text for one in request.segments for name, text in one.units.items()}
-        _known_thermometer(parameters, units)
+        _known_monitors(parameters, units)
         planned = [one.segment for one in request.segments]
-        states = _recorded_states(request.segments, parameters.temperature_channel)
+        states = _recorded_states(request.segments, parameters, request.sensor.nominal_supply)
         samples = SampledOutputs(request.segments, request.site, request.sensor, parameters)
         groups = models(parameters, units, request.sensor, planned, request.site, states, samples)
         by_name = {one.model.name: one for group in groups for one in _fitted(request, group)}
@@ -254,34 +265,60 @@ def _unstated(one: ModelledOutput, parameters: ErrorModelParameters) -> list[str
 def _planned(request: DesignRequest[ErrorModelParameters]) -> tuple[Together, ...]:
     start = np.array([one.start for one in request.segments])
     seconds = np.array([one.dwell or 1.0 for one in request.segments])
-    states = states_of(request.segments, start, seconds)
+    states = states_of(request.segments, start, seconds, request.sensor.nominal_supply)
     units = {output.name: output.unit for output in request.sensor.outputs}
     expected = expected_recording(request, Known(), (), ASSUMPTIONS[0]).segments
     samples = SampledOutputs(expected, request.site, request.sensor, request.parameters)
     return models(request.parameters, units, request.sensor, request.segments, request.site, states, samples)
 
 
-def _recorded_states(recording: Sequence[RecordedSegment], thermometer: str | None) -> SegmentStates:
+def _only_recorded(one: ModelledOutput, request: DesignRequest[ErrorModelParameters]) -> list[str]:
+    """What the effects of an output depend on and no segment states, because a channel of the recording shows it."""
+    channels = {
+        Follows.SUPPLY: request.parameters.supply_channel,
+        Follows.PRESSURE: request.parameters.pressure_channel,
+    }
+    stated = {
+        Follows.SUPPLY: any(segment.supply_voltage is not None for segment in request.segments),
+        Follows.PRESSURE: any(segment.ambient_pressure is not None for segment in request.segments),
+    }
+    followed = (part.effect.follows for part in one.errors.chosen if isinstance(part.effect, FollowsSurroundings))
+    return [name.value for name in dict.fromkeys(followed) if channels[name] is not None and not stated[name]]
+
+
+def _recorded_states(
+    recording: Sequence[RecordedSegment], parameters: ErrorModelParameters, nominal_supply: float
+) -> SegmentStates:
     start, end = recorded_times(recording)
-    states = states_of([one.segment for one in recording], start, end - start)
-    if thermometer is None:
-        return states
-    scale = unit(recording[0].units[thermometer])
-    means = np.array([one.statistics.mean[one.statistics.of(thermometer)] for one in recording])
-    return states.measured(means * scale.factor + scale.offset - ZERO_CELSIUS)
+    states = states_of([one.segment for one in recording], start, end - start, nominal_supply)
+
+    def means(channel: str) -> Array:
+        scale = unit(recording[0].units[channel])
+        found = np.array([one.statistics.mean[one.statistics.of(channel)] for one in recording])
+        return np.asarray(found * scale.factor + scale.offset)
+
+    if parameters.temperature_channel is not None:
+        states = states.measured(means(parameters.temperature_channel) - ZERO_CELSIUS)
+    if parameters.supply_channel is not None:
+        states = replace(states, overvoltage=means(parameters.supply_channel) - nominal_supply)
+    if parameters.pressure_channel is not None:
+        states = replace(states, overpressure=means(parameters.pressure_channel) - STANDARD_PRESSURE)
+    return states
 
 
-def _known_thermometer(parameters: ErrorModelParameters, units: Mapping[str, str]) -> None:
-    name = parameters.temperature_channel
-    if name is None:
-        return
-    if name not in units:
-        raise EstimationError(
-            f"there is no channel '{name}'", "name the sensor's own thermometer", "temperature_channel"
-        )
-    if unit(units[name]).dimension != DIMENSIONS["temperature"]:
-        message = f"'{name}' is in {units[name]}, which is not a unit of temperature"
-        raise EstimationError(message, "name the sensor's own thermometer", "temperature_channel")
+def _known_monitors(parameters: ErrorModelParameters, units: Mapping[str, str]) -> None:
+    """Raises `EstimationError` for a channel that does not exist or has another dimension."""
+    for key, name, dimension, hint in (
+        ("temperature_channel", parameters.temperature_channel, "temperature", "name the sensor's own thermometer"),
+        ("supply_channel", parameters.supply_channel, "voltage", "name the channel of the supply voltage"),
+        ("pressure_channel", parameters.pressure_channel, "pressure", "name the channel of the ambient pressure"),
+    ):
+        if name is None:
+            continue
+        if name not in units:
+            raise EstimationError(f"there is no channel '{name}'", hint, key)
+        if unit(units[name]).dimension != DIMENSIONS[dimension]:
+            raise EstimationError(f"'{name}' is in {units[name]}, which is not a unit of {dimension}", hint, key)
 
 
 def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remark]:

@@ -62,6 +62,18 @@ class ErrorModelParameters(Record):
         "temperature",
         default=None,
     )
+    supply_channel: str | None = key(
+        CHANNEL,
+        "The voltage that supplies the sensor, of which the mean over a segment is used; by default `supply_voltage` of the segment.",
+        "supply_voltage",
+        default=None,
+    )
+    pressure_channel: str | None = key(
+        CHANNEL,
+        "The ambient pressure, of which the mean over a segment is used; by default `ambient_pressure` of the segment.",
+        "ambient_pressure",
+        default=None,
+    )
     angle_channel: str | None = key(
         CHANNEL,
         "The encoder of the table, for outputs that are fitted to samples; by default the planned angle.",

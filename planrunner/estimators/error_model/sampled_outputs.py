@@ -46,7 +46,6 @@ class SampledOutputs:
         """The samples of outputs. Raises `EstimationError`."""
         held, parameters = [self.recording[row] for row in rows], self.parameters
         channels = [self._channel(errors, held[0].units[errors.output]) for errors in group]
-        thermometer = parameters.temperature_channel
         try:
             seen = observed(
                 held,
@@ -54,7 +53,9 @@ class SampledOutputs:
                 self.sensor,
                 measured=channels,
                 angle_channel=parameters.angle_channel,
-                temperature_channel=thermometer,
+                temperature_channel=parameters.temperature_channel,
+                supply_channel=parameters.supply_channel,
+                pressure_channel=parameters.pressure_channel,
                 magnetic=self.site.magnetic_field,
             )
         except ObservationError as refused:

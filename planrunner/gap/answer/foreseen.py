@@ -95,10 +95,7 @@ def following(
     stubs = np.concatenate([np.arange(p.start, min(p.start + _STUB, p.stop)) for p in observed.segments()])
     counts = [min(_STUB, p.stop - p.start) for p in observed.segments()]
     warm = float(observed.temperature[-1])
-    arrays: dict[str, list[Array]] = {
-        name: [getattr(observed, name)[stubs]]
-        for name in ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate")
-    }
+    arrays: dict[str, list[Array]] = {name: [own[stubs]] for name, own in observed.sampled.items()}
     places, changes, begin = [], [], len(stubs)
     for index, segment in enumerate(segments):
         since = _times(segment, observed.sample_rate) if index in near else np.arange(_STUB) / observed.sample_rate
@@ -107,8 +104,8 @@ def following(
         slope = (end - start) / segment.dwell if segment.dwell else 0.0
         part |= {"time": observed.time[-1] + LATER + since, "temperature": start + slope * since}
         part["temperature_rate"] = np.full(len(since), slope)
-        for name, parts in arrays.items():
-            parts.append(part[name])
+        for name, parts in arrays.items():  # supply and pressure stay as they are
+            parts.append(part[name] if name in part else np.full(len(since), getattr(observed, name)[-1]))
         changes.append(np.sign(end - warm) if abs(end - warm) > _CHANGED else observed.last_change[-1])
         places.append(slice(begin, begin + len(since)))
         begin += len(since)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Mapping
 
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
-from planrunner.instruments.parameters import QuantityLike
+from planrunner.instruments.parameters import QuantityLike, nominal_supply
 from planrunner.plan.kinds import Number, QuantityOf, Record, RecordOf, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.units import unit
@@ -83,6 +83,7 @@ class SerialSensorParameters(Record):
         "10 min",
         default=None,
     )
+    nominal_supply: Quantity = nominal_supply()
     gyros: GyroKnowledge | None = key(
         RecordOf(GyroKnowledge),
         "Declared properties of the gyros.",
@@ -111,7 +112,15 @@ def sensor_model(
     )
     nominal = {f"K_{name}": 1.0 for name, text in channels.items() if text in (*RATES, *ACCELERATIONS)}
     lag = 0.0 if parameters.thermal_lag is None else parameters.thermal_lag.value
-    return SensorModel(parameters.kind, outputs, parameters.sample_rate.value, nominal, one_rate=True, thermal_lag=lag)
+    return SensorModel(
+        parameters.kind,
+        outputs,
+        parameters.sample_rate.value,
+        nominal,
+        one_rate=True,
+        thermal_lag=lag,
+        nominal_supply=parameters.nominal_supply.value,
+    )
 
 
 def _output(name: str, text: str, resolution: float, parameters: SerialSensorParameters, inertial: bool) -> OutputModel:

@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, slots=True)
 class Moments:
     """Conditions at some samples. time: (n,), s since the run began, of the middle of each sampling interval; power_on: s, of the same
-    clock. angle: (n,), rad, by which the table has turned since it reached the orientation; rate: rad/s; kelvin: of the sensor."""
+    clock. angle: (n,), rad, by which the table has turned since it reached the orientation; rate: rad/s; kelvin: of the sensor;
+    overvoltage: V above its nominal supply; overpressure: Pa above the standard atmosphere."""
 
     segment: Segment
     time: Array
@@ -30,6 +31,8 @@ class Moments:
     angle: Array
     rate: Array
     kelvin: Array
+    overvoltage: Array
+    overpressure: Array
 
 
 @dataclass(frozen=True, slots=True)

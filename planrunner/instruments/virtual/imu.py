@@ -31,6 +31,9 @@ from planrunner.plan.units import ZERO_CELSIUS, unit
 
 Array = NDArray[np.float64]
 THERMOMETER = "sensor_temperature"
+VOLTMETER = "supply_voltage"
+BAROMETER = "ambient_pressure"
+ATMOSPHERE = 101325.0  # Pa
 ENCODER = "table_angle"
 REFERENCE = {
     "reference_latitude": "deg",
@@ -84,13 +87,21 @@ class VirtualImu(TakesEffects):
         outputs = (
             *(axis.output(rate) for axis in axes),
             OutputModel(THERMOMETER, "degC", noise=thermometer),
+            *_monitors(parameters),
             *([OutputModel(ENCODER, "deg", constant=True)] if parameters.table_angle else []),
             *(OutputModel(name, text, constant=True) for name, text in reference.items()),
         )
         nominal = {f"K_{axis.name}": axis.scale_factor for axis in axes}
         lag = parameters.thermal_lag.value
         return SensorModel(
-            parameters.kind, outputs, rate, nominal, MODES, thermal_lag=lag, records_angle=parameters.table_angle
+            parameters.kind,
+            outputs,
+            rate,
+            nominal,
+            MODES,
+            thermal_lag=lag,
+            records_angle=parameters.table_angle,
+            nominal_supply=parameters.nominal_supply.value,
         )
 
     @classmethod
@@ -102,7 +113,8 @@ class VirtualImu(TakesEffects):
     def channels(self) -> Mapping[str, str]:
         reference = REFERENCE if self.parameters.reference else {}
         encoder = {ENCODER: "deg"} if self.parameters.table_angle else {}
-        return {**{axis.name: axis.unit for axis in self.axes}, THERMOMETER: "degC", **encoder, **reference}
+        monitors = {one.name: one.unit for one in _monitors(self.parameters)}
+        return {**{axis.name: axis.unit for axis in self.axes}, THERMOMETER: "degC", **monitors, **encoder, **reference}
 
     def set_mode(self, mode: str) -> float:
         if mode not in MODES:
@@ -194,6 +206,8 @@ class VirtualImu(TakesEffects):
             readings = {axis.name: np.zeros(length) for axis in self.axes}
         thermometer = Readout(self.parameters.thermometer_noise.value)
         readings[THERMOMETER] = thermometer.samples(dwell.draw, kelvin - ZERO_CELSIUS, length, sampling.hold)
+        for name, noise, value in self._monitored(dwell.segment):
+            readings[name] = value + noise * dwell.draw.standard_normal(length)
         time = sampling.times(first, length, delay=1)
         if self.parameters.table_angle and dwell.segment is not None:
             readings[ENCODER] = np.degrees(mean_angle(self.world, dwell.segment, time, 1 / sampling.rate))
@@ -201,6 +215,24 @@ class VirtualImu(TakesEffects):
             truth = zip(REFERENCE.items(), self.world.position(time), strict=True)
             readings |= {name: np.broadcast_to(value / unit(text).factor, length) for (name, text), value in truth}
         return Block(time, readings)
+
+    def _excess(self, segment: Segment | None) -> tuple[float, float]:
+        """V above the nominal supply and Pa above the standard atmosphere; zero where the segment states nothing."""
+        voltage = None if segment is None else segment.supply_voltage
+        pressure = None if segment is None else segment.ambient_pressure
+        return (
+            0.0 if voltage is None else voltage - self.parameters.nominal_supply.value,
+            0.0 if pressure is None else pressure - ATMOSPHERE,
+        )
+
+    def _monitored(self, segment: Segment | None) -> Iterator[tuple[str, float, float]]:
+        """Name, noise and value of the recorded supply [V] and pressure [hPa]."""
+        volts, pascals = self._excess(segment)
+        voltmeter, barometer = self.parameters.voltmeter_noise, self.parameters.barometer_noise
+        if voltmeter is not None:
+            yield VOLTMETER, voltmeter.value, self.parameters.nominal_supply.value + volts
+        if barometer is not None:
+            yield BAROMETER, barometer.value / 100, (ATMOSPHERE + pascals) / 100
 
     def _level(
         self,
@@ -215,10 +247,11 @@ class VirtualImu(TakesEffects):
         sampling, draw = dwell.sampling, dwell.draw
         step = sampling.hold / sampling.rate
         off = kelvin - self.parameters.reference_temperature.value
-        drift = axis.drift(off, middles - self.switched_on, axis.bias_repeatability * chance[0])
+        shift, gain = axis.by_surroundings(*self._excess(dwell.segment))
+        drift = axis.drift(off, middles - self.switched_on, axis.bias_repeatability * chance[0] + shift)
         drift = drift + self.flicker[axis.name].advance(off.size, step, draw)
         drift += self.walk[axis.name].advance(off.size, step, draw)
-        scale = axis.scale(off, axis.error_repeatability * chance[1])
+        scale = axis.scale(off, axis.error_repeatability * chance[1] + gain)
         return axis.level(axis.felt(*means), drift, scale, sampling.hold)
 
     def _samples(
@@ -258,10 +291,32 @@ class VirtualImu(TakesEffects):
         time = sampling.times(first, length, delay=1) - 0.5 / sampling.rate
         angle, rate = turned(self.world, dwell.segment, time)
         warm = self.world.sensor(time)
-        moments = Moments(dwell.segment, time, self.switched_on, sampling.rate, angle, rate, warm)
+        volts, pascals = (np.full(length, value) for value in self._excess(dwell.segment))
+        moments = Moments(
+            dwell.segment,
+            time,
+            self.switched_on,
+            sampling.rate,
+            angle,
+            rate,
+            warm,
+            overvoltage=volts,
+            overpressure=pascals,
+        )
         gives = {axis.name: self._gives(axis, sampling) for axis in self.axes}
         changed = added.levels(moments, levels, gives)
         return {
             axis.name: self._samples(axis, dwell, changed[axis.name], length, added.noise(axis.name, gives[axis.name]))
             for axis in self.axes
         }
+
+
+def _monitors(parameters: VirtualImuParameters) -> list[OutputModel]:
+    """The recorded supply voltage and ambient pressure."""
+    root = math.sqrt(parameters.sample_rate.value)
+    found = []
+    if parameters.voltmeter_noise is not None:
+        found.append(OutputModel(VOLTMETER, "V", noise=NoiseModel(parameters.voltmeter_noise.value / root)))
+    if parameters.barometer_noise is not None:
+        found.append(OutputModel(BAROMETER, "hPa", noise=NoiseModel(parameters.barometer_noise.value / 100 / root)))
+    return found

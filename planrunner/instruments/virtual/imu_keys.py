@@ -7,7 +7,7 @@ Keys for all gyros (accelerometers) are next to `axes`; keys of an axis take pre
 from __future__ import annotations
 
 from planrunner.base.findings import Findings
-from planrunner.instruments.parameters import Polynomial, QuantityLike
+from planrunner.instruments.parameters import Polynomial, QuantityLike, nominal_supply
 from planrunner.plan.kinds import Boolean, Choice, MapOf, QuantityOf, Record, RecordOf, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 
@@ -36,6 +36,18 @@ class ScaleErrors(Record):
         Polynomial("ppm"),
         "Relative change of the scale factor: coefficients of ΔT, ΔT², ΔT³.",
         ["30 ppm/K"],
+        default=None,
+    )
+    scale_factor_supply: Quantity | None = key(
+        QuantityLike("ppm/V"),
+        "Relative change of the scale factor per volt of supply above `nominal_supply`.",
+        "50 ppm/V",
+        default=None,
+    )
+    scale_factor_pressure: Quantity | None = key(
+        QuantityLike("ppm/hPa"),
+        "Relative change of the scale factor per hPa of ambient pressure above 1013.25 hPa.",
+        "0.2 ppm/hPa",
         default=None,
     )
     scale_factor_repeatability: Quantity | None = key(
@@ -68,6 +80,18 @@ class GyroErrors(ScaleErrors):
         Polynomial("deg/h"),
         "Change of the bias: coefficients of ΔT, ΔT², ΔT³.",
         ["0.002 deg/h/K", "1e-5 deg/h/K^2"],
+        default=None,
+    )
+    bias_supply: Quantity | None = key(
+        QuantityLike("deg/h/V"),
+        "Change of the bias per volt of supply above `nominal_supply`.",
+        "0.5 deg/h/V",
+        default=None,
+    )
+    bias_pressure: Quantity | None = key(
+        QuantityLike("deg/h/hPa"),
+        "Change of the bias per hPa of ambient pressure above 1013.25 hPa.",
+        "0.001 deg/h/hPa",
         default=None,
     )
     bias_repeatability: Quantity | None = key(
@@ -145,6 +169,18 @@ class AccelerometerErrors(ScaleErrors):
     bias: Quantity | None = key(QuantityOf("acceleration"), "Bias at the reference temperature.", "50 ug", default=None)
     bias_temperature: tuple[Quantity, ...] | None = key(
         Polynomial("ug"), "Change of the bias: coefficients of ΔT, ΔT², ΔT³.", ["5 ug/K"], default=None
+    )
+    bias_supply: Quantity | None = key(
+        QuantityLike("ug/V"),
+        "Change of the bias per volt of supply above `nominal_supply`.",
+        "20 ug/V",
+        default=None,
+    )
+    bias_pressure: Quantity | None = key(
+        QuantityLike("ug/hPa"),
+        "Change of the bias per hPa of ambient pressure above 1013.25 hPa.",
+        "0.1 ug/hPa",
+        default=None,
     )
     bias_repeatability: Quantity | None = key(
         QuantityOf("acceleration", "not negative"),
@@ -316,6 +352,19 @@ class VirtualImuParameters(Record):
         "Noise of one temperature reading.",
         "0.005 K",
         default=parse_quantity("0.005 K"),
+    )
+    nominal_supply: Quantity = nominal_supply()
+    voltmeter_noise: Quantity | None = key(
+        QuantityOf("voltage", "not negative"),
+        "Noise of one reading of the supply voltage. With this key, the sensor records the channel `supply_voltage`.",
+        "1 mV",
+        default=None,
+    )
+    barometer_noise: Quantity | None = key(
+        QuantityOf("pressure", "not negative"),
+        "Noise of one reading of the ambient pressure. With this key, the sensor records the channel `ambient_pressure`.",
+        "5 Pa",
+        default=None,
     )
     reference: bool = key(
         Boolean(), "True to record true position and velocity in addition to the outputs.", True, default=False

@@ -1,9 +1,11 @@
 """One input axis of a virtual inertial sensor, as numbers: its direction and its errors.
 
-With u the mean inertial rate (specific force) along the axis over a sampling interval, ΔT the distance from the reference temperature
-and f the mean specific force along the sensor's axes, an output is
+With u the mean inertial rate (specific force) along the axis over a sampling interval, ΔT the distance from the reference temperature,
+ΔV and Δp those from the nominal supply and from the standard atmosphere, and f the mean specific force along the sensor's axes, an output
+is
 
-    y = K·(1 + δ + Σ κ_k·ΔT^k)·(u + a·|u|/2 + q₂·u² + q₃·u³ + s·f + b + Σ β_k·ΔT^k + A·e^(−t/τ) + slow noise) + white noise,
+    y = K·(1 + δ + Σ κ_k·ΔT^k + κ_V·ΔV + κ_p·Δp)
+          · (u + a·|u|/2 + q₂·u² + q₃·u³ + s·f + b + Σ β_k·ΔT^k + β_V·ΔV + β_p·Δp + A·e^(−t/τ) + slow noise) + white noise,
 
 then clipped and counted or rounded. `docs/virtual-sensors.md` names every coefficient; all here are in SI units with radians.
 """
@@ -47,6 +49,8 @@ class InertialAxis:
     nominal: float
     error: float
     error_temperature: tuple[float, ...]
+    error_supply: float
+    error_pressure: float
     error_repeatability: float
     asymmetry: float
     quadratic: float
@@ -54,6 +58,8 @@ class InertialAxis:
     sensitivity: tuple[float, float, float]
     bias: float
     bias_temperature: tuple[float, ...]
+    bias_supply: float
+    bias_pressure: float
     bias_repeatability: float
     warm_up: float
     warm_up_time: float
@@ -85,6 +91,14 @@ class InertialAxis:
         """Bias in SI units, `off` K from the reference temperature and `since` s after switch-on."""
         steady = self.bias + drawn + _polynomial(self.bias_temperature, off)
         return steady + self.warm_up * np.exp(-since / self.warm_up_time) if self.warm_up else steady
+
+    def by_surroundings(self, volts: float, pascals: float) -> tuple[float, float]:
+        """Changes of the bias, SI, and of the scale factor, relative. volts: above the nominal supply; pascals: above the standard
+        atmosphere."""
+        return (
+            self.bias_supply * volts + self.bias_pressure * pascals,
+            self.error_supply * volts + self.error_pressure * pascals,
+        )
 
     def felt(self, rates: Components, forces: Components) -> Value:
         """The input and its effects that do not depend on temperature or time, SI; a float if nothing moves."""
@@ -153,6 +167,8 @@ def _axis(output: str, name: str, group: Gyros | Accelerometers, axis: Any) -> I
         nominal=nominal,
         error=number("scale_factor_error"),
         error_temperature=numbers("scale_factor_temperature"),
+        error_supply=number("scale_factor_supply"),
+        error_pressure=number("scale_factor_pressure"),
         error_repeatability=number("scale_factor_repeatability"),
         asymmetry=number("scale_factor_asymmetry"),
         quadratic=number("quadratic"),
@@ -160,6 +176,8 @@ def _axis(output: str, name: str, group: Gyros | Accelerometers, axis: Any) -> I
         sensitivity=(sensitivity("x"), sensitivity("y"), sensitivity("z")),
         bias=number("bias"),
         bias_temperature=numbers("bias_temperature"),
+        bias_supply=number("bias_supply"),
+        bias_pressure=number("bias_pressure"),
         bias_repeatability=number("bias_repeatability"),
         warm_up=number("warm_up"),
         warm_up_time=number("warm_up_time", WARM_UP_TIME),
