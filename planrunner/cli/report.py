@@ -10,6 +10,7 @@ from pathlib import Path
 from planrunner.base.findings import COMMAND_LINE, InputError, closest
 from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done, each_run, run_folders
+from planrunner.cli.log import ring_of
 from planrunner.cli.printing import print_findings, write_file
 from planrunner.cli.progress import reading_progress
 from planrunner.plan.run_information import gather_for_issue
@@ -31,6 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--info", metavar="FILE", type=Path, help="the same details as a YAML file of `name: value`")
     parser.add_argument("--before", metavar="RUN", type=Path, help="run folder of the same item before its adjustment")
+    parser.add_argument(
+        "--keys",
+        metavar="RING",
+        type=Path,
+        help="key ring, with which the signatures that the reports print are verified",
+    )
     parser.add_argument(
         "--template", metavar="FILE", type=Path, help="your own template (ending in .html.j2 or .md.j2)"
     )
@@ -85,11 +92,11 @@ def _report(run: Path, names: tuple[str, ...], args: argparse.Namespace) -> Done
 
     recorded = RunReader.open(run).run["info"]
     given = gather_for_issue([*certifying.names(), *recorded], args.set, args.info)
-    issue = running.Issue(names, given, args.before)
+    issue = running.Issue(names, given, args.before, ring_of(args))
     if args.template is None:
         with reading_progress() as notice:
             analysis = running.analyse_run(run, issue, notice=notice)
-        print_findings((*analysis.remarks, *analysis.withheld))
+        print_findings((*analysis.remarks, *analysis.withheld, *analysis.unsigned))
         written = [*analysis.reports]
         found = {"analysis": str(analysis.folder), "withheld": [finding.to_json() for finding in analysis.withheld]}
     else:

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from planrunner.cli import exit_codes
+from planrunner.cli.log import ring_of
 from planrunner.cli.printing import print_json, write_file
 from planrunner.cli.progress import reading_progress
 from planrunner.reporting.printable import printable
@@ -15,6 +16,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", metavar="RUN", type=Path, help="run folder")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write the review page to this file")
     parser.add_argument("--analysis", type=int, metavar="N", help="number of the analysis (default: the newest)")
+    parser.add_argument(
+        "--keys", metavar="RING", type=Path, help="key ring, with which signatures and approvals are verified"
+    )
     parser.add_argument("--json", action="store_true", help="print the deviations as JSON")
 
 
@@ -23,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     from planrunner.tasks.review_run import review_of
 
     with reading_progress() as notice:
-        context = review_of(args.folder, args.analysis, notice)
+        context = review_of(args.folder, args.analysis, notice, ring_of(args))
     if args.html is not None:
         write_file(args.html, render_review(context))
     if args.json:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from planrunner.archive.recording import RecordedSegment, Statistics
 from planrunner.base.said import Said
@@ -26,6 +27,23 @@ class Traced:
     date: str = ""
     due: str = ""
     laboratory: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedSignature:
+    """A signature of the run as pages print it (21 CFR 11.50). meaning: `reviewed`, `approved`, `released`, or of a bench `recorded`,
+    `evaluated`; name: of the signer; at: time of the signer's clock, UTC; key: fingerprint; analyses: numbers of the analyses that it
+    covers. standing: valid with a key of the ring, of a key that nobody confirmed (`unknown`), or invalid; owner: name of the key in the
+    ring; why: it is not valid."""
+
+    meaning: str
+    name: str
+    at: str
+    key: str
+    analyses: tuple[int, ...]
+    standing: Literal["valid", "unknown", "invalid"]
+    owner: str = ""
+    why: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +99,7 @@ class ReportContext:
     reason. provenance: versions, hashes of plan, bench, journal head and seal, number of the analysis, UTC times. probability: coverage
     probability of the expanded uncertainties. certificate: additional data for certificates. on_top: the most important facts: item,
     operator, date, duration, analysis. origin: source of the samples, if known. seal: SHA-256 of seal.json, if the run is sealed.
+    signatures: of the run, made before the page.
     """
 
     title: str
@@ -101,6 +120,7 @@ class ReportContext:
     on_top: Mapping[str, str] = field(default_factory=dict)
     origin: DataOrigin | None = None
     seal: str = ""
+    signatures: tuple[PrintedSignature, ...] = ()
 
     @property
     def headline(self) -> Headline:

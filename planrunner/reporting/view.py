@@ -18,6 +18,7 @@ Templates have access to nothing else: they can lay out a report but cannot read
       tables                          list of {title, columns: list of {title, numeric}, rows of text, more}
       plots, correlation              {title, svg}
       budgets                         as `budgets.budget_views` gives them
+    signatures                        list of {meaning, name, at, key, analyses, standing, owner, why}
     segments                          like a table
     segment_tables                    the same in tables that a page is wide enough for
     certificate                       as `certificate.certificate_view` gives it
@@ -43,7 +44,7 @@ from planrunner.estimators.results import DataOrigin
 from planrunner.reporting import words
 from planrunner.reporting.budgets import budget_views, freedom, shown_unit
 from planrunner.reporting.certificate import certificate_view, guard_band
-from planrunner.reporting.context import ReportContext, site_facts
+from planrunner.reporting.context import PrintedSignature, ReportContext, site_facts
 from planrunner.reporting.rounding import format_pair
 from planrunner.reporting.seal_code import seal_code
 from planrunner.reporting.segment_tables import segment_table, segment_tables
@@ -81,8 +82,15 @@ def report_view(context: ReportContext) -> JsonObject:
         "notes": list(context.notes),
         "provenance": named(context.provenance),
         "certificate": certificate_view(context),
+        "signatures": [signature_view(one) for one in context.signatures],
         "seal": {"digest": context.seal, "code": Picture(partial(seal_code, context.seal))} if context.seal else None,
     }
+
+
+def signature_view(one: PrintedSignature) -> JsonObject:
+    """A signature for templates: its time to the second, and the analyses that it covers as text."""
+    numbers = ", ".join(map(str, one.analyses))
+    return {**asdict(one), "at": one.at[:19].replace("T", " "), "analyses": numbers}
 
 
 def stamped(origin: DataOrigin | None) -> JsonObject:

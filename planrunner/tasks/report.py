@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from planrunner.archive.recording import RecordedSegment, duration_of
 from planrunner.archive.run_reader import RunReader
 from planrunner.base.documents import Json
 from planrunner.reporting import words
-from planrunner.reporting.context import CertificateFacts, ReportContext, SegmentSummary
+from planrunner.reporting.context import CertificateFacts, PrintedSignature, ReportContext, SegmentSummary
+from planrunner.signing.key_ring import KeyRing
+from planrunner.signing.run_signatures import SignatureStanding, bench_signing, signatures_of
 from planrunner.tasks.approvals import approved_by
 
 if TYPE_CHECKING:
@@ -30,8 +32,9 @@ def report_context(
     analysed: str | None = None,
     certificate: CertificateFacts | None = None,
     amendment: str = "",
+    ring: KeyRing | None = None,
 ) -> ReportContext:
-    """All data that a report shows for one analysis.
+    """All data that a report shows for one analysis. ring: the known keys, with which signatures of the run are verified.
 
     amendment: which analysis it amends, by whom and why, in words.
 
@@ -59,7 +62,24 @@ def report_context(
         origin=sound.models.origin,
         certificate=certificate,
         seal=reader.basis.seal or "",
+        signatures=tuple(printed_signatures(reader, ring)),
     )
+
+
+def printed_signatures(reader: RunReader, ring: KeyRing | None) -> Iterator[PrintedSignature]:
+    """The signatures of a run, as they are now. Raises `OSError`."""
+    signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
+    for one in signatures_of(reader.folder, ring, signing):
+        yield PrintedSignature(
+            one.meaning, one.name, one.signed, one.key, one.analyses, _PRINTED[one.standing], one.owner, one.why
+        )
+
+
+_PRINTED: dict[SignatureStanding, Literal["valid", "unknown", "invalid"]] = {
+    "valid": "valid",
+    "unknown key": "unknown",
+    "invalid": "invalid",
+}
 
 
 def _bench(sound: Sound) -> dict[str, str]:

@@ -18,25 +18,29 @@ from planrunner.estimators.results import Results
 from planrunner.observation.screening import watch_of
 from planrunner.reporting.certificate_requirements import references
 from planrunner.reporting.review_page import DigestedFile, ReviewContext, RunDeviation
+from planrunner.signing.key_ring import KeyRing
 from planrunner.tasks.amendment import in_words, stored_amendment
 from planrunner.tasks.approvals import run_approvals
 from planrunner.tasks.check import Sound
 from planrunner.tasks.report import report_context
 from planrunner.tasks.run import evaluated_as, stored_results
-from planrunner.tasks.verify import verification
+from planrunner.tasks.verify import verification, verify_signatures
 
 UNUSUAL = ("noticed", "paused", "rescued", "failed", "stopped", "reopened")
 """Kinds of events that a reviewer reads."""
 
 
-def review_of(run: Path, number: int | None = None, notice: Announce | None = None) -> ReviewContext:
-    """Data of the review page of a run and one of its analyses, by default the newest.
+def review_of(
+    run: Path, number: int | None = None, notice: Announce | None = None, ring: KeyRing | None = None
+) -> ReviewContext:
+    """Data of the review page of a run and one of its analyses, by default the newest. ring: the known keys.
 
     Raises `InputError` if the run has no such analysis, and `IntegrityError` if the folder was changed: then `planrunner verify` says how.
     """
     found = examine(open_run(run), samples="digests")
     reader = RunReader.of(found)
-    run_approvals(found, None)
+    verify_signatures(found, ring)
+    run_approvals(found, ring)
     known = {one.number: one for one in reader.analyses}
     number = max(known, default=0) if number is None else number
     if number not in known:
@@ -48,7 +52,7 @@ def review_of(run: Path, number: int | None = None, notice: Announce | None = No
     recording = reader.recording(sound.schedule, watch_of(sound.sensor), notice)
     results = stored_results(analysis)
     report = report_context(
-        reader, sound, recording, results, analysis=str(number), analysed=str(analysis.digests["made"])
+        reader, sound, recording, results, analysis=str(number), analysed=str(analysis.digests["made"]), ring=ring
     )
     changes = [RunDeviation(change, item.message, grave=True) for change, item in verification(found).changes]
     parts = {part.file: item.label for item in reader.rejected() for part in item.parts}

@@ -45,6 +45,7 @@ from planrunner.reporting.certificate_requirements import is_certificate
 from planrunner.reporting.context import CertificateFacts, ReportContext
 from planrunner.reporting.verdict import Headline
 from planrunner.reporting.view import render_report
+from planrunner.signing.key_ring import KeyRing
 from planrunner.tasks.amendment import (
     AMENDMENT,
     EVALUATED_PLAN,
@@ -111,11 +112,12 @@ class Retake:
 @dataclass(frozen=True, slots=True)
 class Issue:
     """Request for reports after a run: their names, run information supplied at that time, and the run folder of the same item before
-    its adjustment."""
+    its adjustment. ring: the known keys, with which the printed signatures are verified."""
 
     reports: tuple[str, ...] = ()
     given: Mapping[str, str] = field(default_factory=dict)
     before: Path | None = None
+    ring: KeyRing | None = None
 
 
 def start(
@@ -564,7 +566,9 @@ def _analyse(
     )
     earlier = reader.analyses
     number = str(earlier[-1].number + 1 if earlier else 1) if kept else ""
-    context = report_context(reader, sound, recording, results, analysis=number, certificate=shown, amendment=stated)
+    context = report_context(
+        reader, sound, recording, results, analysis=number, certificate=shown, amendment=stated, ring=issue.ring
+    )
     return _Made(reader, sound, results, context, shown, amending)
 
 

@@ -25,7 +25,7 @@ from planrunner.archive.run_log import (
     require_growth,
     unwritable,
 )
-from planrunner.archive.verifying import CHANGES, Change, Examined, examine, open_run
+from planrunner.archive.verifying import CHANGES, MENDED, Change, Examined, examine, open_run
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark
 from planrunner.signing.key_ring import KeyRing
@@ -283,12 +283,16 @@ def _contradiction(history: _History, run: LoggedRun) -> str:
 
 
 def begin_log(archive: Path, runs: Sequence[Path]) -> TreeHead:
-    """A new log with the sealed runs that the archive has. Raises `InputError`, and `IntegrityError` for a run that was changed."""
-    sealed = [run for run in map(_examined, runs) if run.seal_digest is not None]
+    """A new log with the runs that the archive has: sealed ones with their seal, others as begun. Raises `InputError`, and `IntegrityError`
+    for a run that was changed."""
+    present = [_examined(run, *MENDED) for run in runs]
     log = RunLog.create(archive)
     try:
-        for run in sealed:
-            _enter(log, run)
+        for run in present:
+            if run.seal_digest is not None:
+                _enter(log, run)
+            elif run.scan is not None and "log" not in run.run:
+                log.append("begun", name_of(run), events=1, head=run.scan.heads[1])
         return log.read().head()
     except OSError as error:
         raise unwritable(archive, error) from None
@@ -335,9 +339,10 @@ def retire_run(log: RunLog, run: str, why: str) -> TreeHead:
         raise unwritable(log.path.parent, error) from None
 
 
-def _examined(run: Path) -> Examined:
+def _examined(run: Path, *but: str) -> Examined:
+    """Raises `IntegrityError` for a run that was changed. but: codes of accepted faults."""
     found = examine(open_run(run), samples="digests")
-    found.require_whole()
+    found.require_whole(*but)
     return found
 
 

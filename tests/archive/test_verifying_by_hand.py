@@ -141,6 +141,23 @@ def test_the_log_is_verified_by_hand(tmp_path: Path) -> None:
     assert {"missing:", made[0].name, f"{made[2].name}/"} <= set(printed(tmp_path, 10)[1])
 
 
+@TOOLS
+@pytest.mark.skipif(not shutil.which("basenc"), reason="basenc is needed")
+@pytest.mark.slow
+def test_unsealed_and_retired_runs_are_no_faults_by_hand(tmp_path: Path) -> None:
+    log = RunLog.create(tmp_path)
+    away = write_run(tmp_path, analyses=0)
+    log.append("retired", away.name, why="sent to the customer")
+    shutil.rmtree(away)
+    with RunWriter.create(tmp_path, "p", b"plan", b"bench", {}, "flushed") as unfinished:
+        pass
+    assert printed(tmp_path, 10)[1] == ["not", "sealed:", f"{unfinished.path.name}/"]
+    assert printed(tmp_path, 11)[1][:1] == [f"{away.name}:"]
+    write_run(tmp_path, analyses=0)
+    shutil.rmtree(unfinished.path)
+    assert printed(tmp_path, 10)[1] == ["missing:", unfinished.path.name]
+
+
 def test_every_test_named_in_the_compliance_page_exists() -> None:
     page = (ROOT / "docs" / "compliance.md").read_text(encoding="utf-8")
     named = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`", page)

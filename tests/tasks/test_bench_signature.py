@@ -16,7 +16,7 @@ from jsonschema import Draft202012Validator
 
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.signing.bench_key import BenchKeyError, bench_signer
-from planrunner.signing.key_ring import KeyRing, KnownKey
+from planrunner.signing.key_ring import KeyRing, KnownKey, entry_text
 from planrunner.signing.keys import PrivateKey, PublicKey, parse_public, write_unencrypted
 from planrunner.signing.run_signatures import sign_run
 from planrunner.tasks.verify import verify_run
@@ -233,6 +233,33 @@ def test_a_bench_with_an_unreadable_key_is_refused(state: Path, tmp_path: Path) 
     done = planrunner("check", plan, cwd=tmp_path)
     assert done.returncode == 2
     assert "error[bench-signing-key]" in done.stderr
+
+
+def test_reports_and_the_review_page_print_signatures_and_whether_they_hold(run: Path, tmp_path: Path) -> None:
+    write_unencrypted(tmp_path / "anna.pem", ANNA)
+    ring_file = "planrunner_keys: 1\nkeys:\n" + entry_text("anna", ANNA.public, (), None)
+    (tmp_path / "ring.yaml").write_text(ring_file + entry_text("virtual", BENCH.public, ("bench",), None))
+    words = ["sign", run, "--as", "released", "--by", "anna.pem", "--name", "Anna Example"]
+    assert planrunner(*words, cwd=tmp_path).returncode == 0
+    signed = max((run / "signatures").iterdir())
+
+    def printed() -> tuple[str, str]:
+        done = planrunner("report", run, "summary.md", "--keys", "ring.yaml", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        text = Path(tmp_path, done.stdout.split()[-1]).read_text()
+        planrunner("review", run, "--keys", "ring.yaml", "--html", "review.html", cwd=tmp_path)
+        line = next(line for line in text.splitlines() if "Anna Example" in line)
+        return line, (tmp_path / "review.html").read_text()
+
+    line, page = printed()
+    assert (
+        "| released | Anna Example |" in line and "| valid, key of anna |" in line and ANNA.public.fingerprint in line
+    )
+    assert "Anna Example" in page and "key of anna" in page and ">invalid<" not in page
+    signed.write_bytes(signed.read_bytes().replace(b'"sig": "', b'"sig": "AAAA', 1))
+    planrunner("review", run, "--keys", "ring.yaml", "--html", "review.html", cwd=tmp_path)
+    page = (tmp_path / "review.html").read_text()
+    assert ">invalid<" in page and "Not to be released" in page
 
 
 # -- a run that continues ----------------------------------------------------------------------------------------------

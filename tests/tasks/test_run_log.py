@@ -397,3 +397,22 @@ def test_a_writer_killed_at_any_write_leaves_no_false_alarm(tmp_path: Path, monk
         assert found(archive) == set(), archive
         assert not log.read().torn
     assert torn or KILLS != "1"
+
+
+def test_unfinished_runs_are_entered_when_a_log_begins(tmp_path: Path) -> None:
+    archive = tmp_path / "runs"
+    finished = write_run(archive, analyses=0)
+    with RunWriter.create(archive, "later", b"title: plan\n", b"name: bench\n", {}, "flushed") as writer:
+        writer.note("started", segments=1, start_at=0, clock=0.0)
+    assert planrunner("log", "new", archive, cwd=tmp_path).returncode == 0
+    log = RunLog.of(archive)
+    assert log is not None
+    assert [(one.event, one.run) for one in log.read().entries[1:]] == [
+        ("sealed", finished.name) if run == finished else ("begun", run.name) for run in sorted(runs_in(archive))
+    ]
+    assert found(archive) == set()
+    with RunWriter.reopen(writer.path) as again:
+        again.finish()
+    assert found(archive) == set()
+    rewrite(writer.path, lambda events: events[0]["files"].update({"plan.yaml": "0" * 64}))
+    assert ("replaced", "log-run-replaced") in found(archive)
