@@ -292,7 +292,7 @@ def begin_log(archive: Path, runs: Sequence[Path]) -> TreeHead:
             if run.seal_digest is not None:
                 _enter(log, run)
             elif run.scan is not None and "log" not in run.run:
-                log.append("begun", name_of(run), events=1, head=run.scan.heads[1])
+                log.append("begun", logged_run(run).name, events=1, head=run.scan.heads[1])
         return log.read().head()
     except OSError as error:
         raise unwritable(archive, error) from None

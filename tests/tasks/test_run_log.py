@@ -22,6 +22,7 @@ from planrunner.archive.run_log import ENTRIES, FOLDER, HEAD, RunLog
 from planrunner.archive.storage import Storage
 from planrunner.base.findings import InputError
 from planrunner.cli import main
+from planrunner.plan.schedule import Rest, Segment
 from planrunner.signing.keys import write_private
 from planrunner.tasks.run_log import append_run, logged_run, verify_log
 from planrunner.tasks.sign import sign_later
@@ -403,7 +404,7 @@ def test_unfinished_runs_are_entered_when_a_log_begins(tmp_path: Path) -> None:
     archive = tmp_path / "runs"
     finished = write_run(archive, analyses=0)
     with RunWriter.create(archive, "later", b"title: plan\n", b"name: bench\n", {}, "flushed") as writer:
-        writer.note("started", segments=1, start_at=0, clock=0.0)
+        writer.begin(Segment(0, "P1", None, "unknown", Rest(), dwell=1.0), 0.0, {})
     assert planrunner("log", "new", archive, cwd=tmp_path).returncode == 0
     log = RunLog.of(archive)
     assert log is not None
