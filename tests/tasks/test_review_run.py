@@ -66,6 +66,15 @@ def test_hostile_texts_stay_text(original: Path) -> None:
     assert "default-src &#39;none&#39;" in page or "default-src 'none'" in page
 
 
+def test_every_value_of_the_page_has_its_coverage_factor_and_is_no_wider_than_a_phone(original: Path) -> None:
+    page = render_review(review_of(original))
+    numbers = [table for table in re.findall(r"<table.*?</table>", page, re.DOTALL) if "± U" in table]
+    assert len(numbers) > 1
+    for table in numbers:
+        assert re.match(r'<table class="lines\b', table), table[:100]
+        assert table.count('data-before="± "') == table.count('data-before="k = "') > 0
+
+
 def test_the_command_lists_and_writes(original: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "review.html"
     assert main(["review", str(original), "--html", str(file)]) == 0

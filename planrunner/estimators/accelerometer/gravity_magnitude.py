@@ -65,7 +65,7 @@ def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
 
 def too_few(count: int) -> str:
     """The message that there are fewer poses than parameters."""
-    return f"{count} poses cannot determine {len(NAMES)} parameters"
+    return f"{count} {'pose' if count == 1 else 'poses'} cannot determine {len(NAMES)} parameters"
 
 
 def _too_alike(sight: rank.MatrixRank, readings: Array) -> str:
