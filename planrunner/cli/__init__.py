@@ -47,6 +47,7 @@ COMMANDS = {
     "compare": "compare the coefficients of several runs",
     "gauge": "repeatability and reproducibility of a coefficient over devices, operators and benches",
     "verify": "verify that run folders are as they were written, and say what was changed",
+    "archive": "copy sealed runs to an archive on object storage, and from there",
     "approve": "approve a plan for benches with your key, withdraw approvals, or list them",
     "log": "begin the log of an archive, which shows removed and replaced runs; print its tree head, and make and verify proofs",
     "stamp": "add the time stamp of the seal to runs that have none, because the authority did not answer",

@@ -12,14 +12,36 @@ if TYPE_CHECKING:
     from planrunner.night.history.index import Index
 
 
+def folder_argument(text: str) -> Path:
+    """A folder of runs or a run. A URL is copied when the command line is read (`archive.remote`): commands read local folders only."""
+    if "://" not in text:
+        return Path(text)
+    from planrunner.archive.remote import fetched
+    from planrunner.cli.progress import reading_progress
+
+    with reading_progress() as notice:
+        return fetched(text, notice=notice)
+
+
+def folder_to_verify(text: str) -> Path:
+    """As `folder_argument`, but a URL is copied anew, because an older copy says nothing about what is there now."""
+    if "://" not in text:
+        return Path(text)
+    from planrunner.archive.remote import fetched
+    from planrunner.cli.progress import reading_progress
+
+    with reading_progress() as notice:
+        return fetched(text, anew=True, notice=notice)
+
+
 def add_archive(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "archive",
         metavar="ARCHIVE",
         nargs="?",
-        type=Path,
+        type=folder_argument,
         default=Path("runs"),
-        help="folder that contains the run folders (default: runs)",
+        help="folder that contains the run folders, or its URL, such as s3://bucket/archive (default: runs)",
     )
 
 

@@ -6,12 +6,13 @@ import argparse
 
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.cli import exit_codes
+from planrunner.cli.archive_arguments import folder_argument
 from planrunner.cli.each_run import add_runs, run_folders
 from planrunner.cli.printing import print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_runs(parser)
+    add_runs(parser, folder_argument)
     parser.add_argument("--json", action="store_true", help="print the comparison as JSON")
     parser.epilog = "Exit codes: 0 all coefficients agree with the first run (|E_n| ≤ 1), 1 some do not, 2 wrong input."
 

@@ -32,9 +32,9 @@ class Done:
     found: JsonObject = field(default_factory=dict)
 
 
-def add_runs(parser: argparse.ArgumentParser) -> None:
-    """Adds RUN [RUN …] for commands without other positional arguments."""
-    parser.add_argument("runs", metavar="RUN", nargs="+", type=Path, help="one or more run folders")
+def add_runs(parser: argparse.ArgumentParser, kind: Callable[[str], Path] = Path) -> None:
+    """Adds RUN [RUN …] for commands without other positional arguments. kind: makes a path of an argument."""
+    parser.add_argument("runs", metavar="RUN", nargs="+", type=kind, help="one or more run folders")
 
 
 def run_folders(given: Sequence[Path]) -> list[Path]:

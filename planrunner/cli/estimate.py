@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.cli import exit_codes
+from planrunner.cli.archive_arguments import folder_argument
 from planrunner.cli.each_run import Done, add_runs, each_result, each_run, runs_of
 from planrunner.cli.jobs import add_workers, single_threaded, workers_of
 from planrunner.cli.outcome import conclude
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_runs(parser)
+    add_runs(parser, folder_argument)
     parser.add_argument("--all", action="store_true", help="RUN is an archive: estimate every run folder in it")
     parser.add_argument(
         "--prove",
@@ -62,9 +63,11 @@ def _estimate(folder: Path, *, as_json: bool) -> Done:
 
 
 def _keep(made: Evaluated, *, as_json: bool) -> Done:
+    from planrunner.archive.remote import push_back
     from planrunner.tasks.run import keep
 
     analysis = keep(made)
+    push_back(made.run)
     if analysis.before is not None:
         verdict = "the same numbers as" if analysis.same else "OTHER NUMBERS than"
         print(f"analysis {analysis.folder.name} has {verdict} analysis {analysis.before}", file=sys.stderr)

@@ -6,14 +6,18 @@ import argparse
 from pathlib import Path
 
 from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import add_index, opened_index
+from planrunner.cli.archive_arguments import add_index, folder_argument, opened_index
 from planrunner.cli.printing import print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("coefficient", metavar="COEFFICIENT", help="estimate.coefficient")
     parser.add_argument(
-        "--runs", metavar="ARCHIVE", type=Path, default=Path("runs"), help="folder of the runs (default: runs)"
+        "--runs",
+        metavar="ARCHIVE",
+        type=folder_argument,
+        default=Path("runs"),
+        help="folder or URL of the runs (default: runs)",
     )
     parser.add_argument(
         "--device", default="", metavar="SERIAL", help="devices of the study; * and ? stand for any characters"

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import add_index, opened_index
+from planrunner.cli.archive_arguments import add_index, folder_argument, opened_index
 from planrunner.cli.printing import print_json, write_file
 
 
@@ -17,7 +17,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "coefficient", metavar="COEFFICIENT", nargs="?", help="estimate.coefficient; without it, the names are listed"
     )
     parser.add_argument(
-        "--runs", metavar="ARCHIVE", type=Path, default=Path("runs"), help="folder of the runs (default: runs)"
+        "--runs",
+        metavar="ARCHIVE",
+        type=folder_argument,
+        default=Path("runs"),
+        help="folder or URL of the runs (default: runs)",
     )
     parser.add_argument(
         "--tolerance", metavar="QUANTITY", help="permissible deviation for the next calibration, such as '0.5 deg/h'"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from planrunner.base.findings import COMMAND_LINE, InputError, closest
 from planrunner.cli import exit_codes
+from planrunner.cli.archive_arguments import folder_argument
 from planrunner.cli.each_run import Done, each_run, run_folders
 from planrunner.cli.log import ring_of
 from planrunner.cli.printing import print_findings, write_file
@@ -61,12 +62,12 @@ def _told(words: Sequence[str]) -> tuple[list[Path], tuple[str, ...]]:
     from planrunner.tasks.check import report_names
 
     known = report_names()
-    runs, names = [Path(words[0])], []
+    runs, names = [folder_argument(words[0])], []
     for word in words[1:]:
         if word in known:
             names.append(word)
-        elif Path(word).is_dir():
-            runs.append(Path(word))
+        elif "://" in word or Path(word).is_dir():
+            runs.append(folder_argument(word))
         else:
             message = f"there is no report '{word[:60]}'"
             raise InputError.at(COMMAND_LINE, "meaning-unknown-report", message, closest(word, known))
@@ -86,6 +87,7 @@ def _check_several(args: argparse.Namespace, names: Sequence[str]) -> None:
 
 
 def _report(run: Path, names: tuple[str, ...], args: argparse.Namespace) -> Done:
+    from planrunner.archive.remote import push_back
     from planrunner.archive.run_reader import RunReader
     from planrunner.tasks import certify as certifying
     from planrunner.tasks import run as running
@@ -96,6 +98,7 @@ def _report(run: Path, names: tuple[str, ...], args: argparse.Namespace) -> Done
     if args.template is None:
         with reading_progress() as notice:
             analysis = running.analyse_run(run, issue, notice=notice)
+        push_back(run)
         print_findings((*analysis.remarks, *analysis.withheld, *analysis.unsigned))
         written = [*analysis.reports]
         found = {"analysis": str(analysis.folder), "withheld": [finding.to_json() for finding in analysis.withheld]}

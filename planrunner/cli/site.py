@@ -6,12 +6,15 @@ import argparse
 from pathlib import Path
 
 from planrunner.cli import exit_codes
+from planrunner.cli.archive_arguments import folder_argument
 from planrunner.cli.printing import print_json
 from planrunner.cli.progress import reading_progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("archive", metavar="ARCHIVE", type=Path, help="folder that contains the run folders")
+    parser.add_argument(
+        "archive", metavar="ARCHIVE", type=folder_argument, help="folder that contains the run folders, or its URL"
+    )
     parser.add_argument("out", metavar="OUT", type=Path, help="folder of the site: a new one, or a site to replace")
     parser.add_argument("--index", metavar="INDEX", help="file or URL of the index (default: a file of this user)")
     parser.add_argument("--no-refresh", action="store_true", help="take the index as it is, without reading new runs")

@@ -11,6 +11,7 @@ from pathlib import Path
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import COMMAND_LINE, InputError, Mark
 from planrunner.cli import exit_codes
+from planrunner.cli.archive_arguments import folder_to_verify
 from planrunner.cli.each_run import Done, add_runs, archive_of, each_result, run_folders
 from planrunner.cli.jobs import add_workers, single_threaded, workers_of
 from planrunner.cli.log import add_heads, heads_of, ring_of, show_log
@@ -24,7 +25,7 @@ from planrunner.tasks.verify import Verification, runs_beneath, runs_in, verify_
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_runs(parser)
+    add_runs(parser, folder_to_verify)
     parser.add_argument("--all", action="store_true", help="RUN is an archive: verify every run folder in it")
     add_heads(parser)
     parser.add_argument(

@@ -20,7 +20,7 @@ from tests.in_process import planrunner
 pytest.importorskip("distributed")
 
 _PLAN = ROOT / "tests" / "agreement" / "corpus" / "counts_that_alternate.yaml"
-_RUNS = 12
+_RUNS = 6
 
 
 @pytest.fixture(scope="module")
