@@ -59,7 +59,8 @@ class JournalState:
     earlier_seals: SHA-256 of each seal that the run had when it was reopened → number of events at that time. turning_times: number and
     time of the first and the last event, and of the two events at each place where the time goes back. planned: number of segments of the
     schedule, 0 if the run never started. stamped, unstamped: the events about time stamps; unstamped_ends: numbers of the events
-    `finished` before which the journal was not stamped to its end."""
+    `finished` before which the journal was not stamped to its end. renewals: time of each event with which the run was reopened under
+    further approvals, and their entries."""
 
     created: JsonObject = field(default_factory=dict)
     acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
@@ -77,6 +78,7 @@ class JournalState:
     stamped: list[JsonObject] = field(default_factory=list)
     unstamped: list[JsonObject] = field(default_factory=list)
     unstamped_ends: list[int] = field(default_factory=list)
+    renewals: list[tuple[str, list[JsonObject]]] = field(default_factory=list)
     _covered: int = 0
     _end_of_others: int = 0
 
@@ -172,6 +174,8 @@ class JournalState:
         self.finished = False
         if "seal" in event:
             self.earlier_seals[event["seal"]] = event["seq"] - 1
+        if "approvals" in event:
+            self.renewals.append((event["at"], [dict(one) for one in event["approvals"]]))
 
 
 def read_state(folder: GuardedFolder, marks: Collection[int] = ()) -> tuple[JournalState, JournalScan]:

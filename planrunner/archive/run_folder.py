@@ -205,14 +205,17 @@ class RunWriter:
         storage: Storage | None = None,
         lock: FolderLock | None = None,
         bench: bytes | None = None,
+        approvals: Sequence[JsonObject] = (),
     ) -> RunWriter:
         """Continue an interrupted run: removes an incomplete last line and settles the segment in progress.
 
         run: its path, or the result of `examine` with samples under the given lock, so that nothing is verified twice.
 
         reason: why a finished, sealed run is reopened; required for such a run. lock: lock of the folder if the caller holds it already;
-        the writer takes it over. bench: a bench file to use in place of the one in the folder; the journal records its digest. Raises
-        `InputError` (in use, finished, unwritable) and `IntegrityError`.
+        the writer takes it over. bench: a bench file to use in place of the one in the folder; the journal records its digest.
+        approvals: entries of approvals of the plan that were given since the run began; the journal records them.
+
+        Raises `InputError` (in use, finished, unwritable) and `IntegrityError`.
         """
         folder = run.folder if isinstance(run, Examined) else open_run(run)
         file: FileIO | None = None
@@ -236,9 +239,11 @@ class RunWriter:
                 storage.sync(file)
             file.seek(scan.size)
             journal = Journal(storage, file, head=scan.head, count=scan.count, size=scan.size)
-            told = {} if examined.seal_digest is None else {"seal": examined.seal_digest}
+            told: JsonObject = {} if examined.seal_digest is None else {"seal": examined.seal_digest}
             if bench is not None:
                 told["bench"] = digest(bench)
+            if approvals:
+                told["approvals"] = list(approvals)
             journal.append("reopened", {"repaired_bytes": scan.torn, "reason": reason or "resumed", **told})
             point = settle_break(folder, storage, journal, state)
             return cls(folder, examined.run["run"], storage, lock, journal, point)

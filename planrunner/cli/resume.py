@@ -37,6 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="use the bench file of a folder that was not made on this computer, and connect to the addresses in it",
     )
+    parser.add_argument(
+        "--approvals",
+        metavar="PLAN",
+        type=Path,
+        help="continue under approvals that were given since the run began and are beside this plan file",
+    )
     add_run_arguments(parser)
 
 
@@ -64,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
             retake=retake,
             bench=args.bench,
             trust_bench=args.trust_bench,
+            approvals=args.approvals,
         )
     if not outcome.ok:
         return tell(folder, outcome, as_json=args.json)

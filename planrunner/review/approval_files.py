@@ -14,8 +14,9 @@ A run folder keeps the approvals that counted when the run began in `approvals.j
 from __future__ import annotations
 
 import hashlib
+import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -23,6 +24,7 @@ from pathlib import Path
 from planrunner.archive.formats import FROM_BACKUP, IntegrityError, parse_json, to_bytes
 from planrunner.archive.storage import Storage
 from planrunner.archive.verifying import APPROVALS, MOST_GIVEN
+from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.review.approvals import (
@@ -138,9 +140,10 @@ class KeptApprovals:
     def bench_digest(self) -> str:
         return hashlib.sha256(self.bench.encode()).hexdigest()
 
-    def to_bytes(self) -> bytes:
-        """The content of `approvals.json`."""
-        given = [{"file": one.file, "envelope": one.envelope.to_bytes().decode()} for one in self.approvals]
+    def to_bytes(self, runs: Path) -> bytes:
+        """The content of `approvals.json`. runs: the folder of the runs. Paths are relative to it, so that the file names no folder of the
+        computer above those that the runs and the approvals share."""
+        given = [entry_of(one) for one in self.approvals]
         return to_bytes(
             {
                 "planrunner_approvals": FORMAT,
@@ -149,9 +152,35 @@ class KeptApprovals:
                 "bench": self.bench,
                 "ring": self.ring,
                 "approvals": given,
-                "found_in": {"keys": self.keys, "approvals": self.folder},
+                "found_in": {"keys": _relative(self.keys, runs), "approvals": _relative(self.folder, runs)},
             }
         )
+
+
+def _relative(path: str, runs: Path) -> str:
+    """A path from the folder of the runs; the name alone if they are on different drives."""
+    try:
+        found = os.path.relpath(os.path.realpath(path), os.path.realpath(runs))
+    except ValueError:
+        found = Path(path).name
+    return Path(found).as_posix()
+
+
+def entry_of(approval: StatedApproval) -> JsonObject:
+    """An approval as the files of a run keep it."""
+    return {"file": approval.file, "envelope": approval.envelope.to_bytes().decode()}
+
+
+def entries_of(given: Iterable[Mapping[str, Json]]) -> tuple[tuple[StatedApproval, ...], tuple[DamagedApproval, ...]]:
+    """The approvals in entries of a run, and the entries that are no approvals."""
+    read = [read_stated(str(one["file"]), str(one["envelope"]).encode()) for one in given]
+    good = tuple(one for one in read if isinstance(one, StatedApproval))
+    bad = tuple(
+        one if isinstance(one, DamagedApproval) else DamagedApproval(one.file, "it is not an approval")
+        for one in read
+        if not isinstance(one, StatedApproval)
+    )
+    return good, bad
 
 
 def keep(
@@ -165,17 +194,11 @@ def keep(
 def kept_approvals(data: bytes, run: Path) -> tuple[KeptApprovals, tuple[DamagedApproval, ...]]:
     """The content of `approvals.json` of a run folder, and the entries that are no approvals. Raises `IntegrityError` for other content."""
     value = parse_json(data, run / APPROVALS, "approvals", "planrunner_approvals", FORMAT)
-    read = [read_stated(str(one["file"]), str(one["envelope"]).encode()) for one in value["approvals"]]
-    good = tuple(one for one in read if isinstance(one, StatedApproval))
-    bad = tuple(
-        one if isinstance(one, DamagedApproval) else DamagedApproval(one.file, "it is not an approval")
-        for one in read
-        if not isinstance(one, StatedApproval)
-    )
+    good, bad = entries_of(value["approvals"])
     try:
         day = date.fromisoformat(value["day"])
     except ValueError:
         raise IntegrityError(f"{run / APPROVALS}: its day is not a calendar date; {FROM_BACKUP}") from None
-    where = value["found_in"]
+    keys, folder = (str(run.resolve().parent / value["found_in"][name]) for name in ("keys", "approvals"))
     texts = value["plan"], value["bench"], value["ring"]
-    return KeptApprovals(*texts, day, good, where["keys"], where["approvals"]), bad
+    return KeptApprovals(*texts, day, good, keys, folder), bad

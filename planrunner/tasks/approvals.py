@@ -6,14 +6,17 @@ A bench that requires approvals refuses everything else: `running.start` execute
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from planrunner import __version__
 from planrunner.archive.formats import IntegrityError
+from planrunner.archive.journal import NAME as JOURNAL
+from planrunner.archive.journal_state import JournalState
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.verifying import APPROVALS, BENCH, PLAN, Examined
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings, InputError, Mark, closest
 from planrunner.bench.approval_rule import ApprovalRule
 from planrunner.bench.model import Bench, bench_of
@@ -24,6 +27,8 @@ from planrunner.review.approval_files import (
     KeptApprovals,
     approvals_folder,
     approved_text,
+    entries_of,
+    entry_of,
     keep,
     kept_approvals,
     read_approvals,
@@ -32,6 +37,7 @@ from planrunner.review.approvals import (
     ApprovalRecord,
     ApprovalRequest,
     ApprovalStanding,
+    DamagedApproval,
     JudgedApproval,
     StatedApproval,
     StatedWithdrawal,
@@ -176,14 +182,16 @@ def _tell(
     plan: str,
     log: Findings,
     differences: _Differences | None = None,
+    remedy: str = "",
 ) -> None:
-    """One error, and for each key another that says why its newest approval does not count."""
+    """One error, and for each key another that says why its newest approval does not count. remedy: by default to approve the plan."""
     persons = sorted({one.person for one in found if one.standing == "counts"})
     counted = f"only that of {persons[0]} counts" if len(persons) == 1 else f"only those of {', '.join(persons)} count"
     have = "there is none" if not found else "there are approvals, but none counts" if not persons else counted
     who = "one person" if rule.required == 1 else f"{rule.required} persons"
     message = f"the bench '{bench.name}' requires an approval of the plan by {who}; {have}"
-    log.error("approval-missing", bench.at("approvals"), message, f"`planrunner approve {plan}`; --list shows all")
+    hint = remedy or f"`planrunner approve {plan}`; --list shows all"
+    log.error("approval-missing", bench.at("approvals"), message, hint)
     newest: dict[str, JudgedApproval] = {}
     for one in found:
         stated = one.stated
@@ -203,15 +211,18 @@ def _tell(
 # -- resuming ----------------------------------------------------------------------------------------------------------
 
 
-def still_approved(reader: RunReader, plan: Plan, bench: Bench, bench_file: Path | None) -> KeptApprovals | None:
-    """The approvals of a run that is to continue, if they still count today. Raises `InputError`.
+def still_approved(
+    reader: RunReader, plan: Plan, bench: Bench, bench_file: Path | None, further: Path | None = None
+) -> tuple[JsonObject, ...]:
+    """Further approvals under which a run is to continue, as entries for its journal. Raises `InputError` if too few count today.
 
-    bench_file: of a bench that replaces the one in the folder. Approvals that expired or were withdrawn since, and keys that were revoked,
-    count no more. Approvals given later do not count: the run keeps those under which it began.
+    bench_file: of a bench that replaces the one in the folder. further: plan file beside which approvals are that were given since the run
+    began; without it, only those count under which it began or was continued. Approvals that expired or were withdrawn since, and keys
+    that were revoked, count no more.
     """
     rule = bench.approvals
     if rule is None:
-        return None
+        return ()
     if reader.approvals is None:
         message = f"the bench '{bench.name}' requires approvals, but this run began without any"
         raise InputError.at(bench.at("approvals"), "approval-missing", message, "run the plan again, approved")
@@ -219,17 +230,34 @@ def still_approved(reader: RunReader, plan: Plan, bench: Bench, bench_file: Path
     path = Path(kept.keys) if bench_file is None else bench_file.parent / rule.keys
     ring, own = _ring(rule, path).ring, bench_of(reader.bench_bytes, str(reader.path / BENCH))
     withdrawals = [one for one in read_approvals(Path(kept.folder)) if isinstance(one, StatedWithdrawal)]
+    before = [*kept.approvals, *(one for _, given in _renewals(reader.state) for one in given[0])]
+    known = {one.digest for one in before}
+    given = () if further is None else read_approvals(approvals_folder(further))
+    withdrawals += [one for one in given if isinstance(one, StatedWithdrawal)]
+    new = [one for one in given if isinstance(one, StatedApproval) and one.digest not in known]
     moment = datetime.now(UTC)
     day = moment.astimezone().date()
     asked = ApprovalRequest(procedure_of(plan).digest(), equipment_of(own).digest(), plan.author, moment, day)
-    found, met = judged([*kept.approvals, *damaged, *withdrawals], rule, ring, asked)
+    found, met = judged([*before, *new, *damaged, *withdrawals], rule, ring, asked)
     log = Findings()
     _require_authors(rule, plan, ring, log)
     if not met:
-        _tell(found, bench, rule, str(reader.path / PLAN), log)
+        _tell(
+            found, bench, rule, "PLAN", log, remedy="let reviewers approve the plan again, then add `--approvals PLAN`"
+        )
     if log.errors:
         raise InputError(log)
-    return kept
+    counted = {
+        one.stated.digest for one in found if one.standing == "counts" and isinstance(one.stated, StatedApproval)
+    }
+    return tuple(entry_of(one) for one in new if one.digest in counted)
+
+
+def _renewals(
+    state: JournalState,
+) -> list[tuple[datetime, tuple[tuple[StatedApproval, ...], tuple[DamagedApproval, ...]]]]:
+    """When a run was continued under further approvals, and these; also the entries that are none."""
+    return [(datetime.fromisoformat(at), entries_of(given)) for at, given in state.renewals]
 
 
 # -- afterwards --------------------------------------------------------------------------------------------------------
@@ -286,11 +314,29 @@ def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, .
     asked = ApprovalRequest(kept.plan_digest, kept.bench_digest, author, created, kept.day)
     stated: list[ApprovalRecord] = [*kept.approvals, *damaged]
     seen, met = judged(stated, rule, known, asked)
-    why = "; ".join(f"{_name(one)}: {one.why}" for one in seen if one.standing != "counts")
+    renewals = [] if found.state is None else _renewals(found.state)
+    outdated: tuple[ApprovalStanding, ...] = ("revoked",) if renewals else ()
+    _tell_invalid(found, path / APPROVALS, seen, outdated, met=met or bool(renewals))
+    for number, (at, (good, bad)) in enumerate(renewals, 1):
+        stated += [*good, *bad]
+        asked = replace(asked, moment=at, day=at.astimezone().date())
+        again, met = judged(stated, rule, known, asked)
+        last = number == len(renewals)
+        outdated = ("expired", "key dates", "revoked", "same person")
+        of_these = [one for one in again if one.stated in (*good, *bad)]
+        _tell_invalid(found, path / JOURNAL, of_these, () if last else outdated, met=met or not last)
+        seen = (*seen, *of_these)
+    return tuple(RunApproval(one, ring is not None) for one in seen)
+
+
+def _tell_invalid(
+    found: Examined, where: Path, seen: Sequence[JudgedApproval], outdated: Sequence[ApprovalStanding], *, met: bool
+) -> None:
+    """Reports approvals that do not count, except for reasons that later approvals make up for. met: whether enough count."""
+    why = "; ".join(f"{_name(one)}: {one.why}" for one in seen if one.standing not in ("counts", *outdated))
     if not met or why:
         lacking = "the approvals that the bench requires are not all valid"
-        found.error("run-approval", f"{path / APPROVALS}: {lacking}{': ' if why else ''}{why}", hint="")
-    return tuple(RunApproval(one, ring is not None) for one in seen)
+        found.error("run-approval", f"{where}: {lacking}{': ' if why else ''}{why}", hint="")
 
 
 def _author(found: Examined, kept: KeptApprovals, bench: Bench) -> tuple[str, ...]:
@@ -329,11 +375,12 @@ def _name(one: JudgedApproval) -> str:
 
 
 def approved_by(reader: RunReader) -> Iterator[tuple[str, str]]:
-    """Name of each person whose approval the run keeps, and what reports print about it. They were verified when the run began."""
+    """Name of each person whose approval the run keeps, and what reports print about it. They were verified when the run began, or was
+    continued under further ones."""
     if reader.approvals is None:
         return
     kept, _ = kept_approvals(reader.approvals, reader.path)
     ring = parse_ring(kept.ring, str(reader.path / APPROVALS))
-    for one in kept.approvals:
+    for one in [*kept.approvals, *(one for _, given in _renewals(reader.state) for one in given[0])]:
         judgement = JudgedApproval(one, "counts", key=ring.find(one.envelope.key))
         yield one.name, RunApproval(judgement, False).words()

@@ -141,7 +141,7 @@ def start(
     bench; by default it is sought in `runs`. Raises `InputError` and `InstrumentError` for
     obstacles to the start.
     """
-    kept = _approved(sound)
+    kept = _approved(sound, runs)
     operator = _attended(sound, operator)
     name = Path(sound.file).stem
     admission = admission or admit(sound.bench, name, info, runs)
@@ -175,12 +175,13 @@ def resume(
     retake: Retake | None = None,
     bench: str | None = None,
     trust_bench: bool = False,
+    approvals: Path | None = None,
 ) -> Outcome:
     """Continue an interrupted run with its plan and bench, or repeat segments of a finished or unfinished run.
 
     bench: a shipped name or a file that replaces the bench in the folder; it may differ only in the connections of instruments. A folder
     that was not made on this computer needs such a bench, or `trust_bench` to use its own, because the bench names the devices to connect
-    to.
+    to. approvals: plan file beside which approvals are that were given since the run began; they are recorded in the journal.
 
     The folder is locked first, then the bench, and only then are instruments connected. If two processes resume a run, one is refused
     before it connects to any instrument.
@@ -191,14 +192,28 @@ def resume(
         found = examine(folder, samples="contents")  # once, under the lock; what was found is handed on
         reader = RunReader.of(found, to_reopen=True)
         file = None if bench is None else _stand_in(reader, bench)
-        return _resume(found, reader, lock, stop, data_root, progress, operator, retake, file, trust_bench=trust_bench)
+        return _resume(
+            found,
+            reader,
+            lock,
+            stop,
+            data_root,
+            progress,
+            operator,
+            retake,
+            file,
+            trust_bench=trust_bench,
+            approvals=approvals,
+        )
     finally:
         lock.release()
 
 
-def _approved(sound: Sound) -> bytes | None:
-    """The approvals that the run folder keeps; None if the bench requires none. Raises `InputError` if they are lacking: every run comes
-    here, however its plan was checked."""
+def _approved(sound: Sound, runs: Path) -> bytes | None:
+    """The approvals that the run folder in `runs` keeps; None if the bench requires none.
+
+    Raises `InputError` if they are lacking: every run comes here, however its plan was checked.
+    """
     bench = sound.bench
     if bench.approvals is None:
         return None
@@ -206,7 +221,7 @@ def _approved(sound: Sound) -> bytes | None:
         message = f"the bench '{bench.name}' requires approvals, and this plan was not checked for them"
         hint = "run a plan file that is approved for this bench, or use another bench"
         raise InputError.at(bench.at("approvals"), "approval-missing", message, hint)
-    return sound.approvals.to_bytes()
+    return sound.approvals.to_bytes(runs)
 
 
 def _lock(run: GuardedFolder) -> FolderLock:
@@ -230,6 +245,7 @@ def _resume(
     file: Document | None,
     *,
     trust_bench: bool,
+    approvals: Path | None,
 ) -> Outcome:
     """file: the bench to use instead of that in the folder."""
     if reader.sealed and retake is None:
@@ -240,13 +256,14 @@ def _resume(
     sound = sound_run(reader, date.today(), file)
     if file is None and not trust_bench:
         _require_made_here(reader, sound)
-    still_approved(reader, sound.plan, sound.bench, None if file is None else Path(file.shown))
+    further = still_approved(reader, sound.plan, sound.bench, None if file is None else Path(file.shown), approvals)
     again = () if retake is None else _chosen(reader, retake.labels)
     operator = _attended(sound, operator)
     reason = None if retake is None else retake.reason
 
     def reopen() -> RunWriter:
-        writer = RunWriter.reopen(found, reason=reason, lock=lock, bench=None if file is None else file.data)
+        data = None if file is None else file.data
+        writer = RunWriter.reopen(found, reason=reason, lock=lock, bench=data, approvals=further)
         try:
             writer.take_watchdog_report()
             for index in again:

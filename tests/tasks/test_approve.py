@@ -43,6 +43,7 @@ from planrunner.tasks.verify import verify_run
 from tests.in_process import planrunner
 
 ROOT = Path(__file__).resolve().parents[2]
+HERE = Path()
 WORDS = "correct horse battery"
 PLAN = """\
 planrunner: 1
@@ -376,6 +377,57 @@ def test_a_run_does_not_go_on_when_an_approval_counts_no_more(plan: Path, code: 
     assert len(RunReader.open(run).acknowledged()) < 2
 
 
+def test_a_run_goes_on_under_further_approvals(plan: Path) -> None:
+    run = interrupted(approved(plan))
+    ring = plan.parent / "lab-keys.yaml"
+    write_ring(plan.parent, anna='    revoked: "2026-01-01"\n')
+    with pytest.raises(InputError) as refused:
+        running.resume(run, stop=StopRequest())
+    assert "--approvals PLAN" in refused.value.findings[0].hint
+    ring.write_text(ring.read_text() + entry_text("eve", EVE.public, ("reviewer",), None))
+    with pytest.raises(InputError, match="approval-key-revoked"):
+        running.resume(run, stop=StopRequest(), approvals=plan)
+    approve(prepare(plan, foresee=False), EVE, "Eve")
+    with pytest.raises(InputError, match="approval-missing"):
+        running.resume(run, stop=StopRequest())
+    words = ("resume", run, "--approvals", plan, "--quiet")
+    assert planrunner(*words, cwd=plan.parent).returncode == 0
+    found = verify_run(run, read_ring(ring))
+    assert not found.changes
+    assert [(one.judged.standing, one.judged.person) for one in found.approvals] == [
+        ("revoked", "anna"),
+        ("counts", "ben"),
+        ("counts", "eve"),
+    ]
+    assert "Eve" in (run / "analyses" / "1" / "summary.md").read_text()
+    write_ring(plan.parent)  # without Eve
+    codes_found = {finding.code for _, finding in verify_run(run, read_ring(ring)).changes}
+    assert codes_found == {"run-approval"}
+
+
+def test_further_approvals_of_another_plan_or_by_nobody_known_do_not_count(plan: Path) -> None:
+    run = interrupted(approved(plan))
+    withdraw(plan, ANNA, "Anna", "a mistake")
+    other = Path(shutil.copy(plan, plan.with_name("other.yaml")))
+    replaced(other, "dwell: 5 s", "dwell: 6 s")
+    approved(other)
+    with pytest.raises(InputError, match="approval-other-plan"):
+        running.resume(run, stop=StopRequest(), approvals=other)
+    approve(prepare(plan, foresee=False), EVE, "Eve")
+    with pytest.raises(InputError, match="approval-unknown-key"):
+        running.resume(run, stop=StopRequest(), approvals=plan)
+
+
+def test_the_run_folder_names_no_folder_of_the_computer(plan: Path) -> None:
+    run = interrupted(approved(plan))
+    text = (run / "approvals.json").read_text()
+    assert json.loads(text)["found_in"] == {"keys": "../lab-keys.yaml", "approvals": "../plan.yaml.approvals"}
+    assert str(plan.parent) not in text
+    plan.parent.rename(plan.parent.with_name("moved"))
+    moved = plan.parent.with_name("moved")
+    assert running.resume(moved / "runs" / run.name, stop=StopRequest()).ok
+
+
 # -- afterwards --------------------------------------------------------------------------------------------------------
 
 
@@ -474,19 +526,19 @@ def _by_eve(kept: KeptApprovals) -> bytes:
         assert isinstance(stated, StatedApproval)
         forged.append(stated)
     text += entry_text("carla", CARLA.public, (), None)
-    return replace(kept, ring=text, approvals=tuple(forged)).to_bytes()
+    return replace(kept, ring=text, approvals=tuple(forged)).to_bytes(HERE)
 
 
 FORGERIES: dict[str, Callable[[KeptApprovals], bytes | None]] = {
     "none": lambda kept: None,
-    "one less": lambda kept: replace(kept, approvals=kept.approvals[:1]).to_bytes(),
-    "one twice": lambda kept: replace(kept, approvals=kept.approvals[:1] * 2).to_bytes(),
+    "one less": lambda kept: replace(kept, approvals=kept.approvals[:1]).to_bytes(HERE),
+    "one twice": lambda kept: replace(kept, approvals=kept.approvals[:1] * 2).to_bytes(HERE),
     "by a stranger": _by_eve,
-    "another day": lambda kept: replace(kept, day=kept.day + timedelta(days=40)).to_bytes(),
-    "another meaning": lambda kept: replace(kept, plan=kept.plan.replace("P1", "P7")).to_bytes(),
-    "another bench": lambda kept: replace(kept, bench=kept.bench.replace("virtual", "other")).to_bytes(),
-    "not a date": lambda kept: kept.to_bytes().replace(kept.day.isoformat().encode(), b"2026-02-31"),
-    "no ring": lambda kept: replace(kept, ring="").to_bytes(),
+    "another day": lambda kept: replace(kept, day=kept.day + timedelta(days=40)).to_bytes(HERE),
+    "another meaning": lambda kept: replace(kept, plan=kept.plan.replace("P1", "P7")).to_bytes(HERE),
+    "another bench": lambda kept: replace(kept, bench=kept.bench.replace("virtual", "other")).to_bytes(HERE),
+    "not a date": lambda kept: kept.to_bytes(HERE).replace(kept.day.isoformat().encode(), b"2026-02-31"),
+    "no ring": lambda kept: replace(kept, ring="").to_bytes(HERE),
     "not JSON": lambda kept: b"{",
 }
 
@@ -505,10 +557,10 @@ def test_a_run_that_was_written_anew_is_found(lab: Path, tmp_path: Path, name: s
 
 def test_the_approvals_of_another_plan_are_found(lab: Path, tmp_path: Path) -> None:
     ring = read_ring(lab / "lab-keys.yaml")
-    whole = made_up(lab, tmp_path, lambda kept: kept.to_bytes())
+    whole = made_up(lab, tmp_path, lambda kept: kept.to_bytes(HERE))
     assert verify_run(whole, ring).changes == ()
     (tmp_path / "other").mkdir()
-    forged = made_up(lab, tmp_path / "other", lambda kept: kept.to_bytes(), PLAN.replace("5 s", "50 s").encode())
+    forged = made_up(lab, tmp_path / "other", lambda kept: kept.to_bytes(HERE), PLAN.replace("5 s", "50 s").encode())
     assert {finding.code for _, finding in verify_run(forged, ring).changes} == {"run-approval"}
 
 
