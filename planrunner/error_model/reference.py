@@ -36,7 +36,7 @@ def reference() -> str:
     parts = [_BEGINNING]
     for actor, words in ACTORS.items():
         rows = [_row(effect) for effect in effects if about(effect).actor is actor]
-        parts.append(f"## Who acts: {actor.value}\n\nThis is {words}.\n")
+        parts.append(f"## Who acts: {actor.value}\n\nCorrections are made by {words}.\n")
         parts.append("| effect | in plain words | physics | what to do |\n| --- | --- | --- | --- |\n" + "".join(rows))
     return "\n".join(parts)
 

@@ -52,7 +52,11 @@ class StandardOverride(Record):
     by: str = key(
         Text(PERSON, "a person's name"), "Who decides this: a name in `may_override` of the bench file.", "anna"
     )
-    why: str = key(Text(LINE, "a reason"), "Why; every run keeps it.", "table was levelled, certificate follows")
+    why: str = key(
+        Text(LINE, "a reason"),
+        "Reason for this decision; it is stored with every run.",
+        "table was levelled, certificate follows",
+    )
 
 
 class SuiteBench(Record):
@@ -175,7 +179,8 @@ class SuitePlan(Record):
     )
     interrupted: str = key(
         Choice(("resume", "retake")),
-        "What happens to a half run when the night continues after a power failure: `resume` continues it, `retake` makes a new run.",
+        "What happens to an incomplete run when the night continues after a power failure: `resume` continues it, `retake` makes a "
+        "new run.",
         "retake",
         default="resume",
     )
@@ -187,7 +192,7 @@ class SuitePlan(Record):
     )
     on_fault: str = key(
         Choice(("continue", "stop_device", "stop_bench", "stop_night")),
-        "The same after a fault that the repetitions did not remove.",
+        "What happens after a fault that remains after all repetitions (`retries`), with the same choices as `on_limit`.",
         "stop_night",
         default="stop_bench",
     )
@@ -207,7 +212,7 @@ class KnownFailure(Record):
         "2026-12-31",
     )
     reason: str = key(
-        Text(LINE, "a reason"), "Why it is known, for the summary.", "connector worn, replacement ordered"
+        Text(LINE, "a reason"), "Cause of the failure; the summary shows it.", "connector worn, replacement ordered"
     )
     of: tuple[str, ...] = key(
         ListOf(Choice(("limit", "fault")), minimum=1), "Kinds of failure that are known.", ["limit"], default=("limit",)

@@ -204,7 +204,8 @@ class SegmentSpec(State):
     )
     order: str = key(
         Choice(("as_written", "reversed", "serpentine", "shuffled")),
-        "Order of the sweep: serpentine reverses every other inner pass; shuffled is a random order, drawn with the seed 'shuffle_seed'.",
+        "Order of the sweep: serpentine runs through the values of the inner keys forwards and backwards in turn; shuffled is a random "
+        "order, drawn with the seed 'shuffle_seed'.",
         "as_written",
         default="as_written",
     )

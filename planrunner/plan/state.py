@@ -124,12 +124,12 @@ class RockSpec(Record):
 
 
 class RecordedSpec(Record):
-    """Channels of the recording that show a motion which no table was commanded to make: of a hand, a vehicle, or a jig without a drive.
+    """Channels of the recording that show a motion that was not commanded, such as that of a hand, a vehicle, or a jig without a drive.
     One of angle, attitude and rates gives the rotation."""
 
     angle: str | None = key(
         CHANNEL,
-        "Encoder of the axis about which the sensor turns; in the segment's orientation it is zero.",
+        "Encoder of the axis about which the sensor turns; it reads zero in the orientation of the segment.",
         "table_angle",
         default=None,
     )
@@ -147,7 +147,8 @@ class RecordedSpec(Record):
     )
     forces: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=3, maximum=3),
-        "Accelerometers that show the specific force along the sensor's x, y and z. Without them, it is that of gravity in the attitude.",
+        "Accelerometers that show the specific force along the sensor's x, y and z. Without them, it is computed from gravity and the "
+        "attitude.",
         ["reference_accel_x", "reference_accel_y", "reference_accel_z"],
         default_factory=tuple,
     )
@@ -176,7 +177,7 @@ class MotionSpec(Record):
     )
     about: str = key(
         Choice(tuple(DIRECTIONS)),
-        "Site direction the table spins about.",
+        "Direction at the site about which the table spins.",
         "up",
         default="up",
     )

@@ -57,8 +57,8 @@ class ErrorModelParameters(Record):
     )
     temperature_channel: str | None = key(
         CHANNEL,
-        "The sensor's own thermometer, whose mean is the temperature of a segment; by default the planned temperature. A drift with "
-        "temperature then uses the only recorded channel that is a temperature.",
+        "The sensor's own thermometer, whose mean is the temperature of a segment; by default the planned temperature. If this "
+        "key is left out, a drift with temperature uses the only recorded channel that is a temperature.",
         "temperature",
         default=None,
     )
@@ -82,8 +82,8 @@ class ErrorModelParameters(Record):
     )
     expected: dict[str, dict[str, str]] = key(
         MapOf(MapOf(Text(), pattern=_COLUMN), pattern=r"[a-z][a-z0-9_]{0,59}"),
-        "The parameters that are expected of effects with a shape, as for the driver `added_effects`. `check` predicts the uncertainties "
-        "for these values; the estimate does not use them.",
+        "Expected values of the parameters of effects with a shape parameter, in the form of the driver `added_effects`. `check` predicts "
+        "the uncertainties for these values; the estimate does not use them.",
         {"gyro_bandwidth": {"tau": "5 ms"}, "gyro_warm_up": {"tau": "600 s", "a_x": "0.01 deg/s"}},
         default_factory=dict,
     )

@@ -71,7 +71,7 @@ class CompensationResidualParameters(Record):
 
     trials: int = key(
         Number(1000, 1_000_000, integer=True),
-        "Simulated experiments that give the expected range of the ratio.",
+        "Number of simulated experiments, which give the expected range of the ratio of the residual sums of squares.",
         20_000,
         default=20_000,
     )

@@ -124,7 +124,7 @@ class RockingDriftParameters(Record):
     )
     smallest_drift: Quantity = key(
         QuantityOf("angular rate", "positive"),
-        "Drift to be resolved; `check` reports how long one count of an accelerometer takes at this drift.",
+        "Drift to be resolved; `check` reports in what time this drift changes the reading of an accelerometer by one count.",
         "0.003 deg/h",
         default=parse_quantity("0.003 deg/h"),
     )
@@ -136,7 +136,7 @@ class RockingDriftParameters(Record):
     )
     gimbal_axes: tuple[str, ...] = key(
         ListOf(Choice(("x", "y", "z")), minimum=3, maximum=3),
-        "Axis about which each gimbal turns, outermost gimbal first; the axis belongs to the part that carries the gimbal.",
+        "Axis about which each gimbal turns, outermost gimbal first; it is an axis of the part that carries the gimbal.",
         ["x", "y", "z"],
         default=("x", "y", "z"),
     )
