@@ -27,6 +27,7 @@ USED = {
     "MountedAxis.angle": "planrunner/uncertainty/stated_inputs.py, as `fixture angle`",
     "MountedAxis.azimuth": "planrunner/uncertainty/stated_inputs.py, as `fixture azimuth`",
     "Limit.prior": "planrunner/uncertainty/global_risk.py",
+    "CheckedCoefficient.reference": "planrunner/night/history/check_standard.py",
     **{
         f"Installation.{pair}": "planrunner/estimators/rocking/influences.py"
         for pair in ("xz", "xy", "yz", "yx", "zy", "zx")

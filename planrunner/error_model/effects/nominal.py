@@ -110,7 +110,7 @@ class EarthRate:
     """The Earth's rotation, if the nominal simulation omits it."""
 
     id, stage, in_every_world = "earth_rate", "stimulus", True
-    shown_by = "orientations between which the axis is turned relative to the Earth's axis"
+    shown_by = "orientations that differ in the angle between the axis and the Earth's axis"
     about = About(
         "simulation omits the rotation of the Earth",
         "The gyros measure the rotation of the Earth, which the simulation does not contain.",

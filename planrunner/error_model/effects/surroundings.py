@@ -34,7 +34,8 @@ class MagneticSensitivity:
         "Shield the sensor magnetically, or compensate with a magnetometer: {found}.",
     )
     shown_by = (
-        "orientations between which the sensor is turned in the magnetic field (`magnetic_field` of the bench's site)"
+        "orientations that differ in the direction of the magnetic field in the axes of the sensor "
+        "(`magnetic_field` of the bench's site)"
     )
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -78,7 +79,7 @@ class SiteLatitude:
         Actor.SITE,
         "Add the error to the latitude of the site in the bench file: {found}.",
     )
-    shown_by = "orientations between which the axis is turned in the plane of the meridian"
+    shown_by = "orientations that differ by a turn of the axis in the plane of the meridian"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return self.around(observed, np.zeros(1))

@@ -44,7 +44,7 @@ class TableTilt:
         Actor.BENCH,
         "Level the table: {found}.",
     )
-    shown_by = "orientations between which the sensor is turned about the vertical"
+    shown_by = "orientations that differ by a turn of the sensor about the vertical"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return self.around(observed, np.zeros(2))
@@ -65,7 +65,7 @@ class TableAzimuth:
         Actor.BENCH,
         "Align the table with north, or correct the azimuth of the site in the bench file: {found}.",
     )
-    shown_by = "orientations between which the axis is turned about the vertical"
+    shown_by = "orientations that differ by a turn of the axis about the vertical"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return self.around(observed, np.zeros(1))
