@@ -83,6 +83,7 @@ class NightRecord:
     warm_ups: list[JsonObject] = field(default_factory=list)
     notifications: list[JsonObject] = field(default_factory=list)
     check_standards: list[JsonObject] = field(default_factory=list)
+    fleet: list[JsonObject] = field(default_factory=list)
     sessions: int = 0
 
     def take(self, event: Mapping[str, Json]) -> None:
@@ -108,6 +109,9 @@ class NightRecord:
                 self.warm_ups.append({"bench": event["bench"], "begins": event["now"], "ends": event["until"]})
             case "check_standard":
                 self.check_standards.append({"bench": event["bench"], "state": event["state"]})
+            case "fleet":
+                known = ("plan", "runs", "statements", "changes", "shared", "verdicts")
+                self.fleet.append({name: event[name] for name in known})
             case "remark":
                 self.remarks.append(event["text"])
             case "notified":
@@ -168,6 +172,7 @@ class NightRecord:
                 for item in self.warm_ups
             ],
             "check_standards": list(self.check_standards),
+            "fleet": list(self.fleet),
             "remarks": list(self.remarks),
             "notifications": list(self.notifications),
         }

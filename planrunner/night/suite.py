@@ -219,6 +219,23 @@ class KnownFailure(Record):
     )
 
 
+class NightDiagnosis(Record):
+    """After the night, its runs are diagnosed together with recent runs of the same plans."""
+
+    recent: int = key(
+        Number(4, 400, integer=True),
+        "Largest number of runs of each plan that are diagnosed together: those of the night and the newest before them.",
+        60,
+        default=40,
+    )
+    within: Quantity = key(
+        QuantityOf("time", "positive"),
+        "Runs older than this are not used.",
+        "90 d",
+        default=parse_quantity("1440 h"),
+    )
+
+
 class Notification(Record):
     """A message at the end of the night: either `webhook` or `email`."""
 
@@ -329,6 +346,12 @@ class Suite(Record):
         [{"tests": "drift/FG-0007/*", "until": "2026-12-31", "reason": "connector worn"}],
         default_factory=tuple,
     )
+    diagnosis: NightDiagnosis | None = key(
+        RecordOf(NightDiagnosis),
+        "Diagnosis of the runs after the night; without this key, they are not diagnosed.",
+        {"recent": 40},
+        default=None,
+    )
     notify: tuple[Notification, ...] = key(
         ListOf(RecordOf(Notification), maximum=20),
         "Messages at the end of the night.",
@@ -345,6 +368,7 @@ SECTIONS: tuple[tuple[str, str, type[Record]], ...] = (
     ("`devices`: each device", "", SuiteDevice),
     ("`plans`: each plan", "", SuitePlan),
     ("`known_failures`", "", KnownFailure),
+    ("`diagnosis`", "", NightDiagnosis),
     ("`notify`", "", Notification),
 )
 """Title, text and record of each section of the reference of keys."""

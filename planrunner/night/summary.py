@@ -45,6 +45,15 @@ def summary(night: JsonObject) -> str:
             state, why = item["state"], "; ".join(item["state"]["reasons"])
             words = state["standing"] if state["standing"] == "in control" else f"**{state['standing'].upper()}**"
             lines.append(f"| {_cell(item['bench'])} | {_cell(state['device'])} | {words} | {_cell(why) or '–'} |")
+    if night["fleet"]:
+        lines += ["", "## Fleet", ""]
+        for group in night["fleet"]:
+            said = group["statements"] or ["no device, bench or occasion stands out, and nothing changed"]
+            lines += [f"- {_cell(group['plan'])} ({group['runs']} runs): {_cell(text)}" for text in said]
+        named = [one for group in night["fleet"] for one in group["verdicts"] if one["effects"]]
+        if named:
+            lines += ["", "| run | diagnosis |", "|---|---|"]
+            lines += [f"| `{_cell(one['run'])}` | {_cell(', '.join(one['effects']))} |" for one in named]
     order = sorted(night["tests"], key=lambda test: (test["state"] == "passed", test["state"] == "known_failure"))
     lines += ["", "## Tests", "", "| test | result | reason | run |", "|---|---|---|---|"]
     for test in order:

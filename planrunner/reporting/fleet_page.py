@@ -39,8 +39,43 @@ _REMEDY = {
 
 
 def sentences(found: Data) -> list[str]:
-    """What is attributed to which source, one sentence for each part or spread."""
-    return [text for amplitude in found["amplitudes"] for text in _of_amplitude(found, amplitude)]
+    """What changed and when, what lots have in common, and what is attributed to which source."""
+    return [*news(found), *(text for amplitude in found["amplitudes"] for text in _of_amplitude(found, amplitude))]
+
+
+def statements(found: Data) -> list[str]:
+    """The sentences without those on terms that the simulation fits: every device has its own bias."""
+    beside = [one for one in found["amplitudes"] if one["effect"] not in found["nominal"]]
+    return [*news(found), *(text for amplitude in beside for text in _of_amplitude(found, amplitude))]
+
+
+def news(found: Data) -> list[str]:
+    """What changed and when, and what lots have in common."""
+    changed = [_of_change(one, change) for one in found["amplitudes"] for change in one["changes"]]
+    return [*changed, *map(_of_lot, found["shared"])]
+
+
+def _of_change(amplitude: Data, change: Data) -> str:
+    """Such as `bench b2: table_tilt about_east changed by 4.0 ± 0.5 arcsec between …`."""
+    names = [
+        _WORDS[source] if source == "common" else f"{_WORDS[source]} {label}" for source, label in change["sources"]
+    ]
+    value, u = format_pair(change["size"], change["expanded_uncertainty"])
+    label = f"{amplitude['effect']} {amplitude['name']}"
+    after, until = (str(change[key])[:16].replace("T", " ") for key in ("after", "until"))
+    size = f"{value} ± {u}{_unit(change['unit'])}"
+    p = "p < 0.001" if change["p"] < 0.001 else f"p = {change['p']:.2g}"
+    if change["kind"] == "drift":
+        return f"{' or '.join(names)}: {label} drifts by {size} from {after} to {until} UTC ({change['runs_after']} runs, {p})."
+    counts = f"{change['runs_before']} runs before, {change['runs_after']} since, {p}"
+    return f"{' or '.join(names)}: {label} changed by {size} between {after} and {until} UTC ({counts})."
+
+
+def _of_lot(one: Data) -> str:
+    value, u = format_pair(one["difference"], one["expanded_uncertainty"])
+    devices = f"{len(one['devices'])} devices of lot {one['lot']} ({', '.join(one['devices'])})"
+    apart = f"{value} ± {u}{_unit(one['unit'])} from the {one['others']} others"
+    return f"{devices} share {one['effect']} {one['name']}: {apart} (by chance: {one['chance']:.2g})."
 
 
 def _of_amplitude(found: Data, amplitude: Data) -> Iterator[str]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +22,9 @@ from planrunner.base.processes import processors
 from planrunner.base.progress import Announce, Pace
 from planrunner.base.workers import Workers, results_of
 from planrunner.gap.fleet.amplitudes import AmplitudeEstimate, AmplitudeKey, amplitudes
-from planrunner.gap.fleet.attribution import Attribution, Contribution, Estimates, Source, Uncertain, attribute
+from planrunner.gap.fleet.attribution import SURE, Attribution, Contribution, Estimates, Source, Uncertain, attribute
+from planrunner.gap.fleet.changes import ChangeKind, FleetChange, changes
+from planrunner.gap.fleet.lots import SharedByLot, shared_by_lots
 from planrunner.instruments.models import DataOrigin
 from planrunner.plan.model import NOMINAL_TERMS
 from planrunner.plan.source import read_text
@@ -31,8 +34,10 @@ if TYPE_CHECKING:
     from planrunner.gap.answer.diagnosis import Diagnosis
 
 FLEET_FORMAT = 1
-DEVICE = "device_serial"
-"""Item of the run information that names the device."""
+DEVICE, LOT = "device_serial", "lot"
+"""Items of the run information that name the device and the lot that it was made in."""
+COVERAGE_FACTOR = 2.0
+"""Of the expanded uncertainty of a change."""
 STATED = (Source.DEVICE, Source.BENCH, Source.OCCASION)
 """The sources whose labels a table can state."""
 _COLUMNS = ("run", *(source.value for source in STATED))
@@ -41,10 +46,12 @@ _LEAST = 1e-12  # probability with which a run counts that gives an effect none
 
 @dataclass(frozen=True, slots=True)
 class RunOrigin:
-    """A run with the labels of its device, bench and occasion."""
+    """A run with the labels of its device, bench and occasion. created: when it was made, UTC, ISO 8601. lot: of the device, if stated."""
 
     run: Path
     labels: Mapping[Source, str]
+    created: str = ""
+    lot: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,17 +81,20 @@ class Attributed:
     values: tuple[float, ...]
     standard_uncertainties: tuple[float, ...]
     attribution: Attribution
+    changes: tuple[FleetChange, ...] = ()
 
 
 @dataclass(frozen=True)
 class FleetDiagnosis:
-    """effects: those that were fitted in every run, beside the nominal terms; not_attributed: effects that a run names, with the reason."""
+    """effects: those that were fitted in every run, beside the nominal terms; not_attributed: effects that a run names, with the reason.
+    shared: lots whose devices have an amplitude in common."""
 
     origins: tuple[RunOrigin, ...]
     verdicts: tuple[RunVerdict, ...]
     effects: tuple[str, ...]
     attributed: tuple[Attributed, ...]
     not_attributed: Mapping[str, str]
+    shared: tuple[SharedByLot, ...] = ()
     findings: Findings = field(default_factory=Findings)
 
     @property
@@ -110,7 +120,25 @@ class FleetDiagnosis:
             "nominal": list(self.verdicts[0].nominal),
             "effects": list(self.effects),
             "amplitudes": [self._amplitude(one) for one in self.attributed],
+            "shared": [_shared_plain(one) for one in self.shared],
             "not_attributed": [{"effect": name, "reason": why} for name, why in self.not_attributed.items()],
+        }
+
+    def _change(self, one: Attributed, change: FleetChange) -> JsonObject:
+        runs = [self.origins[one.runs[k]] for k in change.runs]
+        before = [] if change.kind is ChangeKind.DRIFT else runs[: change.before]
+        return {
+            "kind": change.kind.value,
+            "sources": [[source.value, label] for source, label in change.sources],
+            "size": change.size,
+            "expanded_uncertainty": COVERAGE_FACTOR * change.standard_uncertainty,
+            "unit": one.key.unit if change.kind is ChangeKind.STEP else f"{one.key.unit}/d",
+            "p": change.p,
+            "after": runs[change.earliest].created,
+            "until": runs[change.latest if change.kind is ChangeKind.STEP else -1].created,
+            "first_after": str(runs[change.before].run),
+            "runs_before": len(before),
+            "runs_after": len(runs) - len(before),
         }
 
     def _amplitude(self, one: Attributed) -> JsonObject:
@@ -125,11 +153,26 @@ class FleetDiagnosis:
             "contributions": [_plain(item) for item in one.attribution.contributions],
             "named": [list(_words(item)) for item in one.attribution.named],
             "open": [list(_words(item)) for item in one.attribution.open],
+            "changes": [self._change(one, change) for change in one.changes],
             "estimates": [
                 {"run": str(self.origins[index].run), "value": value, "standard_uncertainty": u}
                 for index, value, u in estimates
             ],
         }
+
+
+def _shared_plain(one: SharedByLot) -> JsonObject:
+    return {
+        "lot": one.lot,
+        "effect": one.key.effect,
+        "name": one.key.name,
+        "unit": one.key.unit,
+        "devices": list(one.devices),
+        "others": one.others,
+        "difference": one.difference,
+        "expanded_uncertainty": one.expanded,
+        "chance": one.chance,
+    }
 
 
 def _words(one: Contribution) -> tuple[str, ...]:
@@ -166,10 +209,12 @@ def diagnose_fleet(
     origins: Path | None = None,
     workers: Workers | None = None,
     notice: Announce | None = None,
+    *,
+    skip: bool = False,
 ) -> FleetDiagnosis:
     """Diagnoses runs together. nominal: terms that the simulations fit, by default those of the plans; origins: a CSV table that states
-    device, bench or occasion of runs; workers: share the
-    runs; by default one process per processor. notice: receives the progress.
+    device, bench or occasion of runs; workers: share the runs, by default processes of this machine. notice: receives the progress. skip:
+    runs that cannot be diagnosed are left out with a note, instead of being an error.
 
     Raises `InputError` with all obstacles, and `IntegrityError`.
     """
@@ -177,9 +222,19 @@ def diagnose_fleet(
     workers = workers or Workers(processors())
     given = None if nominal is None else tuple(nominal)
     found = results_of(partial(_verdict, given), runs, workers, Pace("diagnosing the runs", 1.0, notice).reached)
-    verdicts = tuple(one for one in found if isinstance(one, RunVerdict))
-    _require_all(one for one in found if not isinstance(one, RunVerdict))
     findings = Findings()
+    obstacles = [one for one in found if not isinstance(one, RunVerdict)]
+    if not skip:
+        _require_all(obstacles)
+    for obstacle in obstacles:
+        findings.note(
+            obstacle[0].code, obstacle[0].mark, f"this run is left out: {obstacle[0].message}", obstacle[0].hint
+        )
+    kept = [k for k, one in enumerate(found) if isinstance(one, RunVerdict)]
+    runs, known = [runs[k] for k in kept], tuple(known[k] for k in kept)
+    verdicts = tuple(one for one in found if isinstance(one, RunVerdict))
+    if not verdicts:
+        _require_all(obstacles)
     for verdict in verdicts:
         findings.extend(verdict.findings)
     _compare(runs, verdicts, findings)
@@ -197,7 +252,7 @@ def diagnose_fleet(
     for name in effects:
         if not any(one.key.effect == name for one in attributed):
             left[name] = "fewer than two runs determine its amplitudes beside the other terms"
-    return FleetDiagnosis(known, verdicts, effects, attributed, left, findings)
+    return FleetDiagnosis(known, verdicts, effects, attributed, left, _shared(attributed, known), findings)
 
 
 # -- which device, bench and occasion ----------------------------------------------------------------------------------
@@ -228,11 +283,12 @@ def _origins(runs: Sequence[Path], table: Path | None) -> tuple[RunOrigin, ...]:
             Source.BENCH: own.get(Source.BENCH) or bench,
             Source.OCCASION: own.get(Source.OCCASION) or run.resolve().name,
         }
+        info = reader.run.get("info", {})
         if not labels[Source.DEVICE]:
             hint = f"state the device in a table for --origins, with the columns {', '.join(_COLUMNS)}"
             message = f"run.json does not say which device was measured: it has no '{DEVICE}'"
             log.error("fleet-no-device", Mark(str(run)), message, hint)
-        origins.append(RunOrigin(run, labels))
+        origins.append(RunOrigin(run, labels, str(reader.run["created"]), str(info.get(LOT) or "")))
     if log.errors:
         raise InputError(log)
     return tuple(origins)
@@ -429,17 +485,41 @@ def _attributed(
                 by_key.setdefault(one.key, []).append((index, one.value, one.standard_uncertainty))
     listed = [item for item in by_key.items() if len(item[1]) > 1]
     listed.sort(key=lambda item: item[0].effect in NOMINAL_TERMS)  # the named effects first
-    return tuple(results_of(partial(_one_attributed, tuple(origins)), listed, workers))
+    return tuple(results_of(partial(_one_attributed, tuple(origins), len(listed)), listed, workers))
 
 
 def _one_attributed(
-    origins: Sequence[RunOrigin], given: tuple[AmplitudeKey, Sequence[tuple[int, float, float]]]
+    origins: Sequence[RunOrigin], amplitudes_: int, given: tuple[AmplitudeKey, Sequence[tuple[int, float, float]]]
 ) -> Attributed:
+    """amplitudes_: number of all amplitudes that are examined. A device or bench that changed counts as another one from then on."""
     from threadpoolctl import threadpool_limits
 
     key, listed = given
+    listed = sorted(listed, key=lambda one: origins[one[0]].created)
     indices, values, spreads = zip(*listed, strict=True)
     groups = {source: [origins[index].labels[source] for index in indices] for source in STATED}
+    days = [datetime.fromisoformat(origins[index].created).timestamp() / 86400 for index in indices]
+    estimates = Estimates(np.array(values), np.array(spreads), groups)
     with threadpool_limits(limits=1, user_api="blas"):
-        made = attribute(Estimates(np.array(values), np.array(spreads), groups))
-    return Attributed(key, indices, values, spreads, made)
+        found = changes(estimates, days, amplitudes_)
+        for change in found:
+            source, label = change.sources[0]
+            if change.kind is ChangeKind.STEP and source in STATED:
+                for k in change.runs[change.before :]:
+                    since = origins[indices[change.runs[change.before]]].created[:10]
+                    groups[source][k] = f"{label} since {since}"
+        made = attribute(Estimates(estimates.values, estimates.standard_uncertainties, groups))
+    return Attributed(key, indices, values, spreads, made, found)
+
+
+def _shared(attributed: Sequence[Attributed], origins: Sequence[RunOrigin]) -> tuple[SharedByLot, ...]:
+    """What the devices of one lot have in common, and no other device has."""
+    lots = {one.labels[Source.DEVICE]: one.lot for one in origins if one.lot}
+    found: list[SharedByLot] = []
+    for one in attributed:
+        device = one.attribution.of(Source.DEVICE)
+        if device.probability < SURE or len(device.component.sources) > 1:
+            continue
+        levels = {part.label: part.level or part.part for part in device.parts}
+        found += shared_by_lots(one.key, levels, lots)
+    return tuple(found)

@@ -35,6 +35,7 @@ from planrunner.base.documents import Json, JsonObject
 from planrunner.base.exclusive import ExclusiveFile, HeldError
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.base.processes import ProcessEndedError
 from planrunner.bench.model import read_bench
 from planrunner.execution.stopping import StopRequest
 from planrunner.night.civil_time import Opening, civil, shown_time
@@ -47,6 +48,7 @@ from planrunner.night.summary import headline, summary
 from planrunner.night.timetable import Begin, BenchHours, EndOfTest, NightCourse, NightHours
 from planrunner.tasks.check_standard import control_state
 from planrunner.tasks.check_suite import SoundSuite
+from planrunner.tasks.diagnose_night import diagnose_night
 
 JOURNAL = "night.jsonl"
 RESERVE = "reserve"
@@ -357,9 +359,26 @@ class _Night:
             self._log("interrupted", {"reason": stop.reason})
             self._write_reports()
             return NightResult(self._folder.path, self._record.to_json(), INTERRUPTED, self._trouble)
+        self._diagnose()
         code = FAULT if self._trouble else self._record.verdict()
         self._finish("finished", code)
         return NightResult(self._folder.path, self._record.to_json(), code, self._trouble)
+
+    def _diagnose(self) -> None:
+        """The runs of the night together with recent runs. It is no test: whatever happens in it, the night has its results."""
+        asked = self._sound.suite.diagnosis
+        if asked is None or self._trouble or self._record.fleet:
+            return
+        self._options.tell("diagnosing the runs")
+        runs = [attempt.run for test in self._record.tests for attempt in test.attempts if attempt.run is not None]
+        try:
+            for found, remark in diagnose_night(self._options.runs, runs, asked):
+                if found is not None:
+                    self._log("fleet", found)
+                if remark:
+                    self._remark(f"diagnosis of {remark}")
+        except (InputError, ProcessEndedError, OSError) as error:
+            self._remark(f"the runs could not be diagnosed: {error}")
 
     def close(self) -> None:
         with contextlib.suppress(OSError):

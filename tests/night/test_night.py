@@ -18,12 +18,13 @@ import pytest
 from lxml import etree
 
 from planrunner.archive.storage import Storage
-from planrunner.base.findings import InputError
+from planrunner.base.findings import InputError, Mark
 from planrunner.base.workers import ALONE
 from planrunner.execution.stopping import StopRequest
 from planrunner.night.record import FAULT, INTERRUPTED
 from planrunner.night.summary import github_annotations
 from planrunner.night.timetable import EndOfTest
+from planrunner.tasks import night as tasks_night
 from planrunner.tasks.check_suite import SoundSuite, check_suite
 from planrunner.tasks.night import NightClock, NightOptions, NightResult, judged, run_night
 
@@ -443,3 +444,38 @@ plans: {x: {plan: p.yaml}}
     words = [json.loads(line) for line in (lab / "calls").read_text(encoding="utf-8").splitlines()]
     given = [one[one.index("--override-check-standard") :] for one in words if "--override-check-standard" in one]
     assert [one[:4] for one in given] == [["--override-check-standard", "levelled", "--override-by", "anna"]]
+
+
+def test_the_diagnosis_after_the_night_is_in_its_record_and_never_its_failure(
+    lab: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = "bench bench-2: table_tilt about_east changed by 4.1 ± 0.6 arcsec"
+    record = {
+        "plan": "One position",
+        "runs": 8,
+        "statements": [text],
+        "changes": [],
+        "shared": [],
+        "verdicts": [{"run": "r1", "verdict": "named", "effects": ["table_tilt"]}],
+    }
+    given: list[Any] = []
+
+    def diagnosed(archive: Path, runs: list[str], asked: Any) -> Any:
+        given.append((archive, runs, asked.recent))
+        yield record, ""
+        yield None, "p: 2 runs are too few to be diagnosed together"
+        raise InputError.at(Mark("index"), "index-unavailable", "the server stopped", "start it")
+
+    monkeypatch.setattr(tasks_night, "diagnose_night", diagnosed)
+    sound = suite_in(lab, "benches: {a: {bench: virtual}}\nplans: {x: {plan: p.yaml}}\ndiagnosis: {recent: 12}\n")
+    result = night(lab, sound)
+    assert result.exit_code == 0
+    check_reports(result)
+    ((archive, runs, recent),) = given
+    assert (archive, recent) == (lab / "runs", 12)
+    assert runs == [result.record["tests"][0]["run"]]
+    assert result.record["fleet"] == [record]
+    assert any("too few" in remark for remark in result.record["remarks"])
+    assert any("the server stopped" in remark for remark in result.record["remarks"])
+    summary = (result.folder / "summary.md").read_text(encoding="utf-8")
+    assert f"- One position (8 runs): {text}" in summary and "| `r1` | table_tilt |" in summary

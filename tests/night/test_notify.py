@@ -20,7 +20,7 @@ from planrunner.night.suite import Notification
 
 NIGHT: dict[str, Any] = {
     "title": "Night\r\nBcc: evil@example.org", "suite": "s.yaml", "clock": "virtual", "state": "finished", "begins": "b", "ends": "e",
-    "foreseen_end": "f", "exit_code": 1, "counts": {"failed": 1}, "check_standards": [], "remarks": [], "notifications": [],
+    "foreseen_end": "f", "exit_code": 1, "counts": {"failed": 1}, "check_standards": [], "fleet": [], "remarks": [], "notifications": [],
     "tests": [{"test": "x/a", "state": "failed", "reason": "7 °/h, required ±5", "run": "r"}],
 }  # fmt: skip
 

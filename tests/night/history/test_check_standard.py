@@ -277,11 +277,9 @@ def suite(folder: Path, bench: str) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("reference", "expected"), [("1.83 deg/h", "passed"), ("2.9 deg/h", "not_run")])
-def test_a_night_measures_the_check_standard_first_and_blocks_its_bench(
-    tmp_path: Path, reference: str, expected: str
-) -> None:
-    lab(tmp_path, f"{reference} ± 0.1 deg/h")
+def test_a_night_measures_the_check_standard_first(tmp_path: Path) -> None:
+    """With real runs. What happens if it is not in control: `tests/night/test_night.py`."""
+    lab(tmp_path)
     suite(tmp_path, "{bench: ./lab.yaml, check_standard_first: true}")
     checked = planrunner("check", "night.yaml", cwd=tmp_path)
     assert checked.returncode == 0 and "check standard/CS-01/a" in checked.stdout
@@ -289,17 +287,11 @@ def test_a_night_measures_the_check_standard_first_and_blocks_its_bench(
     record = json.loads(done.stdout)
     Draft202012Validator(json.loads((ROOT / "schemas" / "night.schema.json").read_bytes())).validate(record)
     states = {test["test"]: test["state"] for test in record["tests"]}
-    first = "passed" if expected == "passed" else "failed"
-    assert states == {"check standard/CS-01/a": first, "work/D1/a": expected, "work/D2/b": "passed"}
+    assert states == {"check standard/CS-01/a": "passed", "work/D1/a": "passed", "work/D2/b": "passed"}
     (standard,) = record["check_standards"]
-    assert standard["state"]["standing"] == ("in control" if expected == "passed" else "out of control")
+    assert standard["state"]["standing"] == "in control"
     (summary,) = (tmp_path / "runs" / "nights").glob("2*/summary.md")
-    text = summary.read_text(encoding="utf-8")
-    assert "## Check standards" in text
-    if expected == "not_run":
-        assert "**OUT OF CONTROL** | drift.D_X_F is 1." in text
-        assert "it needs check standard/CS-01/a, which did not pass" in text
-        assert done.returncode == 3
+    assert "| a | CS-01 | in control |" in summary.read_text(encoding="utf-8")
 
 
 def test_a_suite_on_a_bench_that_is_not_in_control_is_refused_unless_it_is_overridden(tmp_path: Path) -> None:

@@ -1,0 +1,177 @@
+"""When an amplitude changed in a fleet, and with which device or bench.
+
+The estimates of one amplitude in n runs, in the order of time, are a part of each device, a part of each bench, and possibly changes:
+
+    y_r = d[device of r] + b[bench of r] + Σ_j x_j·h_j(r) + e_r,    e_r ~ N(0, c²·s_r²)
+
+A step of a device, of a bench or of all runs has h = 1 in its runs from one of them on, and 0 elsewhere; a drift has h = the days since its
+first run. The parts are fitted without priors (analysis of covariance), so a constant difference of devices or benches is no change. The
+change with the smallest p-value is added to the model while its p-value, multiplied by the number of changes that were tried (Bonferroni),
+is at most `LEVEL`; p is that of Student's t of its amplitude (forward selection; Hawkins, Journal of the American Statistical Association
+72, 1977, for the place of a step). c² is χ²/ν of the fit with the change, at least 1: scatter from run to run that the s_r do not contain
+makes changes less significant, and never more. A drift is preferred to a step only if it has the smaller p-value.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.gap.fleet.attribution import ALL_RUNS, Estimates, Source
+
+Array = NDArray[np.float64]
+LEVEL = 0.01
+"""Largest p-value of a change that is reported, after the correction for the number of changes that were tried."""
+LEAST = 2
+"""Runs before and after a step: one run alone may be an outlier."""
+_MOST = 5
+_FIT = 1e-9
+"""Share of a column that must remain beside the others, and difference from 1 of the correlation of columns that count as equal."""
+_LIKELY = 3.84
+"""Quantile 0.95 of χ² with one degree of freedom: places of a step with a χ² within it of the best are possible."""
+
+
+class ChangeKind(Enum):
+    STEP = "step"
+    DRIFT = "drift"
+
+
+@dataclass(frozen=True, slots=True)
+class FleetChange:
+    """A change of an amplitude. sources: with their labels; several that the runs cannot distinguish. runs: indices of the runs of the
+    first source; before: number of them before a step. earliest, latest: indices into `runs` between which a step began (95 %): after the
+    first and not after the second. size: of a step, or of a drift per day; p: after the correction."""
+
+    kind: ChangeKind
+    sources: tuple[tuple[Source, str], ...]
+    runs: tuple[int, ...]
+    before: int
+    earliest: int
+    latest: int
+    size: float
+    standard_uncertainty: float
+    p: float
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    kind: ChangeKind
+    source: Source
+    label: str
+    runs: tuple[int, ...]
+    place: int
+    column: Array
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """size, u, p: of one candidate; chi2: of the fit with it; factor: c²; direction: its column of length 1, beside the other columns."""
+
+    candidate: _Candidate
+    size: float
+    u: float
+    p: float
+    chi2: float
+    factor: float
+    direction: Array
+
+
+def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tuple[FleetChange, ...]:
+    """The changes of an amplitude, the most significant first. given: its estimates in the order of time, with groups for device and bench;
+    days: of every run. amplitudes: number of amplitudes that are examined, for the correction."""
+    time = np.asarray(days, dtype=float)
+    listed = list(_candidates(given, time))
+    root = 1 / given.standard_uncertainties
+    design = [root[:, None] * _dummies(given.groups[source]) for source in (Source.DEVICE, Source.BENCH)]
+    found: list[FleetChange] = []
+    while len(found) < _MOST:
+        tried = list(_tried(np.hstack(design), given.values * root, [(one, one.column * root) for one in listed]))
+        if not tried:
+            break
+        best = min(tried, key=lambda one: one.p)
+        p = min(1.0, best.p * len(tried) * amplitudes)
+        if p > LEVEL:
+            break
+        found.append(_change(best, tried, p))
+        design.append((best.candidate.column * root)[:, None])
+    return tuple(found)
+
+
+def _dummies(labels: Sequence[str]) -> Array:
+    names = sorted(set(labels))
+    return np.array([[float(label == name) for name in names] for label in labels])
+
+
+def _candidates(given: Estimates, time: Array) -> Iterator[_Candidate]:
+    n = len(time)
+    groups = {**given.groups, Source.COMMON: [ALL_RUNS] * n}
+    for source in (Source.BENCH, Source.DEVICE, Source.COMMON):
+        labels = groups[source]
+        for label in dict.fromkeys(labels):
+            runs = tuple(k for k in range(n) if labels[k] == label)
+            for place in range(LEAST, len(runs) - LEAST + 1):
+                if time[runs[place]] > time[runs[place - 1]]:
+                    column = np.zeros(n)
+                    column[list(runs[place:])] = 1.0
+                    yield _Candidate(ChangeKind.STEP, source, label, runs, place, column)
+            if len({time[k] for k in runs}) > LEAST:
+                column = np.zeros(n)
+                column[list(runs)] = time[list(runs)] - time[runs[0]]
+                yield _Candidate(ChangeKind.DRIFT, source, label, runs, 0, column)
+
+
+def _tried(design: Array, y: Array, listed: Sequence[tuple[_Candidate, Array]]) -> Iterator[_Tried]:
+    """Every candidate that the other columns do not contain. design: (n, m), y: (n,), weighted with 1/s."""
+    from scipy.stats import t as student
+
+    left, values, _ = np.linalg.svd(design, full_matrices=False)
+    basis = left[:, values > 1e-10 * values.max()]
+    rest = y - basis @ (basis.T @ y)
+    chi2, freedom = float(rest @ rest), len(y) - basis.shape[1] - 1
+    if freedom < 1:
+        return
+    for candidate, column in listed:
+        beside = column - basis @ (basis.T @ column)
+        length = float(np.linalg.norm(beside))
+        if length <= math.sqrt(_FIT) * float(np.linalg.norm(column)):
+            continue
+        size = float(beside @ rest) / length**2
+        left_over = max(0.0, chi2 - (size * length) ** 2)
+        factor = max(1.0, left_over / freedom)
+        u = math.sqrt(factor) / length
+        yield _Tried(
+            candidate, size, u, 2 * float(student.sf(abs(size) / u, freedom)), left_over, factor, beside / length
+        )
+
+
+def _change(best: _Tried, tried: Sequence[_Tried], p: float) -> FleetChange:
+    one = best.candidate
+    alike = [
+        (other.candidate.source, other.candidate.label)
+        for other in tried
+        if other is not best
+        and abs(abs(float(other.direction @ best.direction)) - 1) < _FIT
+        and other.candidate.kind is one.kind
+    ]
+    places = [
+        other.candidate.place
+        for other in tried
+        if (other.candidate.kind, other.candidate.source, other.candidate.label) == (one.kind, one.source, one.label)
+        and other.chi2 <= best.chi2 + _LIKELY * best.factor
+    ]
+    return FleetChange(
+        one.kind,
+        tuple(dict.fromkeys([(one.source, one.label), *alike])),
+        one.runs,
+        one.place,
+        max(0, min(places) - 1),
+        max(places),
+        best.size,
+        best.u,
+        p,
+    )

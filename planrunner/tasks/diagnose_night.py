@@ -1,0 +1,70 @@
+"""The diagnosis after a night: the runs of the night together with recent runs of the same plans, and what became of device and bench."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from planrunner.archive.formats import IntegrityError
+from planrunner.base.documents import Json, JsonObject
+from planrunner.base.findings import InputError
+from planrunner.base.workers import Workers
+from planrunner.night.history.rows import RunFilter, RunRow
+from planrunner.night.suite import NightDiagnosis
+from planrunner.reporting.fleet_page import statements
+from planrunner.tasks.diagnose_fleet import DEVICE, diagnose_fleet
+from planrunner.tasks.history import Freshness, opened
+
+LEAST = 4
+"""Runs from which a change can be seen: two before it and two after it."""
+
+
+def diagnose_night(
+    archive: Path, runs: Sequence[str], asked: NightDiagnosis, workers: Workers | None = None
+) -> Iterator[tuple[JsonObject | None, str]]:
+    """For each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json), and why there is none or which runs are left out.
+
+    runs: names of the folders of the night's runs. Raises `InputError` if the index cannot be used.
+    """
+    since = (datetime.now(UTC) - timedelta(seconds=asked.within.value)).isoformat()
+    with opened(archive, None, Freshness()) as index:
+        known = [run for run in index.runs(RunFilter(since=since)) if run.state == "sealed" and run.info.get(DEVICE)]
+    own = [run for run in known if run.folder in runs]
+    for key in dict.fromkeys((run.plan, run.title) for run in own):
+        group = [run for run in known if (run.plan, run.title) == key][: asked.recent]
+        if len(group) >= LEAST:
+            yield _of_plan(archive, group, [run.folder for run in own], workers or Workers())
+        else:
+            yield None, f"{key[0]}: {len(group)} runs are too few to be diagnosed together"
+
+
+def _of_plan(
+    archive: Path, group: Sequence[RunRow], own: Sequence[str], workers: Workers
+) -> tuple[JsonObject | None, str]:
+    plan, folders = group[0].title or group[0].plan, [archive / run.folder for run in reversed(group)]
+    try:
+        made = diagnose_fleet(folders, workers=workers, skip=True)
+    except (InputError, IntegrityError) as error:
+        return None, f"{plan}: the runs cannot be diagnosed together: {error}"
+    found = made.to_json()
+    verdicts: list[Json] = [
+        {"run": name, "verdict": one["verdict"], "effects": one["effects"]}
+        for one in found["runs"]
+        for name in [Path(one["run"]).name]
+        if name in own
+    ]
+    record = {
+        "plan": plan,
+        "runs": len(found["runs"]),
+        "statements": statements(found),
+        "changes": [
+            {"effect": one["effect"], "name": one["name"], **change}
+            for one in found["amplitudes"]
+            for change in one["changes"]
+        ],
+        "shared": found["shared"],
+        "verdicts": verdicts,
+    }
+    left = len(group) - len(found["runs"])
+    return record, f"{plan}: {left} runs could not be diagnosed" if left else ""
