@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from planrunner.cli import exit_codes
+
 if TYPE_CHECKING:
     from planrunner.night.history.index import Index
+    from planrunner.night.history.rows import FaultRow
 
 
 def folder_argument(text: str) -> Path:
@@ -68,3 +72,12 @@ def opened_index(args: argparse.Namespace, archive: Path) -> Iterator[Index]:
         index = opened(archive, args.index, Freshness(not args.no_refresh, args.rebuild, notice))
     with index:
         yield index
+
+
+def report_left_out(faults: Sequence[FaultRow], otherwise: int = exit_codes.DONE) -> int:
+    """The exit code of a command that leaves damaged runs out; they are named on standard error. otherwise: the code if there are none."""
+    from planrunner.reporting.printable import printable
+
+    for fault in faults:
+        print(printable(f"not in the index: {fault.folder}: {fault.message}", keep=""), file=sys.stderr)
+    return exit_codes.INTEGRITY if faults else otherwise

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import add_index, folder_argument, opened_index
+from planrunner.cli.archive_arguments import add_index, folder_argument, opened_index, report_left_out
 from planrunner.cli.printing import print_json
 
 
@@ -36,6 +35,7 @@ def run(args: argparse.Namespace) -> int:
     wanted = RunFilter(device=args.device, plan=args.plan, since=args.since, until=args.until)
     with opened_index(args, args.runs) as index:
         found, unit = gauge_of(index, args.coefficient, wanted)
+        faults = index.faults()
     if args.json:
         print_json(found.to_json(args.coefficient, unit))
     else:
@@ -48,4 +48,4 @@ def run(args: argparse.Namespace) -> int:
         terminal.console().print(terminal.data_table(gauge_table(found, unit)))
         if found.unused:
             print(f"{found.unused} runs are not used, because the other combinations have fewer runs")
-    return exit_codes.DONE
+    return report_left_out(faults)

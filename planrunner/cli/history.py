@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import add_index, folder_argument, opened_index
+from planrunner.cli.archive_arguments import add_index, folder_argument, opened_index, report_left_out
 from planrunner.cli.printing import print_json, write_file
 
 
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with the control charts")
     add_index(parser)
     parser.add_argument("--json", action="store_true", help="print the history as JSON")
-    parser.epilog = "Exit codes: 0 in control, 1 the newest value is outside a control limit, 2 wrong input."
+    parser.epilog = "Exit codes: 0 in control, 1 the newest value is outside a control limit, 2 wrong input, 4 some folders are damaged and are not used."
 
 
 def run(args: argparse.Namespace) -> int:
@@ -40,13 +40,14 @@ def run(args: argparse.Namespace) -> int:
     from planrunner.tasks.history import coefficients_of, trend_of
 
     with opened_index(args, args.runs) as index:
+        faults = index.faults()
         if args.coefficient is None:
             names = coefficients_of(index, args.device)
             if args.json:
                 print_json(names)
             else:
                 print(printable("\n".join(names)))
-            return exit_codes.DONE
+            return report_left_out(faults)
         found = trend_of(index, args.device, args.coefficient, args.tolerance, args.since)
     if args.html is not None:
         from planrunner.reporting.history_page import render_history
@@ -67,4 +68,5 @@ def run(args: argparse.Namespace) -> int:
             if participants:
                 console.print(terminal.data_table(agreement_table(title, participants, found.unit)))
     charts = found.charts
-    return exit_codes.LIMIT_FAILED if charts is not None and charts.out_of_control else exit_codes.DONE
+    out = charts is not None and charts.out_of_control
+    return report_left_out(faults, exit_codes.LIMIT_FAILED if out else exit_codes.DONE)

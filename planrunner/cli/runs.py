@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
-from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import add_archive, add_index, opened_index
+from planrunner.cli.archive_arguments import add_archive, add_index, opened_index, report_left_out
 from planrunner.cli.printing import print_json
 
 
@@ -57,14 +55,11 @@ def run(args: argparse.Namespace) -> int:
     else:
         from planrunner.reporting import terminal
         from planrunner.reporting.history_tables import runs_table
-        from planrunner.reporting.printable import printable
 
         if found.runs:
             terminal.console().print(terminal.data_table(runs_table(found.runs)))
         more = f", {len(found.runs)} shown" if len(found.runs) < found.total else ""
         print(f"{found.total} run{'' if found.total == 1 else 's'}{more}")
-        for fault in found.faults:
-            print(printable(f"not in the index: {fault.folder}: {fault.message}", keep=""), file=sys.stderr)
         if args.export is not None:
             print(args.export)
-    return exit_codes.INTEGRITY if found.faults else exit_codes.DONE
+    return report_left_out(found.faults)

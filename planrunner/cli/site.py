@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import folder_argument
+from planrunner.cli.archive_arguments import folder_argument, report_left_out
 from planrunner.cli.printing import print_json
 from planrunner.cli.progress import reading_progress
 
@@ -30,8 +29,9 @@ def run(args: argparse.Namespace) -> int:
         if not args.no_refresh:
             index.refresh(notice=notice)
         built = build_site(index, args.out, notice)
+        faults = index.faults()
     if args.json:
         print_json({"page": str(built.page), "runs": built.runs, "devices": built.devices})
     else:
         print(built.page)
-    return exit_codes.DONE
+    return report_left_out(faults)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.verifying import open_run
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import JsonObject
@@ -68,7 +69,7 @@ class RunComparison:
 
 
 def compare_runs(runs: Sequence[Path]) -> RunComparison:
-    """The coefficients of several runs side by side. Raises `InputError`, for a run without an analysis too."""
+    """The coefficients of several runs side by side. Raises `InputError`, for a run without an analysis too, and `IntegrityError`."""
     found = [_read(run) for run in runs]
     rows = [one.run for one in found if one.run is not None]
     held = [{row.quantity: row for row in one.coefficients} for one in found]
@@ -81,7 +82,7 @@ def _read(run: Path) -> IndexedRun:
     open_run(run)
     found = read_run(run, ".")
     if found.fault:
-        raise InputError.at(Mark(str(run)), "compare-run", found.fault, "run `planrunner verify` on this folder")
+        raise IntegrityError(found.fault)
     if found.run is not None and not found.run.analysis:
         hint = "make an analysis with `planrunner estimate`"
         raise InputError.at(Mark(str(run)), "analysis-missing", "this run has no analysis yet", hint)

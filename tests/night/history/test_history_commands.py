@@ -75,6 +75,24 @@ def test_a_damaged_folder_is_named_and_the_code_is_4(tmp_path: Path, capsys: pyt
     assert "1 run\n" in said.out and "not in the index: 0000-calibration: " in said.err
 
 
+@pytest.mark.parametrize("words", [["history", "FG-7"], ["history", "FG-7", "drift.bias"], ["gauge", "drift.bias"]])
+def test_a_result_without_a_damaged_run_says_so(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damaged, *_ = [make_run(tmp_path / "runs", MadeRun(device="FG-7"), number) for number in range(3)]
+    assert main([*words, "--runs", str(tmp_path / "runs")]) == 0
+    (damaged / "plan.yaml").write_text("changed")
+    assert main([*words, "--runs", str(tmp_path / "runs")]) == 4
+    assert "not in the index: 0000-calibration: " in capsys.readouterr().err
+
+
+def test_a_damaged_run_is_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    runs = [make_run(tmp_path / "runs", MadeRun(), number) for number in range(2)]
+    (runs[0] / "plan.yaml").write_text("changed")
+    assert main(["compare", *map(str, runs)]) == 4
+    assert "plan.yaml: differs from what was recorded" in capsys.readouterr().err
+
+
 def test_the_history_says_what_changed_and_why(
     archive: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
