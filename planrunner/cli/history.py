@@ -32,7 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with the control charts")
     add_index(parser)
     parser.add_argument("--json", action="store_true", help="print the history as JSON")
-    parser.epilog = "Exit codes: 0 in control, 1 the newest value is outside a control limit, 2 wrong input, 4 some folders are damaged and are not used."
+    parser.epilog = (
+        "Exit codes: 0 in control, 1 the newest value is outside a control limit, 2 wrong input, 4 some folders are damaged "
+        "and are not used."
+    )
 
 
 def run(args: argparse.Namespace) -> int:
