@@ -379,4 +379,4 @@ def between_segments(
         high *= 4
         if high > _WIDEST * float(np.max(spread)):
             return 0.0
-    return float(brentq(excess, 0.0, high, xtol=1e-6 * float(np.min(spread)), rtol=1e-9))
+    return float(brentq(excess, 0.0, high, xtol=1e-12 * float(np.min(spread)), rtol=1e-12))
