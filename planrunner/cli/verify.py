@@ -140,6 +140,9 @@ def _lines(name: str, verification: Verification) -> Iterator[str]:
                 f"valid, key of {known.name}" if known and approval.verified else "NOT VERIFIED: no key ring was given"
             )
             yield (f"    plan approved by {approval.words()}: {owner}")
+    for evaluation in verification.evaluations:
+        if evaluation.covered:
+            yield f"    analysis {evaluation.analysis}: its evaluation is {evaluation.words}"
     for finding in verification.remarks:
         yield (f"    {finding.message}")
     for hint in dict.fromkeys(finding.hint for _, finding in verification.changes if finding.hint):

@@ -24,7 +24,7 @@ from planrunner.tasks.approvals import run_approvals
 from planrunner.tasks.check import Sound
 from planrunner.tasks.report import report_context
 from planrunner.tasks.run import evaluated_as, stored_results
-from planrunner.tasks.verify import verification, verify_signatures
+from planrunner.tasks.verify import verification, verify_evaluations, verify_signatures
 
 UNUSUAL = ("noticed", "paused", "rescued", "failed", "stopped", "reopened")
 """Kinds of events that a reviewer reads."""
@@ -41,6 +41,7 @@ def review_of(
     reader = RunReader.of(found)
     verify_signatures(found, ring)
     run_approvals(found, ring)
+    evaluations = verify_evaluations(found, ring)
     known = {one.number: one for one in reader.analyses}
     number = max(known, default=0) if number is None else number
     if number not in known:
@@ -66,7 +67,12 @@ def review_of(
     files += [
         DigestedFile(f"analyses/{number}/{name}", str(value)) for name, value in analysis.digests["files"].items()
     ]
-    deviations = (*changes, *_deviations(reader, sound, recording, results, analysis))
+    uncovered = [
+        RunDeviation("not approved", f"the evaluation of analysis {one.analysis} is {one.words}", grave=True)
+        for one in evaluations
+        if one.analysis == number and not one.covered and not one.fault
+    ]
+    deviations = (*changes, *uncovered, *_deviations(reader, sound, recording, results, analysis))
     return ReviewContext(report, deviations, tuple(files), tuple(_events(reader)))
 
 

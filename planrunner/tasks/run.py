@@ -21,7 +21,7 @@ from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.space import recording_bytes, require_space
 from planrunner.archive.storage import Durability
-from planrunner.archive.verifying import Examined, examine, open_run
+from planrunner.archive.verifying import APPROVALS, Examined, examine, open_run
 from planrunner.base.documents import Json
 from planrunner.base.findings import Finding, Findings, InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
@@ -60,6 +60,7 @@ from planrunner.tasks.bench_signature import sign_analysis, sign_seal
 from planrunner.tasks.certify import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
 from planrunner.tasks.check import Document, Sound, check_plan
 from planrunner.tasks.check_standard import Admission, admit
+from planrunner.tasks.evaluation_approvals import approvals_of_amended
 from planrunner.tasks.report import report_context
 from planrunner.tasks.stamp import after_sealing, stamper_of
 
@@ -571,6 +572,11 @@ def _analyse(
         if amendment.plan is not None:
             sound = _evaluated(reader, amendment.plan)
             amending[EVALUATED_PLAN] = amendment.plan.data
+            own = approvals_of_amended(reader, sound.plan, sound.bench, Path(amendment.plan.shown))
+            if own is not None:
+                amending[APPROVALS] = own
+            if sound.bench.approvals is not None:
+                stated += "; " + ("its plan was approved" if own is not None else "its plan was NOT approved")
     recording, results = _estimated(reader, sound, notice)
     before = None if issue.before is None else _analyse(issue.before, Issue(), notice=notice)
     shown = facts(

@@ -34,6 +34,7 @@ from planrunner.signing.run_stamps import RunStamp, verify_stamps
 from planrunner.signing.time_stamps import StampAuthority
 from planrunner.tasks.amendment import in_words, stored_amendment
 from planrunner.tasks.approvals import RunApproval, run_approvals
+from planrunner.tasks.evaluation_approvals import EvaluationApproval, evaluation_approvals
 
 FORMAT = 1
 
@@ -42,6 +43,7 @@ FORMAT = 1
 class Verification:
     """Result of the verification of a run folder. changes: each change with the finding that describes it; remarks: findings that are not
     changes, such as that the run is not sealed; amendments: number of an analysis → who amended which analysis, and why;
+    evaluations: whether approvals cover the evaluation of each analysis, if the bench requires approvals;
     signatures, stamps, approvals: all electronic signatures, time stamps, and approvals under which the plan ran; an invalid one is a
     change too."""
 
@@ -52,6 +54,7 @@ class Verification:
     signatures: tuple[RunSignature, ...] = ()
     stamps: tuple[RunStamp, ...] = ()
     approvals: tuple[RunApproval, ...] = ()
+    evaluations: tuple[EvaluationApproval, ...] = ()
 
     @property
     def sealed(self) -> bool:
@@ -83,6 +86,9 @@ class Verification:
             ],
             "signatures": [one.to_json() for one in self.signatures],
             "stamps": [one.to_json() for one in self.stamps],
+            "evaluations": [
+                {"analysis": one.analysis, "covered": one.covered, "words": one.words} for one in self.evaluations
+            ],
             "approvals": [{**one.judged.to_json(), "verified": one.verified} for one in self.approvals],
         }
 
@@ -97,7 +103,22 @@ def verify_run(run: Path, ring: KeyRing | None = None, authority: StampAuthority
         stamps = verify_stamps(found, authority)
     except OSError as error:
         found.error("run-stamp", f"{found.folder.path / STAMPS}: {error.strerror}")
-    return replace(verification(found, signatures, run_approvals(found, ring)), stamps=stamps)
+    approvals = run_approvals(found, ring)
+    evaluations = verify_evaluations(found, ring)
+    return replace(verification(found, signatures, approvals), stamps=stamps, evaluations=evaluations)
+
+
+def verify_evaluations(found: Examined, ring: KeyRing | None) -> tuple[EvaluationApproval, ...]:
+    """Whether approvals cover the evaluation of each analysis; what is wrong with them becomes findings."""
+    evaluations = tuple(evaluation_approvals(found, ring))
+    for one in evaluations:
+        if one.fault:
+            found.error("run-approval", one.fault, hint="")
+        elif not one.covered:
+            message = f"the evaluation of analysis {one.analysis} is {one.words}"
+            hint = "let reviewers approve the plan of the amendment, and amend the run again"
+            found.findings.warning("run-evaluation-unapproved", Mark(str(found.folder.path)), message, hint)
+    return evaluations
 
 
 def verify_signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignature, ...]:

@@ -500,6 +500,42 @@ def test_a_key_that_is_revoked_or_unknown_later_is_reported(lab: Path, tmp_path:
         assert [(change, finding.code) for change, finding in found.changes] == [("altered", "run-approval")]
 
 
+def amended(run: Path, plan: Path, folder: Path) -> str:
+    """An amendment of the run by a plan; returns its text report."""
+    words = ("amend", run, "--plan", plan, "--why", "a new drawing", "--by", "Q")
+    done = planrunner(*words, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    newest = max((run / "analyses").iterdir(), key=lambda path: int(path.name))
+    return (newest / "summary.md").read_text()
+
+
+def test_an_amendment_says_whether_its_evaluation_was_approved(lab: Path, tmp_path: Path) -> None:
+    run = run_of(lab, tmp_path)
+    shutil.copy(lab / "lab.yaml", tmp_path)
+    ring = read_ring(Path(shutil.copy(lab / "lab-keys.yaml", tmp_path)))
+    other = tmp_path / "other.yaml"
+    other.write_text(
+        (run / "plan.yaml").read_text().replace("report: [summary.md]", "report: [summary.md, report.html]")
+    )
+    assert "its plan was NOT approved" in amended(run, other, tmp_path)
+    approved(other, ANNA)
+    assert "its plan was NOT approved" in amended(run, other, tmp_path)  # one of two persons
+    approved(other, BEN)
+    assert "its plan was approved" in amended(run, other, tmp_path)
+    assert planrunner("estimate", run, cwd=tmp_path).returncode == 0
+    found = verify_run(run, ring)
+    assert not found.changes
+    covered = [(one.analysis, one.covered) for one in found.evaluations]
+    assert covered == [(1, True), (2, False), (3, False), (4, True), (5, True)]
+    assert [one.code for one in found.remarks].count("run-evaluation-unapproved") == 2
+    done = planrunner("review", run, "--analysis", "2", "--json", cwd=tmp_path)
+    deviations = json.loads(done.stdout)["deviations"]
+    assert [one["grave"] for one in deviations if one["kind"] == "not approved"] == [True]
+    write_ring(tmp_path, ben='    revoked: "2026-01-01"\n')
+    changes = verify_run(run, read_ring(tmp_path / "lab-keys.yaml")).changes
+    assert any("analyses/4" in finding.message for _, finding in changes)
+
+
 def made_up(
     lab: Path, folder: Path, change: Callable[[KeptApprovals], bytes | None], plan: bytes | None = None
 ) -> Path:

@@ -1,0 +1,106 @@
+"""Whether the evaluation of an analysis is covered by approvals: that of the run's own plan by those of the run, and that of an amendment
+with other estimates or limits by approvals of the amended plan, which its analysis keeps (`approvals.json`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from planrunner.archive.analyses import StoredAnalysis
+from planrunner.archive.formats import IntegrityError
+from planrunner.archive.run_reader import RunReader
+from planrunner.archive.verifying import APPROVALS, BENCH, Examined
+from planrunner.base.findings import InputError
+from planrunner.bench.model import Bench, bench_of
+from planrunner.plan import source
+from planrunner.plan.model import Plan, parse_plan
+from planrunner.review.approval_files import KeptApprovals, approvals_folder, keep, kept_approvals, read_approvals
+from planrunner.review.approvals import ApprovalRequest, StatedApproval, judged
+from planrunner.review.meaning import equipment_of, procedure_of
+from planrunner.signing.key_ring import KeyRing, parse_ring
+from planrunner.tasks.amendment import EVALUATED_PLAN
+from planrunner.tasks.approvals import ring_of
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationApproval:
+    """analysis: its number; covered: whether approvals cover its evaluation; words: by whom, or why not; fault: what was changed."""
+
+    analysis: int
+    covered: bool
+    words: str
+    fault: str = ""
+
+
+def approvals_of_amended(reader: RunReader, plan: Plan, bench: Bench, file: Path) -> bytes | None:
+    """What the analysis of an amended plan is to keep; None if its bench requires no approvals, or too few beside the plan file count.
+
+    Raises `InputError` if approvals or key ring cannot be read, and `IntegrityError`.
+    """
+    rule = bench.approvals
+    if rule is None or reader.approvals is None:
+        return None
+    of_run, _ = kept_approvals(reader.approvals, reader.path)
+    keys = Path(of_run.keys)
+    ring = ring_of(rule, keys.parent / "bench.yaml") if keys.name == rule.keys and keys.exists() else None
+    text = of_run.ring if ring is None else ring.text
+    known = parse_ring(of_run.ring, APPROVALS) if ring is None else ring.ring
+    now = datetime.now(UTC)
+    day, procedure, equipment = now.astimezone().date(), procedure_of(plan), equipment_of(bench)
+    asked = ApprovalRequest(procedure.digest(), equipment.digest(), plan.author, now, day)
+    folder = approvals_folder(file)
+    found, met = judged(read_approvals(folder), rule, known, asked)
+    if not met:
+        return None
+    counted = [one.stated for one in found if one.standing == "counts" and isinstance(one.stated, StatedApproval)]
+    return keep(procedure, equipment, text, day, counted, keys, folder).to_bytes(reader.path.resolve().parent)
+
+
+def evaluation_approvals(found: Examined, ring: KeyRing | None) -> Iterator[EvaluationApproval]:
+    """For every analysis of a run whose bench requires approvals. ring: the known keys. Analyses that cannot be read are left out: they are
+    reported elsewhere."""
+    data, path = found.given.get(APPROVALS), found.folder.path
+    if data is None or BENCH not in found.given:
+        return
+    try:
+        bench = bench_of(found.given[BENCH], str(path / BENCH))
+        kept, _ = kept_approvals(data, path)
+    except (InputError, IntegrityError):
+        return
+    for analysis in found.analyses:
+        try:
+            yield _of_analysis(analysis, kept, bench, ring)
+        except (InputError, IntegrityError, ValueError):
+            continue
+
+
+def _of_analysis(
+    analysis: StoredAnalysis, of_run: KeptApprovals, bench: Bench, ring: KeyRing | None
+) -> EvaluationApproval:
+    number = analysis.number
+    if EVALUATED_PLAN not in analysis.files:
+        return EvaluationApproval(number, True, "covered by the approvals of the run")
+    shown = str(analysis.path / EVALUATED_PLAN)
+    plan, _ = parse_plan(source.decode(analysis.read(EVALUATED_PLAN), shown), shown)
+    if plan is None:
+        raise ValueError
+    digest = procedure_of(plan).digest()
+    if digest == of_run.plan_digest:
+        return EvaluationApproval(number, True, "covered by the approvals of the run: the plans have the same meaning")
+    if APPROVALS not in analysis.files or bench.approvals is None:
+        return EvaluationApproval(
+            number, False, "NOT covered by an approval: the plan of the amendment was not approved"
+        )
+    kept, damaged = kept_approvals(analysis.read(APPROVALS), analysis.path)
+    known = parse_ring(kept.ring, str(analysis.path / APPROVALS)) if ring is None else ring
+    made = datetime.fromisoformat(str(analysis.digests["made"]))
+    asked = ApprovalRequest(digest, of_run.bench_digest, plan.author, made, made.astimezone().date())
+    judgements, met = judged([*kept.approvals, *damaged], bench.approvals, known, asked)
+    bad = [f"{one.stated.file}: {one.why}" for one in judgements if one.standing != "counts"]
+    if bad or not met:
+        fault = f"{analysis.path / APPROVALS}: the approvals of the amended plan are not all valid: {'; '.join(bad)}"
+        return EvaluationApproval(number, False, "NOT covered by a valid approval", fault)
+    names = ", ".join(one.name for one in kept.approvals)
+    return EvaluationApproval(number, True, f"covered by approvals of its own plan by {names}")
