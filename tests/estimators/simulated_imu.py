@@ -1,6 +1,7 @@
-"""Means that an IMU's outputs have at rest and while turning, from scalar products in site axes; nothing from the package's physics.
+"""Outputs of an IMU at rest and while turning, from scalar products in site axes; nothing from the package's physics.
 
-A turn's mean is taken over 3600 directions of the table instead of in closed form.
+Without noise, recordings consist of means; a turn's mean is taken over 3600 directions of the table instead of in closed form. With noise,
+they consist of samples, from which planrunner makes its own statistics.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from recorded import from_means
+from recorded import from_means, from_samples
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.physics.earth import Site
@@ -23,6 +24,8 @@ EARTH = math.radians(15.041067) / 3600
 GYROS, ACCELS = ("gx", "gy", "gz"), ("ax", "ay", "az")
 DEG_H, MG, MRAD = math.radians(1) / 3600, 9.80665e-3, 1e-3
 
+SAMPLES = 480
+"""Of a segment: 15 in each of the 32 batches of which planrunner takes means."""
 _ANGLES = np.arange(3600) * 2 * math.pi / 3600
 _ZERO, _ONE = np.zeros(3600), np.ones(3600)
 TURN = np.array(
@@ -52,7 +55,8 @@ def spin(axis: str, rate: float, dwell: float = 60.0) -> Segment:
     return Segment(0, f"{axis}{rate:+g}", attitude(words), words, Spin(math.radians(rate)), dwell)
 
 
-def plan(rates: Sequence[float] = (50.0, -50.0), positions: Sequence[str] = POSITIONS) -> list[Segment]:
+def plan(rates: Sequence[float] = (48.0, -48.0), positions: Sequence[str] = POSITIONS) -> list[Segment]:
+    """By default, the dwells of 60 s at the rates are eight whole turns."""
     return [*map(rest, positions), *(spin(axis, rate) for axis in "xyz" for rate in rates)]
 
 
@@ -102,37 +106,59 @@ def named(truth: Mapping[str, np.ndarray]) -> dict[str, float]:
     return found
 
 
+def sampled(
+    segment: Segment, truth: Mapping[str, np.ndarray], samples: int, tilt: np.ndarray | None = None
+) -> np.ndarray:
+    """Outputs without noise, (6, samples), each as in the middle of its interval, on a table that turns meanwhile."""
+    assert segment.attitude is not None and segment.dwell is not None
+    axes = segment.attitude if tilt is None else segment.attitude @ tilt
+    earth, up = EARTH * np.array([0, math.cos(LATITUDE), math.sin(LATITUDE)]), np.array([0, 0, GRAVITY])
+    turned = segment.rate * segment.dwell * (np.arange(samples) + 0.5) / samples
+    site = np.stack(
+        [
+            np.cos(turned) * earth[0] + np.sin(turned) * earth[1],
+            np.cos(turned) * earth[1] - np.sin(turned) * earth[0],
+            np.full(samples, earth[2] + segment.rate),
+        ]
+    )
+    rate, force = axes @ site, (axes @ up)[:, None] + np.zeros(samples)
+    gyros = truth["A_g"] @ rate + truth["b_g"][:, None] + truth["G"] @ force
+    return np.vstack([gyros, truth["A_a"] @ force + truth["b_a"][:, None]])
+
+
 def recorded(
     segments: Sequence[Segment],
     truth: Mapping[str, np.ndarray],
     draw: np.random.Generator | None = None,
     noise: tuple[float, float] = (0.1 * DEG_H * 60, 1e-4),
     tilt: float = 0.0,
-    batches: int = 32,
     flicker: np.ndarray | None = None,
 ) -> tuple[RecordedSegment, ...]:
-    """One recording in SI, with half a dwell between segments. noise: rad/√s and m/s²·√s, white; tilt: rad, of each orientation about each
-    axis, the same whenever it is taken; flicker: (6, segments, batches), of the batches' means."""
+    """One recording in SI, with half a dwell between segments: samples with noise, or exact means without `draw`. noise: rad/√s and
+    m/s²·√s, white; tilt: rad, of each orientation about each axis, the same whenever it is taken; flicker: (6, segments, batches), constant
+    over a batch of samples."""
     found: list[RecordedSegment] = []
     tilts: dict[str, np.ndarray] = {}
     now = 0.0
     for place, segment in enumerate(segments):
         assert segment.dwell is not None
-        turn = None
-        if tilt and draw is not None:
-            a, b, c = tilts.setdefault(segment.orientation, tilt * draw.standard_normal(3))
-            turn = np.eye(3) + np.array([[0, -c, b], [c, 0, -a], [-b, a, 0]])
-        values = np.concatenate(outputs(segment, truth, tilt=turn))
-        error = np.full(6, 1e-12)
-        if draw is not None:
-            sizes = np.repeat(noise, 3) / math.sqrt(segment.dwell / batches)
-            drawn = sizes[:, None] * draw.standard_normal((6, batches))
-            drawn += 0.0 if flicker is None else flicker[:, place]
-            values = values + drawn.mean(axis=1)
-            error = drawn.std(axis=1, ddof=1) / math.sqrt(batches)
-        means = dict(zip((*GYROS, *ACCELS), values, strict=True))
-        one = from_means(segment, means, "rad/s", error, batches, start=now)
+        if draw is None:
+            means = dict(zip((*GYROS, *ACCELS), np.concatenate(outputs(segment, truth)), strict=True))
+            one = from_means(segment, means, "rad/s", 1e-12, start=now)
+            one.units.update(dict.fromkeys(ACCELS, "m/s^2"))
+        else:
+            turn = None
+            if tilt:
+                a, b, c = tilts.setdefault(segment.orientation, tilt * draw.standard_normal(3))
+                turn = np.eye(3) + np.array([[0, -c, b], [c, 0, -a], [-b, a, 0]])
+            size = np.repeat(noise, 3)[:, None] / math.sqrt(segment.dwell / SAMPLES)
+            values = sampled(segment, truth, SAMPLES, turn) + size * draw.standard_normal((6, SAMPLES))
+            if flicker is not None:
+                values += np.repeat(flicker[:, place], SAMPLES // flicker.shape[-1], axis=-1)
+            time = now + segment.dwell / SAMPLES * np.arange(SAMPLES)
+            channels = dict(zip((*GYROS, *ACCELS), values, strict=True))
+            units = dict.fromkeys(GYROS, "rad/s") | dict.fromkeys(ACCELS, "m/s^2")
+            one = from_samples(segment, time, channels, units)
         now += 1.5 * segment.dwell
-        one.units.update(dict.fromkeys(ACCELS, "m/s^2"))
         found.append(one)
     return tuple(found)

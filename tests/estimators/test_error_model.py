@@ -96,6 +96,30 @@ def rows_of_named(found: Estimate, prefix: str = "") -> Array:
     return made
 
 
+def carried(found: Estimate, slopes: Mapping[str, float]) -> float:
+    """Standard uncertainty of a function of coefficients from its derivatives, in the coefficients' units."""
+    names = [item.name for item in found.coefficients]
+    places = [names.index(name) for name in slopes]
+    own = np.array(list(slopes.values()))
+    return math.sqrt(own @ found.covariance[np.ix_(places, places)] @ own)
+
+
+def same_uncertainties(found: Estimate, named: Estimate, kind: str, prefix: str = "") -> None:
+    """Of each row r: its length |r|, and its components r_b/|r| across the axis, whose derivatives are (e_b − r_b·r/|r|²)/|r|."""
+    matrix = rows(found, kind)
+    for i, a in enumerate("xyz"):
+        row, length = matrix[i], float(np.linalg.norm(matrix[i]))
+        keys = [f"{kind}_scale_factor_{a}" if a == b else f"{kind}_misalignment_towards_{b}_{a}" for b in "xyz"]
+        units = np.array([1e-6 if a == b else ARCSEC for b in "xyz"])
+        u = carried(found, dict(zip(keys, row / length * units, strict=True)))
+        assert u == pytest.approx(named[f"{prefix}scale_{a}"].standard_uncertainty, rel=1e-6)
+        for j, b in enumerate("xyz"):
+            if i != j:
+                slope = (np.eye(3)[j] - row[j] * row / length**2) / length * units
+                u = carried(found, dict(zip(keys, 1e3 * slope, strict=True)))
+                assert u == pytest.approx(named[f"{prefix}misalignment_{a}_{b}"].standard_uncertainty, rel=1e-6)
+
+
 # -- the named estimators --------------------------------------------------------------------------------------------
 
 
@@ -109,6 +133,7 @@ def test_it_gives_what_imu_multi_position_gives(basis: str, setup: Setup) -> Non
     found = combined(estimate(recorded, WHOLE, setup, uncertainty=basis))
     for kind in ("gyro", "accel"):
         assert rows(found, kind) == pytest.approx(rows_of_named(named, f"{kind}_"), rel=1e-9, abs=1e-12)
+        same_uncertainties(found, named, kind, f"{kind}_")
     for a in "xyz":
         for name, other, factor in (("gyro_bias", "gyro_bias", 3600.0), ("accel_bias", "accel_bias", 1.0)):
             one, same = found[f"{name}_{a}"], named[f"{other}_{a}"]
@@ -117,7 +142,7 @@ def test_it_gives_what_imu_multi_position_gives(basis: str, setup: Setup) -> Non
             assert one.degrees_of_freedom == pytest.approx(same.degrees_of_freedom, rel=1e-6)
         for b in "xyz":
             one, same = found[f"gyro_g_sensitivity_K_{b}_{a}"], named[f"gyro_g_sensitivity_{a}_{b}"]
-            assert one.value * 3600 == pytest.approx(same.value, rel=1e-9)
+            assert one.value * 3600 == pytest.approx(same.value, rel=1e-9, abs=1e-9 * same.standard_uncertainty)
             assert one.standard_uncertainty * 3600 == pytest.approx(same.standard_uncertainty, rel=1e-6)
 
 
@@ -129,6 +154,7 @@ def test_it_gives_what_accelerometer_multi_position_gives() -> None:
     )
     found = estimate(recorded, dict.fromkeys(imu.ACCELS, ACCEL))
     assert rows(found, "accel") == pytest.approx(rows_of_named(named), rel=1e-9, abs=1e-12)
+    same_uncertainties(found, named, "accel")
     for a in "xyz":
         one, same = found[f"accel_bias_{a}"], named[f"bias_{a}"]
         assert one.value == pytest.approx(same.value, rel=1e-9)
@@ -148,20 +174,29 @@ def test_it_gives_what_scale_factor_gives() -> None:
     assert 1e-6 * scale.standard_uncertainty == pytest.approx(named["K_gz"].standard_uncertainty, rel=1e-9)
     offset = math.radians(bias.value) + gain * imu.EARTH * math.sin(imu.LATITUDE)
     assert offset == pytest.approx(named["F0_gz"].value, rel=1e-9)
+    slopes = {"gyro_bias_z": math.radians(1), "gyro_scale_factor_z": 1e-6 * imu.EARTH * math.sin(imu.LATITUDE)}
+    assert carried(found, slopes) == pytest.approx(named["F0_gz"].standard_uncertainty, rel=1e-9)
 
 
-def test_it_gives_what_temperature_model_gives() -> None:
+@pytest.mark.parametrize("thermometer", [None, "inside"])
+def test_it_gives_what_temperature_model_gives(thermometer: str | None) -> None:
+    """At the planned temperatures, and at those of a thermometer, which are up to 2 K away."""
     draw = np.random.default_rng(6)
     celsius = np.array([-30.0, -10.0, 10.0, 30.0, 50.0, 70.0])
     warm = celsius - 25
     values = 0.3 + 2e-3 * warm - 1e-5 * warm**2 + 1e-4 * draw.standard_normal(len(warm))
-    segments = [imu.rest("east north up", temperature=one + 273.15) for one in celsius]
-    recorded = [
-        from_means(one, {"gz": value}, "deg/s", 1e-4, start=100.0 * place)
-        for place, (one, value) in enumerate(zip(segments, values, strict=True))
-    ]
-    named = TemperatureModel().estimate(request_of(recorded, TemperatureModelParameters(channels=("gz",), order=2)))
-    found = estimate(recorded, {"gz": ("gyro_bias", "gyro_bias_temperature")})
+    away = [1.5, -0.7, 2.0, -1.2, 0.4, -1.9] if thermometer else [0.0] * 6
+    scatter = 1e-4 * draw.standard_normal(480)
+    recorded = []
+    for place, (one, off, value) in enumerate(zip(celsius, away, values, strict=True)):
+        segment = replace(imu.rest("east north up", temperature=one - off + 273.15), label=f"T{place}")
+        channels = {"gz": value + scatter, "inside": np.full(len(scatter), one)}
+        time = 100.0 * place + np.arange(len(scatter)) / 8
+        recorded.append(from_samples(segment, time, channels, {"gz": "deg/s", "inside": "degC"}))
+    parameters = TemperatureModelParameters(channels=("gz",), order=2, temperature_channel=thermometer)
+    named = TemperatureModel().estimate(request_of(recorded, parameters))
+    effects = {"gz": ("gyro_bias", "gyro_bias_temperature")}
+    found = estimate(recorded, effects, temperature_channel=thermometer)
     level = math.degrees(imu.EARTH * math.sin(imu.LATITUDE))
     ours = [found["gyro_bias_z"].value + level, *(found[f"gyro_bias_temperature_{c}_z"].value for c in ("c1", "c2"))]
     assert ours == pytest.approx([item.value for item in named.coefficients], rel=1e-9)
@@ -214,6 +249,10 @@ def test_it_gives_what_flexure_gyro_static_gives() -> None:
         errors = [found[f"gyro_bias_{own}"], *(found[f"gyro_g_sensitivity_K_{b}_{own}"] for b in "xyz")]
         for item, k in zip(errors, (0, 3, 4, 5), strict=True):
             assert item.value * scale.value == pytest.approx(named[f"{letter}{k}"].value, rel=1e-9)
+            slopes = {item.name: scale.value, scale.name: item.value}
+            assert carried(found, slopes) == pytest.approx(named[f"{letter}{k}"].standard_uncertainty, rel=1e-9)
+        slopes = {f"gyro_misalignment_towards_{across}_{own}": scale.value * ARCSEC, scale.name: towards}
+        assert carried(found, slopes) / 3600 == pytest.approx(named[cross[1]].standard_uncertainty, rel=1e-9)
 
 
 # -- outputs by other formulas ---------------------------------------------------------------------------------------
@@ -415,20 +454,23 @@ def designed(segments: Sequence[Segment], outputs: Mapping[str, tuple[str, ...]]
 
 
 def test_uncertainties_are_predicted() -> None:
-    """Predicted from the declared noise; found from a recording with that noise."""
+    """Predicted from the declared noise; found from five recordings, of which the pooled u scatters by 1.3 %."""
     draw = np.random.default_rng(10)
     segments = imu.plan()
     expected = designed(segments, WHOLE, uncertainty="within_segment")
     assert all(judged.sound for judged in identify(expected))
-    recorded = imu.recorded(segments, imu.drawn_truth(draw), draw, noise=(1e-5, 1e-5), batches=4000)
-    found = estimate(recorded, WHOLE, uncertainty="within_segment")
+    truth = imu.drawn_truth(draw)
+    found = [
+        estimate(imu.recorded(segments, truth, draw, (1e-5, 1e-5)), WHOLE, uncertainty="within_segment").coefficients
+        for _ in range(5)
+    ]
     predicted = {item.name: item for item in expected.predicted}
-    assert [item.name for item in found.coefficients] == list(predicted)
-    for item in found.coefficients:
-        assert item.unit == predicted[item.name].unit
-        assert item.standard_uncertainty == pytest.approx(predicted[item.name].standard_uncertainty, rel=0.05), (
-            item.name
-        )
+    assert [item.name for item in found[0]] == list(predicted)
+    for each in zip(*found, strict=True):
+        one = predicted[each[0].name]
+        assert each[0].unit == one.unit
+        pooled = math.sqrt(np.mean([item.standard_uncertainty**2 for item in each]))
+        assert pooled == pytest.approx(one.standard_uncertainty, rel=0.05), one.name
 
 
 def test_an_effect_of_another_package_that_gives_no_axis_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

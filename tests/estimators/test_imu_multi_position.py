@@ -111,9 +111,9 @@ def test_noiseless_outputs_give_the_truth() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("basis", ["residual", "within_segment"])
 def test_truth_within_the_stated_uncertainty(basis: str) -> None:
-    """200 realisations: how often each coefficient's 95 % interval holds the truth is binomial. The bounds hold for all 33 jointly at 1 %
+    """120 realisations: how often each coefficient's 95 % interval holds the truth is binomial. The bounds hold for all 33 jointly at 1 %
     (Šidák), whatever ties them together."""
-    draw, runs = np.random.default_rng(7), 200
+    draw, runs = np.random.default_rng(7), 120
     segments, hits = imu.plan(), dict.fromkeys(imu.named(imu.drawn_truth(draw)), 0)
     for _ in range(runs):
         truth = imu.drawn_truth(draw)

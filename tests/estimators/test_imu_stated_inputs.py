@@ -85,7 +85,7 @@ def test_positions_against_tilted_tables() -> None:
                 imu.recorded(segments, truth, draw, quiet, tilt=1e-4), BY_POSITION, **keys
             ).coefficients
         ]
-        for _ in range(200)
+        for _ in range(150)
     ]
     together = calibrate(imu.recorded(segments, truth, draw, quiet), BY_POSITION, **keys)
     expected = np.sqrt(np.diag(together.covariance + sum(one.covariance for one in merged(together.influences))))
