@@ -75,6 +75,23 @@ class LocalAuthority:
         pem = "\n".join(f"    {line}" for line in self.ca.read_text().splitlines())
         return f"time_stamps:\n  url: {self.url}\n  every: {every}\n  certificate: |\n{pem}\n"
 
+    def revocations(self, at: datetime, reason: x509.ReasonFlags | None, *, der: bool = False) -> bytes:
+        """The list of revoked certificates of the root, in which the authority was revoked at this time."""
+        own = x509.load_pem_x509_certificate((self.folder / "tsa.pem").read_bytes())
+        entry = x509.RevokedCertificateBuilder().serial_number(own.serial_number).revocation_date(at)
+        if reason is not None:
+            entry = entry.add_extension(x509.CRLReason(reason), critical=False)
+        now = datetime.now(UTC)
+        made = (
+            x509.CertificateRevocationListBuilder()
+            .issuer_name(own.issuer)
+            .last_update(now)
+            .next_update(now + timedelta(days=30))
+            .add_revoked_certificate(entry.build())
+            .sign(self._root, hashes.SHA256())
+        )
+        return made.public_bytes(serialization.Encoding.DER if der else serialization.Encoding.PEM)
+
     def _make_certificates(self) -> None:
         now = datetime.now(UTC)
 
@@ -98,6 +115,7 @@ class LocalAuthority:
             return builder.sign(signer, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
 
         root, own = (ec.generate_private_key(ec.SECP256R1()) for _ in range(2))
+        self._root = root
         self.ca.write_bytes(made("Test root", root, "Test root", root))
         (self.folder / "tsa.pem").write_bytes(made("Test authority", own, "Test root", root))
         (self.folder / "tsa.key").write_bytes(

@@ -31,6 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--authority", metavar="CERT", type=Path, help="certificate in PEM that time stamps are verified with"
     )
+    parser.add_argument(
+        "--revoked",
+        metavar="CRL",
+        type=Path,
+        help="with --authority: list of revoked certificates (PEM or DER) that stamps are verified with",
+    )
     add_workers(parser, "processes that share the runs (default: 1)")
     parser.add_argument("--json", action="store_true", help="print a list of verifications as JSON, one entry per run")
 
@@ -47,7 +53,10 @@ def run(args: argparse.Namespace) -> int:
     runs = run_folders(runs)
     ring = ring_of(args)
     heads = heads_of(args.head, ring)
-    authority = None if args.authority is None else _authority(args.authority)
+    if args.revoked is not None and args.authority is None:
+        message = "--revoked belongs to --authority"
+        raise InputError.at(COMMAND_LINE, "command-usage", message, "give the certificate of the authority too")
+    authority = None if args.authority is None else _authority(args.authority, args.revoked)
     workers = workers_of(args, seen=archive)
     if workers.jobs != 1:
         single_threaded()
@@ -80,11 +89,11 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _authority(path: Path) -> StampAuthority:
+def _authority(path: Path, revoked: Path | None) -> StampAuthority:
     try:
-        return parse_authority(read_bytes(path))
+        return parse_authority(read_bytes(path), b"" if revoked is None else read_bytes(revoked))
     except ValueError as error:
-        hint = "give the certificate of the time stamp authority, or of its root"
+        hint = "give the certificate of the time stamp authority or of its root, and the list that its issuer signed"
         raise InputError.at(Mark(str(path)), "bench-stamp-certificate", str(error), hint) from None
 
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 import urllib.error
 import urllib.request
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from http.client import HTTPException
+from typing import cast, get_args
 
 from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric.types import CertificateIssuerPublicKeyTypes
+from cryptography.hazmat.primitives.serialization import Encoding
 from rfc3161_client import (
     HashAlgorithm,
     TimestampRequestBuilder,
@@ -32,25 +38,93 @@ class StampError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class StampAuthority:
-    """Certificates that stamps are verified with: of the authority, or of its root and of those in between."""
+    """Certificates that stamps are verified with: of the authority, or of its root and of those in between. revocations: lists of revoked
+    certificates, each signed by one of these certificates."""
 
     certificates: tuple[x509.Certificate, ...]
+    revocations: tuple[x509.CertificateRevocationList, ...] = ()
+
+    def __reduce__(self) -> tuple[Callable[[bytes, bytes], StampAuthority], tuple[bytes, bytes]]:
+        """Certificates of the library cannot be sent to another process as they are."""
+        certificates, lists = (
+            b"".join(one.public_bytes(Encoding.PEM) for one in some) for some in (self.certificates, self.revocations)
+        )
+        return parse_authority, (certificates, lists)
 
 
-def parse_authority(pem: bytes) -> StampAuthority:
-    """The certificates in a text in PEM. Raises ValueError."""
+def parse_authority(pem: bytes, revocations: bytes = b"") -> StampAuthority:
+    """The certificates in a text in PEM, and the lists of revoked certificates (RFC 5280) in PEM or in DER. Raises ValueError."""
     try:
-        found = x509.load_pem_x509_certificates(pem)
+        found = tuple(x509.load_pem_x509_certificates(pem))
     except ValueError:
         raise ValueError("this is not a certificate in PEM") from None
-    return StampAuthority(tuple(found))
+    lists = tuple(_revocation_lists(revocations))
+    for one in lists:
+        if not any(by.subject == one.issuer and one.is_signature_valid(_issuer_key(by)) for by in found):
+            raise ValueError("this list of revoked certificates is not signed by a certificate of the authority")
+    return StampAuthority(found, lists)
+
+
+def _issuer_key(certificate: x509.Certificate) -> CertificateIssuerPublicKeyTypes:
+    key = certificate.public_key()
+    if not isinstance(key, get_args(CertificateIssuerPublicKeyTypes)):
+        raise ValueError("the certificate of the authority has a key that cannot sign")
+    return cast(CertificateIssuerPublicKeyTypes, key)
+
+
+def _revocation_lists(data: bytes) -> Iterator[x509.CertificateRevocationList]:
+    try:
+        blocks = re.findall(rb"-----BEGIN X509 CRL-----.*?-----END X509 CRL-----\n?", data, re.DOTALL)
+        if data and not blocks:
+            yield x509.load_der_x509_crl(data)
+        for block in blocks:
+            yield x509.load_pem_x509_crl(block)
+    except ValueError:
+        raise ValueError("this is not a list of revoked certificates (CRL) in PEM or DER") from None
+
+
+_NOT_COMPROMISED = (
+    x509.ReasonFlags.unspecified,
+    x509.ReasonFlags.affiliation_changed,
+    x509.ReasonFlags.superseded,
+    x509.ReasonFlags.cessation_of_operation,
+)
+"""Reasons after which stamps from before the revocation remain valid (RFC 3161, 4, item 1). With any other reason, or none, they do not."""
+
+
+def _require_not_revoked(reply: TimeStampResponse, moment: datetime, authority: StampAuthority) -> None:
+    """Raises `StampError` if the certificate of the signer, or one that issued it, was revoked so that a stamp of this time is invalid."""
+    known = {*authority.certificates, *map(x509.load_der_x509_certificate, reply.signed_data.certificates)}
+    signers = {(one.issuer, one.serial_number) for one in reply.signed_data.signer_infos}
+    chain = [one for one in known if (one.issuer, one.serial_number) in signers]
+    for one in chain:
+        chain += [other for other in known if other.subject == one.issuer and other not in chain]
+    for listed, one in itertools.product(authority.revocations, chain):
+        entry = (
+            listed.get_revoked_certificate_by_serial_number(one.serial_number) if listed.issuer == one.issuer else None
+        )
+        if entry is None:
+            continue
+        try:
+            reason = entry.extensions.get_extension_for_class(x509.CRLReason).value.reason
+        except x509.ExtensionNotFound:
+            reason = None
+        if reason in _NOT_COMPROMISED and moment < entry.revocation_date_utc:
+            continue
+        why = "no reason stated" if reason is None else reason.value
+        message = (
+            f"the certificate '{one.subject.rfc4514_string()[:100]}' was revoked on {entry.revocation_date_utc}: {why}"
+        )
+        raise StampError(message)
 
 
 def stamp_time(token: bytes, digest: str, authority: StampAuthority) -> datetime:
     """The time, UTC, at which the authority stamped a SHA-256 digest (64 hexadecimal digits). Raises `StampError`."""
     reply = _decoded(token)
     _verify(VerifierBuilder(roots=list(authority.certificates)), reply, digest)
-    return reply.tst_info.gen_time.astimezone(UTC)
+    moment = reply.tst_info.gen_time.astimezone(UTC)
+    _require_not_revoked(reply, moment, authority)
+    return moment
 
 
 def stamped_digest(token: bytes) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
@@ -11,6 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from cryptography import x509
 from jsonschema import Draft202012Validator
 
 from planrunner.base.guarded_folder import GuardedFolder
@@ -274,3 +276,49 @@ def test_a_wrong_certificate_is_found_before_anything_moves(tmp_path: Path) -> N
     (tmp_path / "plan.yaml").write_bytes((ROOT / "plans" / "flexure_gyro_eight_position.yaml").read_bytes())
     done = planrunner("check", "plan.yaml", "--bench", "bench.yaml", cwd=tmp_path)
     assert done.returncode == 2 and "bench-stamp-certificate" in done.stdout + done.stderr
+
+
+# -- revoked authorities -------------------------------------------------------------------------------------------------
+
+BEFORE, AFTER = datetime.now(UTC) - timedelta(days=1), datetime.now(UTC) + timedelta(days=1)
+
+
+@pytest.mark.parametrize(
+    ("at", "reason", "valid"),
+    [
+        (AFTER, x509.ReasonFlags.superseded, True),
+        (AFTER, x509.ReasonFlags.cessation_of_operation, True),
+        (BEFORE, x509.ReasonFlags.superseded, False),
+        (AFTER, x509.ReasonFlags.key_compromise, False),
+        (AFTER, None, False),
+    ],
+    ids=["superseded later", "ceased later", "superseded before", "compromised", "no reason"],
+)
+def test_stamps_of_a_revoked_authority(
+    run: Path, authority: LocalAuthority, tmp_path: Path, at: datetime, reason: x509.ReasonFlags | None, valid: bool
+) -> None:
+    """RFC 3161, section 4."""
+    (tmp_path / "crl").write_bytes(authority.revocations(at, reason, der=reason is None))
+    words = ("verify", run, "--authority", authority.ca, "--revoked", tmp_path / "crl", "--json")
+    done = planrunner(*words, cwd=tmp_path)
+    assert done.returncode == (0 if valid else 4), done.stderr
+    (found,) = json.loads(done.stdout)
+    assert {one["standing"] for one in found["stamps"]} == {"valid" if valid else "invalid"}
+    assert valid or all("was revoked on" in one["why"] for one in found["stamps"])
+    assert kinds(run, authority) == set()
+
+
+def test_a_list_of_revoked_certificates_must_be_signed_by_the_authority(
+    run: Path, authority: LocalAuthority, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    other = LocalAuthority(tmp_path_factory.mktemp("other"))
+    other.close()
+    for data in (other.revocations(BEFORE, None), b"not a list"):
+        (tmp_path / "crl").write_bytes(data)
+        words = ("verify", run, "--authority", authority.ca, "--revoked", tmp_path / "crl")
+        assert planrunner(*words, cwd=tmp_path).returncode == 2
+
+
+def test_an_authority_can_be_sent_to_another_process(authority: LocalAuthority) -> None:
+    found = parse_authority(authority.ca.read_bytes(), authority.revocations(BEFORE, None))
+    assert pickle.loads(pickle.dumps(found)) == found
