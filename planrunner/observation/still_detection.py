@@ -69,19 +69,20 @@ def longest_span(dwell: float, detection: Detection) -> float:
     return dwell - detection.window.value
 
 
+_CHANNELS = "name the accelerometers of the sensor under `channels` of `segments`"
+
+
 def detection_limits(detection: Detection, units: Mapping[str, str], what: str) -> Array:
     """The threshold in each channel's own unit, shape (k,). units: those of the channels of `what`. Raises `EstimationError`."""
     limits = []
     for channel in detection.channels:
         if channel not in units:
-            raise EstimationError(
-                f"{what} has no channel '{channel}' to search for still spans: {closest(channel, units)}"
-            )
+            message = f"{what} has no channel '{channel}' to search for still spans: {closest(channel, units)}"
+            raise EstimationError(message, _CHANNELS, "segments")
         resolved = unit(units[channel])
         if resolved.dimension != DIMENSIONS["acceleration"]:
-            raise EstimationError(
-                f"channel '{channel}' is recorded in {resolved.text}: still spans are found from accelerations"
-            )
+            message = f"channel '{channel}' is recorded in {resolved.text}: still spans are found from accelerations"
+            raise EstimationError(message, _CHANNELS, "segments")
         limits.append(detection.threshold.value / resolved.factor)
     return np.array(limits)
 

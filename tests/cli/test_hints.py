@@ -118,6 +118,19 @@ def test_a_command_without_arguments_says_where_they_are_explained(
     assert f"`planrunner {command} --help`" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("channel", ["accel_q", "gyro_x"])
+def test_still_spans_need_accelerometers(channel: str, tmp_path: Path) -> None:
+    spans = f"{{detect: still, channels: [{channel}], window: 1 s, threshold: 0.1 m/s^2, at_least: 2 s}}"
+    asked = f"own_frame:\n    segments: {spans}\n    reference: gravity_magnitude\n    estimator: accelerometer_multi_position\n"
+    plan = PLANS / "imu_multi_position.yaml"
+    rest = plan.read_text(encoding="utf-8").partition("  own_frame:\n")[2].partition("\nlimits:")[0]
+    found = findings(tmp_path, plan, (f"own_frame:\n{rest}", asked))
+    (finding,) = [one for one in found if one.code == "physics-estimate"]
+    assert finding.hint == "name the accelerometers of the sensor under `channels` of `segments`"
+    assert finding.mark.text is not None
+    assert finding.mark.text.splitlines()[finding.mark.line - 1].endswith(spans)
+
+
 @pytest.mark.parametrize("when", ["9999-12-31T23:59", "0001-01-01T00:00", "2026-02-30T10:00", "tomorrow"])
 def test_a_night_begins_in_a_year_that_every_time_zone_has(when: str, capsys: pytest.CaptureFixture[str]) -> None:
     suite = next((shipped("plans") / "suites").glob("*.yaml"))
