@@ -137,9 +137,10 @@ class Observed:
     for a sensor in unknown orientations: the direction of gravity in its axes, estimated from the readings. Its accelerometers are then
     observed only along gravity, as one channel: perpendicular to it, errors cannot be distinguished from the unknown orientation. bins: for
     a long recording, whose "samples" are means over consecutive samples; None for single samples. felt: angular rate and specific force
-    (N, 3) each, instead of those that follow from site, attitude and table. courses: (S,), of segments whose motion the recording shows; an
-    entry is None if attitude and angle give the motion, and the tuple is empty if all entries are. excess_voltage, excess_pressure: (N,),
-    as `overvoltage` and `overpressure`, or None for zero.
+    (N, 3) each, instead of those that follow from site, attitude and table. fitted: output (N, K) of the fitted nominal model. response:
+    (K, 3), change of each output per rate about the axes of the sensor in that model; None for an ideal sensor. courses: (S,), of segments
+    whose motion the recording shows; an entry is None if attitude and angle give the motion, and the tuple is empty if all entries are.
+    excess_voltage, excess_pressure: (N,), as `overvoltage` and `overpressure`, or None for zero.
     """
 
     site: Site
@@ -159,6 +160,7 @@ class Observed:
     magnetic: Array | None = None
     rejected: int = 0
     fitted: Array | None = None
+    response: Array | None = None
     along: Array | None = None
     bins: Bins | None = None
     felt: tuple[Array, Array] | None = None

@@ -3,7 +3,7 @@ with the diagnosis.
 
     python -m tests.blind.confusion GROUP CASES --seed SEED [--first NUMBER] [--json FILE]
 
-Each effect of the group has `CASES` cases, with a strength λ between `WEAKEST` and `STRONGEST`, log-uniform.
+Each effect of the group has `CASES` cases, with a strength λ between `WEAKEST` and `STRONGEST`, log-uniform, or with a size of `SIZES`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 from tests.blind import folder
 from tests.blind.device import SENSORS
 from tests.blind.generator import Case, Work, _one, _stream, _surroundings, signatures, simulate
+from tests.blind.motion import Fault
 
 WEAKEST, STRONGEST = 36.0, 1e4
 SURE = 0.99
@@ -37,6 +38,9 @@ SETUPS = {
 }
 """Plans and sensors that show the effects of a group."""
 
+SIZES = {"late": (5e-5, 1e-2)}
+"""Size of the effects of a group, in SI, log-uniform, where it decides whether they can be distinguished; without it, λ is drawn."""
+
 
 def case_of(group: str, seed: int, number: int, effect: str) -> Case:
     """Case `number` of a group, in which this effect acts alone."""
@@ -45,8 +49,9 @@ def case_of(group: str, seed: int, number: int, effect: str) -> Case:
     rng = _stream(seed, number, 2 + GROUPS[group].index(effect))
     factors, device = _surroundings(SENSORS[sensor_name], rng)
     work = Work(signatures(plan, sensor_name), factors, device)
-    energy = float(np.exp(rng.uniform(np.log(WEAKEST), np.log(STRONGEST))))
-    fault = _one(work, [effect], energy, rng)
+    size = float(np.exp(rng.uniform(*np.log(SIZES.get(group, (WEAKEST, STRONGEST))))))
+    fault = Fault(effect, np.array([size])) if group in SIZES else _one(work, [effect], size, rng)
+    energy = work.energy(fault) if group in SIZES else size
     name = f"{effect}-{number:05d}"
     columns = simulate(work, [fault], False, rng)
     entry = {"effect": effect, "theta": fault.theta.tolist(), "shape": list(fault.shape), "lambda": energy}

@@ -35,6 +35,16 @@ def test_a_random_walk_is_not_a_step() -> None:
     assert one.named == ("gyro_bias_random_walk",)
 
 
+@pytest.mark.parametrize(("effect", "name"), [("gyro_bandwidth", "tau"), ("time_latency", "delay")])
+def test_a_lag_is_not_half_a_delay(effect: str, name: str) -> None:
+    """With a free amplitude a lag was named as a delay, or as two effects with shares of each, and u was 1e-109 s."""
+    one = one_of("late", effect, 5)
+    assert one.named == (effect,) and one.probability > 0.9
+    value, u = one.parameters[f"{effect}.{name}"]
+    assert abs(value - one.theta[0]) < 4 * u and u < 1e-3 * value
+    assert f"{effect}.share" not in one.parameters
+
+
 def test_the_count_of_answers() -> None:
     usual = {"case": "", "energy": 50.0, "kind": "effect", "members": (), "in_set": True, "theta": (), "shape": ()}
 

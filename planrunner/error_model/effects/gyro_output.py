@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Array, Shaped, Variant, on_stimulus, whole
+from planrunner.error_model.effects.interface import Array, Shaped, Variant, on_rate, whole
 from planrunner.error_model.observed import Observed
 
 DEG = np.pi / 180
@@ -39,7 +39,7 @@ class GyroBandwidth(Shaped):
 
     def at(self, observed: Observed, value: float) -> Variant:
         change = lagged(observed, value) - observed.omega
-        parts = on_stimulus(observed, change, None)
+        parts = on_rate(observed, change)
         return Variant((whole(parts, observed.unsteady),), value)
 
 

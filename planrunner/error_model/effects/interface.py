@@ -237,6 +237,14 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
     return parts
 
 
+def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
+    """Parts of a column that changes the rate which the gyros show by `omega` (N, 3), through their fitted response if it is known."""
+    gyros = observed.of_kind("gyro")
+    if observed.response is None:
+        return {index: observed.seen(index, omega) for index in gyros}
+    return {index: omega @ observed.response[index] for index in gyros}
+
+
 def whole(parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None) -> Column:
     """The column of an effect that is fully determined by its shape: a lag, a limit, a delay."""
     return Column("share", "1", 1.0, 1.0, parts, segments, True, axis=None)

@@ -12,6 +12,7 @@ from planrunner.error_model.effects.interface import (
     Column,
     Shaped,
     Variant,
+    on_rate,
     on_stimulus,
     per_axis,
     single,
@@ -132,7 +133,7 @@ class ReferenceLatency(Shaped):
         return np.geomspace(5e-4, 0.1, 10) if observed.moved.any() else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        return Variant((whole(on_stimulus(observed, observed.turn_before(-value), None), observed.moved),), value)
+        return Variant((whole(on_rate(observed, observed.turn_before(-value)), observed.moved),), value)
 
 
 class TimeLatency(Shaped):
@@ -156,5 +157,5 @@ class TimeLatency(Shaped):
         earlier = value * np.sinc(pulse * value / np.pi)  # sin(pd)/p
         change = observed.rate * (np.cos(pulse * value) - 1) - observed.acceleration * earlier
         turned = np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis + observed.turn_before(value)
-        parts = on_stimulus(observed, turned, None)
+        parts = on_rate(observed, turned)
         return Variant((whole(parts, observed.unsteady),), value)

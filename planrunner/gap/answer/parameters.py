@@ -10,6 +10,10 @@ import numpy as np
 from planrunner.error_model.effects.interface import ActsOnNoise, HasShape, Shaped
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 
+_ALONE = (
+    0.9  # share of the probability of one evaluated value from which its neighbours give the uncertainty by a parabola
+)
+
 
 @dataclass(frozen=True, slots=True)
 class ParameterEstimate:
@@ -21,7 +25,10 @@ class ParameterEstimate:
 
 
 def amplitudes(effect: str, weighed: Weighed, columns: slice = slice(None)) -> list[ParameterEstimate]:
-    """Means and standard deviations of the amplitudes at the most probable prior size; `columns` of a pair that belong to the effect."""
+    """Means and standard deviations of the amplitudes at the most probable prior size; `columns` of a pair that belong to the effect. An
+    amplitude that is held at 1 is no parameter."""
+    if weighed.held:
+        return []
     mean, covariance = weighed.amplitudes
     spread = np.sqrt(np.diag(covariance))
     listed = zip(weighed.variant.columns[columns], mean[columns], spread[columns], strict=True)
@@ -56,6 +63,12 @@ def shape(candidate: Candidate) -> list[ParameterEstimate]:
     weight /= weight.sum()
     mean = float(weight @ values)
     spread = float(np.sqrt(weight @ (values - mean) ** 2))
+    top = int(np.argmax(weight))
+    if weight[top] > _ALONE and 0 < top < len(values) - 1:  # the values are further apart than the uncertainty
+        near = slice(top - 1, top + 2)
+        bend, slope, _ = np.polyfit(values[near] / values[top] - 1, evidence[near] - evidence[top], 2)
+        mean = float(values[top] * (1 - slope / (2 * bend)))
+        spread = float(values[top] / np.sqrt(-2 * bend))
     return [ParameterEstimate(candidate.id, effect.shape_name, mean, effect.shape_unit, spread)]
 
 

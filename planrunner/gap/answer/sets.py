@@ -9,7 +9,7 @@ gyros.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from planrunner.gap.evidence.bayes_factors import (
     averaged,
     best_scales,
     from_eigen,
+    held_among,
+    held_log_bayes_factor,
     pair_log_bayes_factor,
     set_log_bayes_factor,
     set_log_evidence,
@@ -176,6 +178,7 @@ def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], 
     widths = weighed.variant.widths
     traces = [member.form.trace for member in members]
     scales = best_scales(weighed.gram[0], weighed.score[0], widths)
+    held = [int(end) - 1 for end, member in zip(np.cumsum(widths), members, strict=True) if member.form.held]
     rough = weighing.base + log_prior + set_log_evidence(weighed.gram, weighed.score, scales)
     found = np.full(len(weighing.base), -np.inf)
     for g in np.flatnonzero(rough > rough.max() - MATTERS):
@@ -184,6 +187,8 @@ def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], 
             found[g] = pair_log_bayes_factor(gram, score, widths[0], (traces[0], traces[1]), PAIR_ENERGIES)
         else:
             found[g] = set_log_bayes_factor(gram, score, widths, traces, PAIR_ENERGIES, scales)
+        if held:
+            found[g] += held_among(gram, score, scales, held)
     return found + sum(member.cost for member in members)
 
 
@@ -197,6 +202,7 @@ def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
         if not np.isfinite(again.log_bayes).any():
             continue
         (form,) = weighing.weigh([again.best.variant], again.best.raw)
+        form = replace(form, held=again.best.held)
         if form.trace <= 0:
             continue
         changed = Member(again, form, again.shape_cost)
@@ -213,6 +219,7 @@ def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, fl
     forms = [len(other.variants) for other in others]
     size = np.zeros((sum(forms), max((other.variants[0].gram.shape[1] for other in others), default=0)))
     along, last = np.zeros_like(size), 0
+    fixed: dict[str, Array] = {}
     for other, count in zip(others, forms, strict=True):
         cross = other.across(a)
         grams = np.array([item.gram[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
@@ -223,7 +230,10 @@ def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, fl
         part = slice(last, last := last + count), slice(values.shape[1])
         size[part] = np.maximum(values, 0.0) / traces
         along[part] = np.einsum("vji,vj->vi", vectors, scores) ** 2 / traces
+        if other.best.held:
+            fixed[other.id] = held_log_bayes_factor(grams[:, 0, 0], scores[:, 0])
     added = averaged(from_eigen(size, along, 1.0))
     for other, values in zip(others, np.split(added, np.cumsum(forms)[:-1]), strict=True):
+        values = fixed.get(other.id, values)
         best = int(np.argmax(values))
         yield Member(other, other.variants[best], other.shape_cost), float(values[best])

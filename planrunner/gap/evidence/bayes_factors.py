@@ -22,6 +22,9 @@ RANGE = float(np.log(STRONGEST / WEAKEST))
 _SWEEPS = 3
 _ROUNDING = 1e-14  # of the trace of a matrix, added to its diagonal
 ENERGIES = np.geomspace(0.5, 1e6, 25)  # grid of s², expressed as the expected energy
+GAIN = 0.01
+"""Standard deviation of an amplitude that physics fixes to 1: the output that an effect changes is known up to the scale factor and the
+misalignment of the sensor, which are seldom larger."""
 
 
 def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> Array:
@@ -72,6 +75,31 @@ def strong_enough(mean: Array, variance: Array) -> Array:
     shape = mean**2 / variance
     with np.errstate(divide="ignore"):
         return np.asarray(np.log(gammaincc(np.maximum(shape, 1e-12), WEAKEST * mean / variance)))
+
+
+def held_log_bayes_factor(gram: Array, score: Array) -> Array:
+    """log BF (…) of one amplitude that is 1 within `GAIN`, from its gram (…) and score (…)."""
+    precision = 1 / GAIN**2
+    grown = gram + precision
+    return np.asarray(0.5 * ((score + precision) ** 2 / grown - precision - np.log(grown / precision)))
+
+
+def held_amplitude(gram: float, score: float) -> tuple[float, float]:
+    """Mean and variance of such an amplitude."""
+    precision = 1 / GAIN**2
+    return (score + precision) / (gram + precision), 1 / (gram + precision)
+
+
+def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) -> float:
+    """What the log BF of amplitudes N(0, s²) with s² `scales` (p,) gains if those of some columns, `held`, are 1 within `GAIN` instead: the
+    ratio of the densities of the posterior and of the prior there (Dickey, Ann. Math. Stat. 42, 1971)."""
+    at = np.asarray(held)
+    covariance = np.linalg.inv(gram + np.diag(1 / scales))
+    away = 1 - (covariance @ score)[at]
+    spread = covariance[np.ix_(at, at)] + GAIN**2 * np.eye(len(at))
+    after = -0.5 * (away @ np.linalg.solve(spread, away) + np.linalg.slogdet(spread)[1])
+    before = -0.5 * float((1 / scales[at] + np.log(scales[at])).sum())
+    return float(after - before)
 
 
 def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tuple[Array, Array]:

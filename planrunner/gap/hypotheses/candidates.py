@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 from planrunner.error_model.effects.interface import Column, Effect, Variant
 from planrunner.error_model.effects.nominal import PARTS
 from planrunner.error_model.observed import Observed
-from planrunner.gap.evidence.bayes_factors import best_amplitudes, log_bayes_factors
+from planrunner.gap.evidence.bayes_factors import (
+    best_amplitudes,
+    held_amplitude,
+    held_log_bayes_factor,
+    log_bayes_factors,
+)
 from planrunner.gap.evidence.noise_levels import counts
 from planrunner.gap.evidence.noise_within import noise_within
 from planrunner.gap.evidence.slow_noise import SlowMeans
@@ -41,7 +46,7 @@ DITHERED = 0.5  # noise, in counts, below which rounding makes the noise depend 
 class Weighed:
     """A variant, whitened. gram (G, p, p), score (G, p) over settings; trace: energy of its columns after projection at the first
     setting, kept: ratio of this energy to that before projection. by_channel: whitened, projected columns (M, p) at the first setting; raw:
-    before that, in magnitudes."""
+    before that, in magnitudes. held: physics fixes the only amplitude to 1; the shape alone is free."""
 
     variant: Variant
     gram: Array = field(repr=False)
@@ -50,15 +55,21 @@ class Weighed:
     kept: float
     by_channel: tuple[Array, ...] = field(repr=False)
     raw: tuple[Array, ...] = field(repr=False)
+    held: bool = False
 
     @cached_property
     def log_bayes(self) -> Array:
-        """(G,), averaged over λ."""
+        """(G,), averaged over λ; at amplitude 1 if that is held."""
+        if self.held:
+            return held_log_bayes_factor(self.gram[:, 0, 0], self.score[:, 0])
         return log_bayes_factors(self.gram, self.score, self.trace)
 
     @cached_property
     def amplitudes(self) -> tuple[Array, Array]:
         """Mean (p,) and covariance (p, p) in magnitudes, at the first setting."""
+        if self.held:
+            mean, variance = held_amplitude(float(self.gram[0, 0, 0]), float(self.score[0, 0]))
+            return np.array([mean]), np.array([[variance]])
         return best_amplitudes(self.gram[0], self.score[0], self.variant.widths)
 
 
@@ -138,7 +149,7 @@ class Weighing:
             for index, part in enumerate(coefficients)
         ]
         self.nominal = [independent(columns) for columns in self.whole]
-        self.observed = replace(observed, fitted=self.fitted())
+        self.observed = self.seen()
         relative = self.noise.of_coefficients(observed, self.spectrum)
         self.weights: list[list[ChannelWeights]] = []
         self.log_likelihood: list[Array] = []
@@ -175,6 +186,16 @@ class Weighing:
             for column, value in zip(own, values, strict=True):
                 out[:, index] += column.parts[index] * (column.magnitude * value)
         return out
+
+    def seen(self, taken: Sequence[Array] | None = None) -> Observed:
+        """The recording with the nominal model's output and its response to the rate, fitted as by `fitted`."""
+        observed, fitted = self.observed, self.fitted(taken)
+        if observed.along is not None:
+            return replace(observed, fitted=fitted)
+        axes = np.eye(3)[[channel.axis for channel in observed.channels]]
+        felt = np.column_stack([observed.omega, np.ones(len(fitted))])
+        more = np.linalg.pinv(felt.T @ felt, hermitian=True) @ (felt.T @ (fitted - self._reference))
+        return replace(observed, fitted=fitted, response=axes + more[:3].T)
 
     def beside(self, known: Weighed) -> Weighing:
         """The recording with effects among the nominal parameters: whatever their amplitudes, in every channel separately."""

@@ -1,9 +1,9 @@
 """Effects as candidates: their forms on the grid of each effect, refined where the evidence has a sharp peak, and nonlinear where the
 effect is strong.
 
-An effect that is fully determined by its shape (a lag, a delay, a dead zone, a limit) is weighed like the others, with an amplitude in
-addition to the shape; for a weak effect the two are redundant. If such an effect is named, its shape is found exactly, with amplitude 1. If
-it acts on the output of the sensor, the nominal parameters are fitted together with it: fitted without the effect they would absorb part of
+An effect that is fully determined by its shape (a lag, a delay, a dead zone, a limit) has no amplitude. A weak one is weighed like the
+others, with an amplitude in addition to the shape, because the two are redundant; a strong one with the amplitude 1, its shape found
+exactly. If it acts on the output of the sensor, the nominal parameters are fitted together with it: fitted without the effect they would absorb part of
 it and give a wrong output (Gauss–Newton in those parameters, a search in the shape).
 """
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from planrunner.error_model.effects.interface import Curved, Effect, Shaped, is_whole
 from planrunner.error_model.observed import Observed
-from planrunner.gap.evidence.bayes_factors import log_mean_exp
+from planrunner.gap.evidence.bayes_factors import RANGE, log_mean_exp
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
 
 Array = NDArray[np.float64]
@@ -44,6 +44,7 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
         usable, log_bayes = _refined(weighing, effect, usable, weighing.observed)
         if float(log_bayes.max()) > _BENT and is_whole(usable[0].variant.columns):
             usable, log_bayes = _settled(weighing, effect, usable, log_bayes)
+            usable, log_bayes = _held(weighing, effect, usable, log_bayes)
     if isinstance(effect, Curved) and float(log_bayes.max()) > _BENT:
         usable, log_bayes = _curved(weighing, effect, usable, log_bayes)
     return Candidate(effect, tuple(usable), log_bayes, weighing.likeliest[0])
@@ -68,7 +69,7 @@ def _settled(
     and the effect is evaluated again with the result; repeated while this explains more."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
-        seen = replace(weighing.observed, fitted=weighing.fitted([raw[:, 0] for raw in best.raw]))
+        seen = weighing.seen([raw[:, 0] for raw in best.raw])
         coarse = [
             item
             for item in weighing.weigh([effect.at(seen, float(value)) for value in effect.grid(seen)])
@@ -81,6 +82,21 @@ def _settled(
             break
         usable, log_bayes = again, value
     return usable, log_bayes
+
+
+def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
+    """A strong effect without an amplitude of its own, with the amplitude that physics gives it: a lag makes the output later and smaller
+    by what its time constant says, and half a delay is no effect. λ has the same prior as for every effect. Unchanged if the data require
+    the opposite sign."""
+    best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
+    forms = [replace(form, held=True) for form, _ in whole_forms(weighing, effect)] if best.amplitudes[0][0] > 0 else []
+    strength = np.log([form.gram[0, 0, 0] for form in forms])
+    if len(forms) < 3 or not np.isfinite(strength).all():
+        return usable, log_bayes
+    width = np.abs(np.gradient(strength)) / RANGE
+    share = width / width.sum()
+    stacked = np.array([form.log_bayes for form in forms])
+    return forms, log_mean_exp(stacked, 0, share[:, None]) + float(np.log(width.sum()))
 
 
 def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Observed) -> tuple[list[Weighed], Array]:
@@ -136,7 +152,7 @@ def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float
             break
         found = shape
         (best,) = weighing.weigh([effect.at(seen, shape)])
-        seen = replace(weighing.observed, fitted=weighing.fitted([raw[:, 0] for raw in best.raw]))
+        seen = weighing.seen([raw[:, 0] for raw in best.raw])
     else:
         return []
     near = shape * np.exp(sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
