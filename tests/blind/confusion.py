@@ -20,7 +20,7 @@ import numpy as np
 
 from tests.blind import folder
 from tests.blind.device import SENSORS
-from tests.blind.generator import Case, Work, _one, _stream, _surroundings, signatures, simulate
+from tests.blind.generator import Case, Work, _one, _stream, _strength, _surroundings, signatures, simulate
 from tests.blind.motion import Fault
 
 WEAKEST, STRONGEST = 36.0, 1e4
@@ -29,17 +29,20 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "steps": ("gyro_bias_step", "gyro_bias_random_walk"),
     "accelerometer steps": ("accel_bias_step",),
     "late": ("gyro_bandwidth", "time_latency"),
+    "counts": ("gyro_quantization",),
 }
 """Effects that are easily taken for each other."""
 SETUPS = {
     "steps": (("tumble", "mems"), ("rocking", "fog"), ("thermal", "fog"), ("rates", "mems")),
     "accelerometer steps": (("tumble", "mems"), ("rates", "mems")),
     "late": (("rocking", "mems"), ("rocking", "fog")),
+    "counts": (("tumble", "mems"), ("rates", "mems"), ("rocking", "fog")),
 }
 """Plans and sensors that show the effects of a group."""
 
-SIZES = {"late": (5e-5, 1e-2)}
-"""Size of the effects of a group, in SI, log-uniform, where it decides whether they can be distinguished; without it, λ is drawn."""
+SIZES = {"late": (5e-5, 1e-2), "counts": (3.0, 30.0)}
+"""Size of the effects of a group, log-uniform, where it decides whether they can be distinguished: s, or σ of a sample. Without it, λ is
+drawn."""
 
 
 def case_of(group: str, seed: int, number: int, effect: str) -> Case:
@@ -50,8 +53,9 @@ def case_of(group: str, seed: int, number: int, effect: str) -> Case:
     factors, device = _surroundings(SENSORS[sensor_name], rng)
     work = Work(signatures(plan, sensor_name), factors, device)
     size = float(np.exp(rng.uniform(*np.log(SIZES.get(group, (WEAKEST, STRONGEST))))))
-    fault = Fault(effect, np.array([size])) if group in SIZES else _one(work, [effect], size, rng)
-    energy = work.energy(fault) if group in SIZES else size
+    unit = work.sigma[0] if group == "counts" else 1.0
+    fault = Fault(effect, np.array([size * unit])) if group in SIZES else _one(work, [effect], size, rng)
+    energy = _strength(work, fault) if group in SIZES else size
     name = f"{effect}-{number:05d}"
     columns = simulate(work, [fault], False, rng)
     entry = {"effect": effect, "theta": fault.theta.tolist(), "shape": list(fault.shape), "lambda": energy}
