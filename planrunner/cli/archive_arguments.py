@@ -74,10 +74,10 @@ def opened_index(args: argparse.Namespace, archive: Path) -> Iterator[Index]:
         yield index
 
 
-def report_left_out(faults: Sequence[FaultRow], otherwise: int = exit_codes.DONE) -> int:
-    """The exit code of a command that leaves damaged runs out; they are named on standard error. otherwise: the code if there are none."""
+def report_left_out(faults: Sequence[FaultRow]) -> int:
+    """Name the damaged runs that a command leaves out, on standard error. Returns the exit code that follows from them."""
     from planrunner.reporting.printable import printable
 
     for fault in faults:
         print(printable(f"not in the index: {fault.folder}: {fault.message}", keep=""), file=sys.stderr)
-    return exit_codes.INTEGRITY if faults else otherwise
+    return exit_codes.INTEGRITY if faults else exit_codes.DONE

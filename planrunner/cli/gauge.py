@@ -34,8 +34,8 @@ def run(args: argparse.Namespace) -> int:
 
     wanted = RunFilter(device=args.device, plan=args.plan, since=args.since, until=args.until)
     with opened_index(args, args.runs) as index:
+        code = report_left_out(index.faults())
         found, unit = gauge_of(index, args.coefficient, wanted)
-        faults = index.faults()
     if args.json:
         print_json(found.to_json(args.coefficient, unit))
     else:
@@ -48,4 +48,4 @@ def run(args: argparse.Namespace) -> int:
         terminal.console().print(terminal.data_table(gauge_table(found, unit)))
         if found.unused:
             print(f"{found.unused} runs are not used, because the other combinations have fewer runs")
-    return report_left_out(faults)
+    return code

@@ -43,14 +43,14 @@ def run(args: argparse.Namespace) -> int:
     from planrunner.tasks.history import coefficients_of, trend_of
 
     with opened_index(args, args.runs) as index:
-        faults = index.faults()
+        code = report_left_out(index.faults())
         if args.coefficient is None:
             names = coefficients_of(index, args.device)
             if args.json:
                 print_json(names)
             else:
                 print(printable("\n".join(names)))
-            return report_left_out(faults)
+            return code
         found = trend_of(index, args.device, args.coefficient, args.tolerance, args.since)
     if args.html is not None:
         from planrunner.reporting.history_page import render_history
@@ -72,4 +72,4 @@ def run(args: argparse.Namespace) -> int:
                 console.print(terminal.data_table(agreement_table(title, participants, found.unit)))
     charts = found.charts
     out = charts is not None and charts.out_of_control
-    return report_left_out(faults, exit_codes.LIMIT_FAILED if out else exit_codes.DONE)
+    return code or (exit_codes.LIMIT_FAILED if out else exit_codes.DONE)

@@ -86,6 +86,15 @@ def test_a_result_without_a_damaged_run_says_so(
     assert "not in the index: 0000-calibration: " in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("words", [["history", "FG-7", "drift.bias"], ["gauge", "drift.bias"]])
+def test_a_result_that_only_a_damaged_run_would_allow(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (make_run(tmp_path / "runs", MadeRun(device="FG-7")) / "plan.yaml").write_text("changed")
+    assert main([*words, "--runs", str(tmp_path / "runs")]) == 2
+    assert "not in the index: 0000-calibration: " in capsys.readouterr().err
+
+
 def test_a_damaged_run_is_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     runs = [make_run(tmp_path / "runs", MadeRun(), number) for number in range(2)]
     (runs[0] / "plan.yaml").write_text("changed")
