@@ -68,8 +68,10 @@ def _shared() -> dict[str, Schema]:
     for dimension in (None, *DIMENSIONS):
         name = (dimension or "any").replace(" ", "-")
         parts[f"uncertain-{name}"] = quantity.schema(dimension, uncertain=True)
-        parts[f"uncertain-text-{name}"] = quantity.text_schema(dimension, uncertain=True)
-        parts[f"quantity-{name}"] = quantity.schema(dimension, uncertain=False)
+        # The text of a quantity is the same for every unit.
+        plain = "-or-number" if dimension in (None, "ratio") else ""
+        parts[f"uncertain-text{plain}"] = quantity.text_schema(dimension, uncertain=True)
+        parts[f"quantity{plain}"] = quantity.schema(dimension, uncertain=False)
     return parts
 
 
