@@ -44,6 +44,8 @@ NAMES = (
     "diagnosis",
     "night_overhead",
     "archive_site",
+    "archive_scaling",
+    "dask_workers",
 )
 README = Path(__file__).with_name("README.md")
 START, END = "<!-- figures -->", "<!-- end of figures -->"

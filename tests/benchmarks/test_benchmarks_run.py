@@ -15,7 +15,7 @@ from benchmarks import __main__ as command
 from benchmarks.measuring import ROOT, ProcessFailedError, counted, figures_of
 from benchmarks.shipped_results import differences
 
-MEASURES_WITH = {"__init__", "__main__", "measuring", "shipped_results"}
+MEASURES_WITH = {"__init__", "__main__", "measuring", "made_archive", "shipped_results"}
 UNIX = {"sensor_streaming": "it needs pseudo-terminals"}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import shlex
 import shutil
@@ -16,6 +17,7 @@ import pytest
 import yaml
 
 from planrunner.cli import night
+from tests.in_process import planrunner
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "recipes"
 CALL = re.compile(r"planrunner(?:\.exe)?(?:</Command>\s*<Arguments>)? ?night ([^'\n<|]*?)(?= 2>&1|'|\n|<|$)")
@@ -102,13 +104,29 @@ def test_jenkins() -> None:
 
 
 def test_docker_image_does_not_run_as_root_and_has_a_health_check() -> None:
+    """As text: it is built from the tree, from packages whose hashes are locked, for a user that is not root, with programs that exist."""
+    root = FOLDER.parents[1]
     lines = re.sub(r"\\\n", " ", text("Dockerfile")).splitlines()
     words = [line.split(maxsplit=1) for line in lines if line and not line.startswith("#")]
     order = [word for word, _ in words]
+    found = dict(words)
     assert order[0] == "FROM" and order[-1] == "ENTRYPOINT"
-    assert dict(words)["USER"] == "lab" and order.index("USER") > order.index("RUN")
-    assert '["planrunner", "bench", "list"]' in dict(words)["HEALTHCHECK"]
-    assert (FOLDER.parents[1] / "constraints-runtime.txt").is_file()
+    assert re.fullmatch(r"python:3\.\d+-slim", found["FROM"]) and "latest" not in found["FROM"]
+    copied, _ = found["COPY"].split()
+    assert (root / copied / "pyproject.toml").is_file()
+    installs = [part for part in found["RUN"].split("&&") if "pip install" in part]
+    assert len(installs) == 2
+    locked, own = installs
+    assert "--require-hashes" in locked and (root / locked.split("/src/")[1].strip()).is_file()
+    assert "--no-deps" in own and own.split()[-1] == "/src"
+    user = re.search(r"useradd .*--uid (\d+) (\w+)", found["RUN"])
+    assert user is not None and int(user[1]) > 0
+    assert found["USER"] == user[2] and order.index("USER") > order.index("RUN")
+    options, command = found["HEALTHCHECK"].split(" CMD ")
+    assert "--interval=" in options and "--timeout=" in options
+    program, *arguments = json.loads(command)
+    assert [program] == json.loads(found["ENTRYPOINT"])
+    assert planrunner(*arguments, cwd=root).returncode == 0
 
 
 def test_windows_task() -> None:

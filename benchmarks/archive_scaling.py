@@ -1,0 +1,111 @@
+"""Time and memory of commands over archives of growing size, and of runs with a growing number of segments: slopes for docs/scaling.md.
+
+Each command runs in a process of its own, with one process that computes. A slope is that of the least-squares line over the sizes.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.made_archive import make_archive, plan
+from benchmarks.measuring import Figures, figures_of, peak_memory
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """runs: of the archives, each of 10 segments; segments: of the single runs."""
+
+    runs: tuple[int, ...]
+    segments: tuple[int, ...]
+    separate: bool = True
+
+
+FULL = Size((50, 200, 800), (100, 400, 1600))
+SMALL = Size((2, 3, 4), (10, 20, 30), separate=False)
+
+
+def run(size: Size = FULL) -> Figures:
+    figures: Figures = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for number in size.runs:
+            make_archive(Path(folder) / str(number), number, dwell="0.2 s", analysed=True)
+        for name, function in OF_ARCHIVES.items():
+            found = [figures_of(function, str(Path(folder) / str(n)), separate=size.separate) for n in size.runs]
+            figures |= slopes(name, "run", size.runs, found)
+        for number in size.segments:
+            make_archive(Path(folder) / f"s{number}", 1, number, "0.2 s")
+        for name, of_run in OF_RUNS.items():
+            found = [figures_of(of_run, str(Path(folder) / f"s{n}"), n, separate=size.separate) for n in size.segments]
+            figures |= slopes(name, "segment", size.segments, found)
+    return figures
+
+
+def slopes(name: str, one: str, sizes: tuple[int, ...], found: list[Figures]) -> Figures:
+    """The figures at each size, and what one more costs."""
+    rows: Figures = {}
+    for number, figures in zip(sizes, found, strict=True):
+        rows[f"{name}, {number} {one}s [s]"] = figures["seconds"]
+        rows[f"{name}, {number} {one}s, peak memory [MB]"] = figures["memory"]
+    rows[f"{name}: one more {one} [ms]"] = 1e3 * float(np.polyfit(sizes, [one["seconds"] for one in found], 1)[0])
+    rows[f"{name}: one more {one} [kB]"] = 1e3 * float(np.polyfit(sizes, [one["memory"] for one in found], 1)[0])
+    return rows
+
+
+def _timed(work: Callable[[], object]) -> Figures:
+    began = time.perf_counter()
+    work()
+    return {"seconds": time.perf_counter() - began, "memory": peak_memory()}
+
+
+def _command(*words: str) -> Figures:
+    """A command as a user calls it, without what it prints."""
+    import contextlib
+    import io
+
+    from planrunner.cli import main
+
+    def work() -> None:
+        with contextlib.redirect_stdout(io.TextIOWrapper(io.BytesIO(), encoding="utf-8")):
+            assert main([*words]) == 0
+
+    return _timed(work)
+
+
+def verify(archive: str) -> Figures:
+    return _command("verify", "--all", archive)
+
+
+def estimate(archive: str) -> Figures:
+    return _command("estimate", "--all", archive)
+
+
+def index(archive: str) -> Figures:
+    return _command("runs", archive, "--rebuild", "--quiet", "--index", f"{archive}.sqlite")
+
+
+def site(archive: str) -> Figures:
+    return _command("site", archive, f"{archive}-site", "--quiet", "--index", f"{archive}.sqlite")
+
+
+def check(archive: str, segments: int) -> Figures:
+    from planrunner.tasks.check import check_plan
+
+    return _timed(lambda: check_plan(plan(segments, "0.2 s")).sound())
+
+
+def verify_run(archive: str, _: int) -> Figures:
+    return verify(archive)
+
+
+def estimate_run(archive: str, _: int) -> Figures:
+    return estimate(archive)
+
+
+OF_ARCHIVES = {"verify": verify, "estimate": estimate, "rebuild the index": index, "site": site}
+OF_RUNS = {"check": check, "verify": verify_run, "estimate": estimate_run}
