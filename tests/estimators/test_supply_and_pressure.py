@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planrunner.gap.answer.diagnosis import DiagnosisOptions
+from planrunner.gap.answer.diagnosis import DiagnosisOptions, hypotheses
 from planrunner.tasks.check import Checked, Document, check_plan
 from planrunner.tasks.diagnose import diagnose_recorded, recorded_run
 from tests.in_process import planrunner
@@ -174,15 +174,36 @@ segments:
     assert "physics-surroundings" not in [one.code for one in checked(text(STATES)).findings]
 
 
-def test_a_diagnosis_finds_the_effect_if_it_is_asked_for_it(tmp_path: Path) -> None:
+def test_a_diagnosis_weighs_the_effects_of_a_supply_that_varies(tmp_path: Path) -> None:
     """The supply explains the gap, and a drift with time does not, because the voltages come in another order than time."""
     states = "supply_voltage: [13 V, 11 V, 12.5 V, 11.5 V, 12 V]"
     run(tmp_path, text(states, CHANNELS, ("bias_supply",)), "--with", "gyro_bias_supply=c_z:0.02 deg/s/V")
+    recording = recorded_run(next((tmp_path / "runs").iterdir()))
     options = DiagnosisOptions(effects=("gyro_bias_supply", "gyro_bias_drift", "gyro_warm_up"))
-    found = diagnose_recorded(recorded_run(next((tmp_path / "runs").iterdir())), options).diagnosis
+    found = diagnose_recorded(recording, options).diagnosis
     assert found.verdict.effects == ("gyro_bias_supply",)
     (c,) = [one for one in found.parameters if one.name == "c_z"]
     assert abs(c.value - (0.02 + 30 / 3600)) < 4 * c.standard_uncertainty
+    observed = found.grounds.weighing.observed
+    weighed = {one.id for one in hypotheses(None, observed)} - {one.id for one in hypotheses(None)}
+    assert weighed == {f"{kind}_{what}_supply" for kind in ("gyro", "accel") for what in ("bias", "scale")}
+
+
+@pytest.mark.slow
+def test_a_whole_diagnosis_names_what_follows_the_supply(tmp_path: Path) -> None:
+    """Bias and scale factor of the gyro. With z always up, bias and scale factor of the accelerometer look alike."""
+    states = "supply_voltage: [13 V, 11 V, 12.5 V, 11.5 V, 12 V]"
+    run(tmp_path, text(states, CHANNELS, ("bias_supply",)), "--with", "gyro_bias_supply=c_z:0.02 deg/s/V")
+    found = diagnose_recorded(recorded_run(next((tmp_path / "runs").iterdir()))).diagnosis
+    assert {"gyro_bias_supply", "gyro_scale_supply"} < set(found.verdict.effects)
+    assert set(found.verdict.effects) - {"gyro_bias_supply", "gyro_scale_supply"} < {
+        "accel_bias_supply",
+        "accel_scale_supply",
+    }
+    by_name = {(one.effect, one.name): one for one in found.parameters}
+    for effect, name, true in (("gyro_bias_supply", "c_z", 0.02 + 30 / 3600), ("gyro_scale_supply", "k_z", 200.0)):
+        one = by_name[effect, name]
+        assert abs(one.value - true) < 4 * one.standard_uncertainty
 
 
 @pytest.mark.slow

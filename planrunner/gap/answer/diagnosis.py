@@ -14,7 +14,13 @@ import numpy as np
 
 from planrunner.base import plugins
 from planrunner.base.documents import Json, JsonObject
-from planrunner.error_model.effects.interface import ActsOnNoise, Effect, NoHypothesis
+from planrunner.error_model.effects.interface import (
+    ActsOnNoise,
+    Effect,
+    Follows,
+    FollowsSurroundings,
+    NoHypothesis,
+)
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer import parameters as estimates
 from planrunner.gap.answer.closure import NOT_RESOLVABLE, Closure, FoldChoice, closure
@@ -35,6 +41,8 @@ Forms = list[tuple[Weighed, float]]
 FEWEST_SEGMENTS = 4
 SHOWN_PLACES = 20
 _MOST_CHOICES = 30
+_VARIED_SUPPLY = 0.1  # V between segments: what a regulated supply does not do by itself
+_VARIED_PRESSURE = 1000.0  # Pa between segments: what the weather hardly does during a test
 _CHOICES = 6  # number of candidates among which a fold of the closure chooses
 _LIKELY = 1e-3  # smallest probability of such a candidate
 _ABSORBED_SHARE = 0.05  # remaining share of a signature's energy below which an effect counts as absorbed
@@ -148,7 +156,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
             "visible; effects of orientation, rate or temperature need more orientations, rates or temperatures"
         )
         raise ObservationError(few, hint)
-    effects = [effect for effect in hypotheses(options.effects) if effect.id not in options.nominal]
+    effects = [effect for effect in hypotheses(options.effects, observed) if effect.id not in options.nominal]
     effects += hypotheses(
         [name for name in options.given if name not in {e.id for e in effects} | set(options.nominal)]
     )
@@ -232,12 +240,25 @@ def _parameters_of_given(
     return listed
 
 
-def hypotheses(names: Sequence[str] | None) -> list[Effect]:
-    """The effects of these names; without names, all installed ones that are meant for a diagnosis."""
+def hypotheses(names: Sequence[str] | None, observed: Observed | None = None) -> list[Effect]:
+    """The effects of these names; without names, all installed ones that are meant for a diagnosis, and those of the supply voltage and the
+    ambient pressure if these vary in the recording."""
     if names is not None:
         return [plugins.load(plugins.EFFECTS, name)() for name in names]
     installed: list[Effect] = [plugins.load(plugins.EFFECTS, name)() for name in plugins.names(plugins.EFFECTS)]
-    return [effect for effect in installed if not isinstance(effect, NoHypothesis)]
+    return [effect for effect in installed if not isinstance(effect, NoHypothesis) or _varied(effect, observed)]
+
+
+def _varied(effect: Effect, observed: Observed | None) -> bool:
+    """Whether segments differ in what the effect follows by more than regulation and weather make them differ."""
+    if observed is None or not isinstance(effect, FollowsSurroundings):
+        return False
+    supply = effect.follows is Follows.SUPPLY
+    excess = observed.excess_voltage if supply else observed.excess_pressure
+    if excess is None:
+        return False
+    means = np.add.reduceat(excess, observed.bounds[:-1]) / np.diff(observed.bounds)
+    return bool(np.ptp(means) > (_VARIED_SUPPLY if supply else _VARIED_PRESSURE))
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
