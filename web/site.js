@@ -139,6 +139,8 @@
   };
   const ORDER = Object.keys(STATES);
 
+  const standingMark = (standing) => make("span", { text: standing, cls: `mark ${standing === "in control" ? "good" : "bad"}` });
+
   // What a night was to do, and what became of it: also the tests that gave no run.
   const nightWall = (night) => {
     const rows = [...night.tests]
@@ -160,9 +162,15 @@
     );
     const end = night.ends ? ` to ${night.ends.slice(0, 16).replace("T", " ")}` : "";
     const code = night.exit_code === null ? "" : `, exit code ${night.exit_code}`;
+    const said = night.fleet.flatMap((group) => group.statements.map((text) => make("li", { text: `${text} (${group.plan}, ${group.runs} runs)` })));
+    const standards = night.check_standards.map(([bench, device, standing, reasons]) =>
+      make("tr", {}, make("th", { text: bench, scope: "row" }), cell(deviceLink(device)), cell([standingMark(standing)]), cell(reasons.join("; ") || "–", "words")),
+    );
     return [
       make("p", { cls: "soft", text: `${night.title}: ${night.begins.slice(0, 16).replace("T", " ")}${end} local time, ${night.state}${code}` }),
       make("ul", { cls: "counts" }, ...counts),
+      ...(said.length ? [make("h2", { text: "Fleet" }), make("ul", { cls: "said" }, ...said)] : []),
+      ...(standards.length ? [table("Check standards that were measured first", [["Bench"], ["Check standard"], ["State"], ["Why"]], standards)] : []),
       table("Tests of the night, what needs attention first", [["Test"], ["Device"], ["Bench"], ["State"], ["Reason"], ["Run folder"]], rows),
       ...night.remarks.map((text) => make("p", { text })),
     ];
@@ -274,6 +282,29 @@
     return [make("h1", { text: title }), make("div", { cls: "field" }, make("label", { for: "search", text: `Search ${title.toLowerCase()}` }), search), told, host];
   };
 
+  const benches = () => {
+    const link = (value) => make("a", { text: value, href: `#/runs?${new URLSearchParams({ bench: value })}` });
+    const parts = overview("Benches", "Bench", "bench", link);
+    const rows = entry.standards.map((one) =>
+      make(
+        "tr",
+        {},
+        make("th", { scope: "row" }, link(one.bench)),
+        cell(deviceLink(one.device)),
+        cell([standingMark(one.standing)]),
+        cell(one.created === null ? "–" : moment(one.created), "when"),
+        cell(one.reasons.join("; ") || one.coefficients.map((own) => `${own.quantity} ${digits(own.value, 6)} ${own.unit}`).join("; "), "words"),
+      ),
+    );
+    if (rows.length)
+      parts.push(
+        make("h2", { text: "Check standards" }),
+        make("p", { cls: "soft", text: "State at the time at which this site was made." }),
+        table("Check standards of the benches", [["Bench"], ["Check standard"], ["State"], ["Newest run"], ["Why, or the newest values"]], rows),
+      );
+    return parts;
+  };
+
   const device = async (name) => {
     const number = entry.devices.indexOf(name);
     if (number < 0) return [make("h1", { text: "Unknown device" }), make("p", { text: `This archive has no device ${name}.` })];
@@ -287,6 +318,13 @@
       select.addEventListener("input", () => course(host, series[Number(select.value)]));
       parts.push(make("h2", { text: "Coefficients over time" }), make("div", { cls: "field" }, make("label", { for: "quantity", text: "Coefficient" }), select), host);
       later.push(() => course(host, series[0]));
+    }
+    const titles = new Set(own.map((run) => run.title || run.plan));
+    const latest = entry.nights.find((night) => night.fleet.length);
+    const said = latest ? latest.fleet.filter((group) => titles.has(group.plan)).flatMap((group) => group.statements) : [];
+    if (said.length) {
+      parts.push(make("h2", { text: "Fleet" }), make("p", { cls: "soft", text: `Diagnosis of all runs of the same plans, night of ${latest.begins.slice(0, 10)}.` }));
+      parts.push(make("ul", { cls: "said" }, ...said.map((text) => make("li", { text }))));
     }
     parts.push(make("h2", { text: "Runs of this device" }), table("Runs, the newest first", RUN_TITLES, own.slice(0, 500).map(runRow)));
     return parts;
@@ -323,34 +361,106 @@
       )
       .reverse();
     const titles = [["Run"], ["Value", "number"], ["U (k = 2)", "number"], ["Limit of the plan, lower", "number"], ["upper", "number"], ["Control limit, lower", "number"], ["upper", "number"], ["Bench"], ["Verdict"]];
+    const unit = one.unit ? `, ${one.unit}` : "";
+    const figure = (title, canvas) => make("figure", { cls: "chart" }, make("figcaption", { text: title }), canvas);
+    const average = make("div", { role: "img", "aria-label": `Moving average of ${one.quantity}; ${alarms(one.ewma)}` });
+    const sums = make("div", { role: "img", "aria-label": `Cumulative sums of ${one.quantity}; ${alarms(one.cusum_up, one.cusum_down)}` });
+    const charted = one.ewma.value.some((value) => value !== null);
+    const slow = [
+      figure(`Moving average (EWMA)${unit}: ${alarms(one.ewma)}`, average),
+      figure(`Cumulative sums (CUSUM), in standard deviations: ${alarms(one.cusum_up, one.cusum_down)}`, sums),
+    ];
     host.replaceChildren(
-      make("figure", { cls: "chart" }, make("figcaption", { text: `${one.quantity}${one.unit ? `, ${one.unit}` : ""}` }), chart),
-      make("p", { cls: "soft", text: "Points: values. Band: U = 2u. Dashed: Shewhart control limits. Dotted: limits of the plans." }),
+      figure(`${one.quantity}${unit}`, chart),
+      make("p", { cls: "soft", text: `Points: values. Band: U = 2u. Dashed: Shewhart control limits. Dotted: limits of the plans.${one.changes.length ? " Upright lines: changes of the level." : ""}` }),
+      ...changeList(one),
+      ...(charted ? [make("div", { cls: "strips" }, ...slow)] : []),
       table(`${one.quantity}${one.unit ? ` in ${one.unit}` : ""}, the newest first`, titles, rows.slice(0, 500)),
     );
-    new uPlot(
-      {
-        width: Math.max(240, chart.clientWidth),
-        height: 320,
-        legend: { show: false },
-        cursor: { show: false },
-        tzDate: (seconds) => uPlot.tzDate(new Date(1000 * seconds), "Etc/UTC"),
-        axes: [axis({ size: 34, space: 110, values: days }), axis({ size: 84, values: marks })],
-        series: [
-          {},
-          line("U", "--band"),
-          line("U", "--band"),
-          { label: "value", stroke: colour("--line"), width: 1, points: { show: true, size: 5, fill: colour("--line") } },
-          line("control limit", "--care", [8, 5]),
-          line("control limit", "--care", [8, 5]),
-          line("limit of the plan", "--bad", [2, 4]),
-          line("limit of the plan", "--bad", [2, 4]),
-        ],
-        bands: [{ series: [2, 1], fill: colour("--band") }],
-      },
-      [when, low, high, one.value, one.control_lower, one.control_upper, one.plan_lower, one.plan_upper],
+    const between = one.changes.map((change) => (when[change.before] + when[change.after]) / 2);
+    const draw = (place, height, series, data, bands) =>
+      new uPlot(
+        {
+          width: Math.max(240, place.clientWidth),
+          height,
+          legend: { show: false },
+          cursor: { show: false },
+          tzDate: (seconds) => uPlot.tzDate(new Date(1000 * seconds), "Etc/UTC"),
+          axes: [axis({ size: 34, space: 110, values: days }), axis({ size: 84, values: marks })],
+          series: [{}, ...series],
+          bands,
+          hooks: { draw: [(plot) => upright(plot, between)] },
+        },
+        [when, ...data],
+        place,
+      );
+    const control = () => line("control limit", "--care", [8, 5]);
+    const limit = () => line("limit of the plan", "--bad", [2, 4]);
+    const dots = (name, cls) => ({ label: name, stroke: colour(cls), width: 1, points: { show: true, size: 5, fill: colour(cls) } });
+    draw(
       chart,
+      320,
+      [line("U", "--band"), line("U", "--band"), dots("value", "--line"), control(), control(), limit(), limit()],
+      [low, high, one.value, one.control_lower, one.control_upper, one.plan_lower, one.plan_upper],
+      [{ series: [2, 1], fill: colour("--band") }],
     );
+    if (charted) {
+      draw(average, 220, [dots("EWMA", "--line"), control(), control()], [one.ewma.value, one.ewma.lower, one.ewma.upper]);
+      draw(
+        sums,
+        220,
+        [dots("sum upwards", "--line"), dots("sum downwards", "--good"), control(), control()],
+        [one.cusum_up.value, one.cusum_down.value, one.cusum_down.lower, one.cusum_up.upper],
+      );
+    }
+  };
+
+  // How many values of control charts are outside their limits, and whether the newest one is.
+  const alarms = (...charts) => {
+    const outside = (chart, index) => chart.value[index] !== null && (chart.value[index] < chart.lower[index] || chart.value[index] > chart.upper[index]);
+    const places = charts[0].value.map((_, index) => charts.some((chart) => outside(chart, index)));
+    const count = places.filter(Boolean).length;
+    if (!count) return "all within the limits";
+    return `${count} outside the limits${places[places.length - 1] ? ", also the newest" : ""}`;
+  };
+
+  // Dotted upright lines at these moments.
+  const upright = (plot, moments) => {
+    const { ctx, bbox } = plot;
+    ctx.save();
+    ctx.strokeStyle = colour("--soft");
+    ctx.setLineDash([3, 4]);
+    ctx.lineWidth = 1.5;
+    for (const at of moments) {
+      const x = plot.valToPos(at, "x", true);
+      ctx.beginPath();
+      ctx.moveTo(x, bbox.top);
+      ctx.lineTo(x, bbox.top + bbox.height);
+      ctx.stroke();
+    }
+    ctx.restore();
+  };
+
+  // Changes of the level, each with what else changed between the two runs.
+  const changeList = (one) => {
+    if (!one.changes.length) return [];
+    const at = (index) => moment(runs[one.run[index]].created);
+    const rows = one.changes.map((change) =>
+      make(
+        "tr",
+        {},
+        make("th", { text: `${at(change.before)} to ${at(change.after)}`, scope: "row" }),
+        cell(`${digits(change.step, 4)} ± ${digits(2 * change.u, 2)}`, "number"),
+        cell(change.p < 0.001 ? "< 0.001" : digits(change.p, 2), "number"),
+        cell(
+          change.causes.length
+            ? [make("ul", { cls: "notices" }, ...change.causes.map(([words, before, after, shared]) => make("li", { text: `${words}: ${before || "none"} → ${after || "none"}${shared === 1 ? ", and so in all runs before and after" : ""}` })))]
+            : "nothing that the runs record",
+          "words",
+        ),
+      ),
+    );
+    return [table("Changes of the level, and what else changed at the same time", [["Between the runs"], ["Step ± U", "number"], ["p", "number"], ["What else changed (possible causes)"]], rows)];
   };
 
   // -- which page -----------------------------------------------------------------------------------------------------
@@ -364,7 +474,7 @@
       path === "/" ? lastNight(new URLSearchParams(query))
       : path === "/runs" ? allRuns(new URLSearchParams(query))
       : path === "/devices" ? overview("Devices", "Device", "device", deviceLink)
-      : path === "/benches" ? overview("Benches", "Bench", "bench", (value) => make("a", { text: value, href: `#/runs?${new URLSearchParams({ bench: value })}` }))
+      : path === "/benches" ? benches()
       : path.startsWith("/device/") ? await device(decodeURIComponent(path.slice(8)))
       : [make("h1", { text: "Unknown page" })];
     find("main").replaceChildren(...parts);

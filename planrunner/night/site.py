@@ -14,23 +14,31 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
 from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
 
 from planrunner import __version__
 from planrunner.archive import analyses as stored
 from planrunner.archive import formats
 from planrunner.archive.storage import Storage
+from planrunner.archive.verifying import BENCH
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.base.progress import Announce, Pace
 from planrunner.base.shipped import shipped_bytes
+from planrunner.bench.model import bench_of
 from planrunner.night import record
-from planrunner.night.history.control_charts import control_charts
+from planrunner.night.history.change_points import ChangePoint
+from planrunner.night.history.check_standard import state_in
+from planrunner.night.history.control_charts import Chart
 from planrunner.night.history.index import Index
-from planrunner.night.history.rows import CoefficientRow, LimitRow, RunRow
+from planrunner.night.history.rows import CoefficientRow, HistoryPoint, LimitRow, RunRow
+from planrunner.night.history.trend import trend
 
 FORMAT = 1
 NIGHTS = 30
@@ -89,7 +97,7 @@ def build_site(index: Index, out: Path, notice: Announce | None = None) -> Built
         files[f"runs-{number}"] = rows[begin : begin + CHUNK]
     for number, device in enumerate(devices):
         files[f"device-{number}"] = [
-            _series(quantity, unit, found) for (quantity, unit), found in sorted(points[device].items())
+            _series(device, quantity, unit, found, runs) for (quantity, unit), found in sorted(points[device].items())
         ]
     texts = {name: _script(name, value) for name, value in files.items()}
     whole = hashlib.sha256(b"".join(texts[name] for name in sorted(texts))).hexdigest()[:16]
@@ -104,6 +112,7 @@ def build_site(index: Index, out: Path, notice: Announce | None = None) -> Built
         "devices": devices,
         "night_since": _night(runs),
         "nights": list(_nights(index.archive)),
+        "standards": list(_standards(index, runs)),
         "faults": [[fault.folder, fault.message] for fault in index.faults()],
     }
     _write(out, f"data-{whole}", texts, _script("entry", entry))
@@ -141,10 +150,17 @@ def _nights(archive: Path) -> Iterator[Json]:
                 key: night[key]
                 for key in ("night", "title", "state", "begins", "ends", "exit_code", "counts", "remarks")
             } | {
+                "check_standards": [
+                    [one["bench"], *(one["state"][key] for key in ("device", "standing", "reasons"))]
+                    for one in night.get("check_standards", ())
+                ],
+                "fleet": [
+                    {key: group[key] for key in ("plan", "runs", "statements")} for group in night.get("fleet", ())
+                ],
                 "tests": [
                     [test[key] for key in ("test", "device", "bench", "state", "reason", "run")]
                     for test in night["tests"]
-                ]
+                ],
             }
 
 
@@ -182,10 +198,28 @@ def _reports(archive: Path, run: RunRow) -> Iterator[str]:
     yield from found
 
 
-def _series(quantity: str, unit: str, found: Sequence[_Point]) -> Json:
-    """A coefficient of a device over time, the oldest run first, with the limits of the plans and control limits."""
+def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs: Sequence[RunRow]) -> Json:
+    """A coefficient of a device over time, the oldest run first, with the limits of the plans, the control charts and the changes. None
+    where a value or its uncertainty is missing, or if there are no control limits."""
     ordered = list(reversed(found))
-    lower, upper = _control_limits([point.row for point in ordered])
+    held = trend(device, quantity, [HistoryPoint(runs[point.run], point.row, point.limits) for point in ordered])
+    usable = {point.run.folder for point in held.points}
+    places = [k for k, point in enumerate(ordered) if runs[point.run].folder in usable]
+    charts = held.charts
+
+    def spread(values: NDArray[np.float64] | None) -> list[Json]:
+        """The values of a chart at their places."""
+        placed: list[Json] = [None] * len(ordered)
+        for k, value in zip(places, () if values is None else values.tolist(), strict=values is not None):
+            placed[k] = value
+        return placed
+
+    def limits(chart: Chart | None, *, statistic: bool = True) -> dict[str, Json]:
+        own = {"value": spread(None if chart is None else chart.statistic)} if statistic else {}
+        lower, upper = (None, None) if chart is None else (chart.lower, chart.upper)
+        return {**own, "lower": spread(lower), "upper": spread(upper)}
+
+    control = limits(None if charts is None else charts.shewhart, statistic=False)
     return {
         "quantity": quantity,
         "unit": unit,
@@ -194,23 +228,42 @@ def _series(quantity: str, unit: str, found: Sequence[_Point]) -> Json:
         "u": [_finite(point.row.standard_uncertainty) for point in ordered],
         "plan_lower": [_finite(max((one.lower for one in point.limits), default=math.nan)) for point in ordered],
         "plan_upper": [_finite(min((one.upper for one in point.limits), default=math.nan)) for point in ordered],
-        "control_lower": lower,
-        "control_upper": upper,
+        "control_lower": control["lower"],
+        "control_upper": control["upper"],
+        "ewma": limits(None if charts is None else charts.ewma),
+        "cusum_up": limits(None if charts is None else charts.cusum_up),
+        "cusum_down": limits(None if charts is None else charts.cusum_down),
+        "changes": [_change(one, places) for one in held.changes],
     }
 
 
-def _control_limits(rows: Sequence[CoefficientRow]) -> tuple[list[Json], list[Json]]:
-    """Lower and upper Shewhart limits of each value; None where a value or its uncertainty is missing, or if there are no limits."""
-    usable = [k for k, row in enumerate(rows) if math.isfinite(row.value) and math.isfinite(row.standard_uncertainty)]
-    lower: list[Json] = [None] * len(rows)
-    upper: list[Json] = [None] * len(rows)
-    charts = None
-    if len(usable) > 1:
-        charts = control_charts([rows[k].value for k in usable], [rows[k].standard_uncertainty for k in usable])
-    if charts is not None:
-        for k, low, high in zip(usable, charts.shewhart.lower.tolist(), charts.shewhart.upper.tolist(), strict=True):
-            lower[k], upper[k] = low, high
-    return lower, upper
+def _change(one: ChangePoint, places: Sequence[int]) -> Json:
+    """before, after: the values between which the level changed."""
+    return {
+        "before": places[one.index - 1],
+        "after": places[one.index],
+        "step": one.step,
+        "u": one.standard_uncertainty,
+        "p": one.p,
+        "causes": [[cause.words, cause.before, cause.after, cause.shared] for cause in one.causes],
+    }
+
+
+def _standards(index: Index, runs: Sequence[RunRow]) -> Iterator[Json]:
+    """The state of the check standard of every bench whose newest run has a bench file that declares one."""
+    now = datetime.now(UTC)
+    newest: dict[str, RunRow] = {}
+    for run in runs:
+        newest.setdefault(run.bench, run)
+    for _, run in sorted(newest.items()):
+        file = index.archive.joinpath(*PurePosixPath(run.folder).parts, BENCH)
+        try:
+            folder = GuardedFolder.open(file.parent)
+            state = state_in(index, bench_of(folder.read(BENCH, MOST_RECORD), str(file)), now)
+        except (OSError, InputError):  # a bench file of another version, or with a driver that is not installed here
+            continue
+        if state is not None:
+            yield state.to_json()
 
 
 def _finite(value: float) -> float | None:

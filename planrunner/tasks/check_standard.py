@@ -12,9 +12,7 @@ from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import COMMAND_LINE, Finding, Findings, InputError, closest
 from planrunner.base.progress import Announce
 from planrunner.bench.model import Bench, bench_of
-from planrunner.night.history.check_standard import ControlState, judge
-from planrunner.night.history.index import literal
-from planrunner.night.history.rows import RunFilter
+from planrunner.night.history.check_standard import ControlState, judge, state_in
 from planrunner.tasks.history import Freshness, opened
 
 CODE = "bench-check-standard"
@@ -52,12 +50,8 @@ def control_state(
     now = now or datetime.now(UTC)
     if not archive.is_dir():
         return judge(rule, bench.name, (), {}, now)
-    wanted = RunFilter(
-        device=literal(rule.device), plan=literal(rule.plan_name), bench=literal(bench.name), since=rule.since or ""
-    )
     with opened(archive, index, fresh) as found:
-        points = {quantity: found.points(quantity, wanted) for quantity in rule.coefficients}
-        return judge(rule, bench.name, found.runs(wanted), points, now)
+        return state_in(found, bench, now)
 
 
 def check_in_control(bench: Bench, state: ControlState, log: Findings) -> None:

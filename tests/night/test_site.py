@@ -179,9 +179,9 @@ def test_the_pages_in_a_browser(index: Index, tmp_path: Path) -> None:
                 page.get_by_label("Search devices").fill("FG-0007")
                 page.get_by_role("link", name="FG-0007").click()
                 expect(page.get_by_role("heading", name="Device FG-0007")).to_be_visible()
-                expect(page.locator("canvas")).to_have_count(1)
+                expect(page.locator("canvas")).to_have_count(3)
                 page.get_by_label("Coefficient").select_option(label="drift.D_Y_F, deg/h")
-                expect(page.get_by_role("img")).to_have_attribute("aria-label", re.compile("drift.D_Y_F"))
+                expect(page.get_by_role("img").first).to_have_attribute("aria-label", re.compile("drift.D_Y_F"))
                 assert violations(page) == [] and overhang(page) <= 0
                 page.get_by_role("link", name="Benches").click()
                 expect(page.get_by_role("rowheader", name="bench-3")).to_be_visible()

@@ -25,6 +25,7 @@ import numpy as np
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import JsonObject
 from planrunner.bench.check_standard import CheckedCoefficient, CheckStandardRule
+from planrunner.bench.model import Bench
 from planrunner.night.history.control_charts import (
     Centre,
     ControlCharts,
@@ -33,7 +34,8 @@ from planrunner.night.history.control_charts import (
     control_charts,
     shewhart,
 )
-from planrunner.night.history.rows import HistoryPoint, RunRow
+from planrunner.night.history.index import Index, literal
+from planrunner.night.history.rows import HistoryPoint, RunFilter, RunRow
 from planrunner.night.history.trend import Trend, trend
 from planrunner.night.words import spell_out
 from planrunner.plan.units import UnknownUnitError, unit
@@ -133,6 +135,18 @@ class ControlState:
             "coefficients": [one.to_json() for one in self.coefficients],
             "reasons": list(self.reasons),
         }
+
+
+def state_in(index: Index, bench: Bench, now: datetime) -> ControlState | None:
+    """The state of the check standard of a bench at a moment, according to an index; None if the bench has none."""
+    rule = bench.check_standard
+    if rule is None:
+        return None
+    wanted = RunFilter(
+        device=literal(rule.device), plan=literal(rule.plan_name), bench=literal(bench.name), since=rule.since or ""
+    )
+    points = {quantity: index.points(quantity, wanted) for quantity in rule.coefficients}
+    return judge(rule, bench.name, index.runs(wanted), points, now)
 
 
 def judge(
