@@ -50,11 +50,11 @@ def site_of(folder: Path) -> BuiltSite:
 
 def a_night(run: str) -> dict[str, Any]:
     at = "2024-01-31T20:00:00+01:00"
-    test = {
+    test: dict[str, Any] = {
         "entry": "calibration", "plan": "calibration.yaml", "parameters": {}, "seconds": 60.0, "foreseen": None, "foreseen_obstacle": "",
         "begins": at, "ends": at, "analysis": None, "limits": [], "attempts": [], "bench": "a", "run": None,
     }  # fmt: skip
-    state = {
+    state: dict[str, Any] = {
         "planrunner_check_standard": 1, "bench": "bench-2", "device": "CS-01", "standing": "out of control", "run": run, "created": at,
         "coefficients": [], "reasons": ["drift.bias is 1.6 deg/h, outside 1 ± 0.42"],
     }  # fmt: skip
