@@ -32,42 +32,68 @@ def run(size: Size = FULL) -> Figures:
         archive = Path(folder) / "runs"
         make_archive(archive, size.runs)
         runs = sorted(archive.iterdir())
-        alone, _ = estimated(runs, ALONE)
+        estimated(runs[:1], ALONE)
+        alone = estimated(runs, ALONE)
         with dask_cluster(Path(folder), 1) as cluster:
-            first = fastest(runs, cluster, size)
+            one = fastest(runs, cluster, size)
             cluster.add_worker()
-            second = fastest(runs, cluster, size)
+            two = fastest(runs, cluster, size)
             memory = max(peak_of(worker.pid) for worker in cluster.workers)
     return {
         f"{size.runs} runs in this process [runs/s]": size.runs / alone,
-        "on one worker [runs/s]": size.runs / first,
-        "on two workers [runs/s]": size.runs / second,
-        "two workers / one (target ≥ 1.8)": first / second,
-        "one worker / this process": alone / first,
+        "on one worker [runs/s]": size.runs / one.seconds,
+        "on two workers [runs/s]": size.runs / two.seconds,
+        "two workers / one (target ≥ 1.8)": one.seconds / two.seconds,
+        "processor time of the one worker / of the busier of two": one.busiest / two.busiest if two.busiest else 0.0,
         "peak memory of a worker [MB]": memory,
         "peak memory of the command [MB]": peak_memory(),
     }
 
 
-def estimated(runs: list[Path], workers: Workers) -> tuple[float, int]:
-    """Seconds, and the number of results. They are not stored: storing is work of the command alone."""
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """seconds: of the turn. busiest: processor time of the worker that used most [s]; unlike the first, it hardly depends on what else the
+    machine does."""
+
+    seconds: float
+    busiest: float
+
+
+def estimated(runs: list[Path], workers: Workers) -> float:
+    """Seconds. The results are not stored: storing is work of the command alone."""
     began = time.perf_counter()
-    count = sum(1 for _ in results_in_order(evaluate_run, runs, workers))
-    return time.perf_counter() - began, count
+    for _ in results_in_order(evaluate_run, runs, workers):
+        pass
+    return time.perf_counter() - began
 
 
-def fastest(runs: list[Path], cluster: Cluster, size: Size) -> float:
-    """Seconds of the fastest turn. Before it, every worker computes something: its imports and compiled kernels are then there."""
+def fastest(runs: list[Path], cluster: Cluster, size: Size) -> Turn:
+    """Of the turns. Before them, every worker computes something: its imports and compiled kernels are then there."""
     workers = Workers(1, cluster.address)
     while len(set(results_of(process, range(4 * len(cluster.workers)), workers))) < len(cluster.workers):
         time.sleep(0.1)
     estimated([*runs] * (4 * len(cluster.workers) // len(runs) + 1), workers)
-    return min(estimated(runs, workers)[0] for _ in range(size.turns))
+    turns = []
+    for _ in range(size.turns):
+        before = [processor_time(worker.pid) for worker in cluster.workers]
+        seconds = estimated(runs, workers)
+        used = [processor_time(one.pid) - then for one, then in zip(cluster.workers, before, strict=True)]
+        turns.append(Turn(seconds, max(used)))
+    return Turn(min(turn.seconds for turn in turns), min(turn.busiest for turn in turns))
 
 
 def process(_: int) -> int:
     time.sleep(0.05)
     return os.getpid()
+
+
+def processor_time(pid: int) -> float:
+    """Of another process so far [s]; 0 where the system does not tell."""
+    status = Path(f"/proc/{pid}/stat")
+    if not status.exists():
+        return 0.0
+    fields = status.read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def peak_of(pid: int) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from time import monotonic
 from typing import TypeVar
 
 from planrunner.base.dataclass import dataclass
@@ -30,8 +31,10 @@ class Workers:
 ALONE = Workers(1)
 """Only this process."""
 
-_BATCH = 32
-"""Items of each process that are computed before results are handed on."""
+_FEW, _MANY = 8, 32
+"""Items of each process that are computed before results are handed on, of long and of short items."""
+_SHORT = 1.0
+"""Seconds that a few short items take at most."""
 
 
 def results_of(
@@ -57,8 +60,14 @@ def results_in_order(
 
         yield from computed_on_cluster(work, items, workers.scheduler, workers.seen, tell)
         return
-    size = _BATCH * (processors() if workers.jobs is None else workers.jobs) if workers.jobs != 1 else 1
-    for first in range(0, len(items), size):
-        yield from shared_out(work, items[first : first + size], workers.jobs)
+    jobs = processors() if workers.jobs is None else workers.jobs
+    size, done = 1 if jobs == 1 else _FEW * jobs, 0
+    while done < len(items):
+        began = monotonic()
+        found = shared_out(work, items[done : done + size], workers.jobs)
+        if jobs > 1 and monotonic() - began < _SHORT:
+            size = _MANY * jobs
+        done += len(found)
+        yield from found
         if tell is not None:
-            tell(min(1.0, (first + size) / len(items)))
+            tell(done / len(items))

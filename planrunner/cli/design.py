@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner.cli import exit_codes
+from planrunner.cli.jobs import add_workers, workers_of
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.quantity import QuantityError, without_uncertainty
@@ -76,6 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--write", metavar="FILE", type=Path, help="write the plan with the chosen design")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures before and after")
+    add_workers(parser, "processes that share the free search of positions (default: 1)")
     parser.add_argument("--json", action="store_true", help="print the study as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
@@ -92,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
         args.rates, args.line_only, not args.drop_lowest, args.segment, args.order,
     )  # fmt: skip
     with _progress(args.quiet) as progress:
-        study = design(Path(args.plan), asked, args.bench, progress)
+        study = design(Path(args.plan), asked, args.bench, progress, workers_of(args))
     print_findings(study.subject.findings)
     if not args.json:
         _show(study)

@@ -7,6 +7,7 @@ degree. A polynomial of that degree is fitted to what the estimator itself says 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,11 @@ def quick(rows_at: RowsAt, seed: int = 0) -> RowsAt:
     off = np.abs(monomials[_FITTED:] @ weights - rows[_FITTED:]).max()
     if not off <= EXACT * max(1.0, float(np.abs(rows).max())):
         return rows_at
-    return lambda given: np.asarray(_monomials(given) @ weights)
+    return partial(_polynomial, weights)
+
+
+def _polynomial(weights: Array, attitudes: Array) -> Array:
+    return np.asarray(_monomials(attitudes) @ weights)
 
 
 def _monomials(attitudes: Array) -> Array:

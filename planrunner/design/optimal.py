@@ -9,10 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.workers import ALONE, Workers, results_in_order
 from planrunner.design import exchange
 from planrunner.design.continuous import Continuous, derivative, solve, solve_with_climbing
 
@@ -68,25 +70,28 @@ def search(
     starts: Sequence[Array] = (),
     fixed: Array | None = None,
     progress: Progress | None = None,
+    workers: Workers = ALONE,
 ) -> Found:
     """The best `count` settings found: exchange among the candidates, then every set is improved locally.
 
     starts: settings (count, k) to improve as well, such as those of a plan. fixed: (p, p), information that is there in any
-    case. The same seed gives the same settings.
+    case. workers: share the sets that are improved. The same seed gives the same settings, with any workers.
     """
     sets = exchange.exchange_all(over.rows, count, weighting, restarts=restarts, seed=seed, repeats=True, fixed=fixed)
     begun = [*starts, *(over.settings[chosen.indices] for chosen in sets)]
     best, losses = begun[0], []
-    for turn, start in enumerate(begun):
-        settings = refine(over, start, weighting, fixed)
-        losses.append(exchange.loss(over.rows_of(settings), weighting, fixed))
+    for settings, loss in results_in_order(partial(_refined, over, weighting, fixed), begun, workers, progress):
+        losses.append(loss)
         if losses[-1] <= min(losses):
             best = settings
-        if progress:
-            progress((turn + 1) / len(begun))
     least = min(losses)
     near = least + 1e-4 * (1.0 if weighting is None else abs(least))
     return Found(best, least, len(begun), sum(one <= near for one in losses))
+
+
+def _refined(over: Region, weighting: Array | None, fixed: Array | None, start: Array) -> tuple[Array, float]:
+    settings = refine(over, start, weighting, fixed)
+    return settings, exchange.loss(over.rows_of(settings), weighting, fixed)
 
 
 def refine(over: Region, start: Array, weighting: Array | None = None, fixed: Array | None = None) -> Array:

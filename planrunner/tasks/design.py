@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from planrunner.base.workers import ALONE, Workers
 from planrunner.design.study import Asked, SearchProgress, Study, Subject
 from planrunner.estimators.interface import EstimationError
 from planrunner.reporting import cycle_study, positions_study, rates_study
@@ -20,16 +21,20 @@ from planrunner.tasks.design_rates import design_rates, has_rates_alone
 
 
 def design(
-    plan: Path | Document, asked: Asked, bench: str | None = None, progress: SearchProgress | None = None
+    plan: Path | Document,
+    asked: Asked,
+    bench: str | None = None,
+    progress: SearchProgress | None = None,
+    workers: Workers = ALONE,
 ) -> Study:
-    """The study for the plan and the options: a study of positions if an estimate uses segments at rest. Raises `InputError` with the
-    plan's findings, and `EstimationError` if there is nothing to design."""
+    """The study for the plan and the options: a study of positions if an estimate uses segments at rest. workers: share the free search of
+    positions. Raises `InputError` with the plan's findings, and `EstimationError` if there is nothing to design."""
     checked = check_plan(plan, bench=bench)
     if asked.segment is None and (asked.rates or has_rates_alone(checked, asked.estimate)):
         return rates_study.study(design_rates(checked, asked, bench), _subject(checked))
     if asked.segment is not None or (asked.estimate is None and has_cycle_alone(checked)):
         return cycle_study.study(design_cycle(checked, asked), _subject(checked))
-    return positions_study.study(design_positions(checked, asked, progress), _subject(checked))
+    return positions_study.study(design_positions(checked, asked, progress, workers), _subject(checked))
 
 
 def _subject(checked: Checked) -> Subject:

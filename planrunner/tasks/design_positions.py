@@ -6,11 +6,13 @@ import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.findings import Findings, InputError
+from planrunner.base.workers import ALONE, Workers
 from planrunner.bench.scheduling import build_schedule
 from planrunner.design import continuous, direction_cosines, exchange, optimal, worst_variance
 from planrunner.design import places as positions
@@ -45,19 +47,26 @@ _REPAIRED = ("physics-rank", "physics-condition")  # findings that other positio
 _WITH_BOUND = ("D", "A", "I")  # criteria whose continuous optimum is solved for; that of G is that of D
 
 
-def design_positions(checked: Checked, asked: Asked, progress: SearchProgress | None = None) -> FoundPositions:
-    """Raises `InputError` with the plan's findings, and `EstimationError` if there is nothing to design."""
+def design_positions(
+    checked: Checked, asked: Asked, progress: SearchProgress | None = None, workers: Workers = ALONE
+) -> FoundPositions:
+    """workers: share the free search. Raises `InputError` with the plan's findings, and `EstimationError` if there is nothing to design."""
     if any(finding.code not in _REPAIRED for finding in checked.findings.errors) or checked.schedule is None:
         raise InputError(checked.findings)
     if asked.restarts < 1 or asked.seed < 0:
         raise EstimationError("--restarts must be at least 1 and --seed at least 0")
-    return _Designer(checked, asked, progress or (lambda stage, fraction: None)).study()
+    return _Designer(checked, asked, progress or (lambda stage, fraction: None), workers).study()
+
+
+def _rows_of(rows: direction_cosines.RowsAt, axes: tuple[TableAxis, ...], azimuth: float, settings: Array) -> Array:
+    """The rows at a table's settings (m, k)."""
+    return rows(positions.attitudes(axes, settings, azimuth))
 
 
 class _Designer:
-    def __init__(self, checked: Checked, asked: Asked, progress: SearchProgress):
+    def __init__(self, checked: Checked, asked: Asked, progress: SearchProgress, workers: Workers):
         assert checked.plan and checked.models and checked.schedule and checked.models.sensor
-        self.checked, self.asked, self.progress = checked, asked, progress
+        self.checked, self.asked, self.progress, self.workers = checked, asked, progress, workers
         self.plan, self.models, self.schedule = checked.plan, checked.models, checked.schedule
         if self.models.table is None or self.models.replays:
             raise EstimationError(
@@ -66,7 +75,8 @@ class _Designer:
         self.axes: tuple[TableAxis, ...] = self.models.table.axes
         self.azimuth = self.models.site.azimuth
         self.places, self.sight = self._find()
-        self._quick_rows = direction_cosines.quick(self.sight.rows)
+        # Without this object, so that workers can be given it.
+        self._rows_of = partial(_rows_of, direction_cosines.quick(self.sight.rows), self.axes, self.azimuth)
         self.count = len(self.places)
         self.terms = len(self.sight.terms)
         self.fixed = self.sight.fixed.T @ self.sight.fixed if len(self.sight.fixed) else None
@@ -124,6 +134,7 @@ class _Designer:
         free = optimal.search(
             region, self.count, weighting, restarts=self.asked.restarts, seed=self.asked.seed, starts=starts,
             fixed=self.fixed, progress=lambda part: self.progress("free orientations", part),
+            workers=self.workers,
         )  # fmt: skip
         settings = free.settings
         if self.asked.criterion == "G":
@@ -185,9 +196,6 @@ class _Designer:
         step = math.radians(10.0**-DECIMALS)
         low, high = np.array([(axis.lowest, axis.highest) for axis in self.axes]).T
         return np.clip(np.round(settings / step) * step, low, high)
-
-    def _rows_of(self, settings: Array) -> Array:
-        return self._quick_rows(positions.attitudes(self.axes, settings, self.azimuth))
 
     def _settings(self, attitudes: Sequence[Array]) -> Array:
         return np.array([joint_angles(self.axes, one, np.zeros(len(self.axes)), self.azimuth) for one in attitudes])

@@ -37,9 +37,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     for command in (answer, score):
         command.add_argument("--first", type=int, metavar="N", help="only the first N cases (default: all)")
     for command in (make, answer):
-        command.add_argument(
-            "--jobs", type=int, default=1, help="processes of a Dask cluster on this machine (default: 1, without one)"
-        )
+        command.add_argument("--jobs", type=int, default=1, help="processes of this machine (default: 1)")
         command.add_argument("--scheduler", help="address of a Dask scheduler, in place of --jobs")
     return parser.parse_args(argv)
 

@@ -1,4 +1,4 @@
-"""Makes cases and has them answered, on a Dask cluster of this machine or of many, going on where it stopped.
+"""Makes cases and has them answered, by processes of this machine or on a Dask cluster, going on where it stopped.
 
 Results do not depend on how the work is shared: a case's random numbers come from the seed and its own number.
 """
@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import importlib
 import json
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from planrunner.base.workers import Workers, results_in_order
 from tests.blind import folder as store
 from tests.blind.generator import assigned, make
 
@@ -67,27 +68,8 @@ def _batches(keyed: list[tuple[Any, Any]]) -> list[list]:
 
 
 def _run(task: Callable, batches: list[list], arguments: tuple, jobs: int, scheduler: str | None) -> Iterator[int]:
-    """Counts of done cases, as batches end: in this process for one job, else on a Dask cluster, of this machine's own processes where no
-    scheduler is named."""
-    if jobs == 1 and not scheduler:
-        for batch in batches:
-            yield task(*arguments, batch)
-        return
-    from dask.distributed import Client, as_completed
-
-    with Client(scheduler) if scheduler else _local(jobs) as client:
-        futures = [client.submit(task, *arguments, batch, pure=False, retries=2) for batch in batches]
-        for future in as_completed(futures):
-            yield future.result()
-
-
-def _local(jobs: int) -> Any:
-    """A cluster of one thread a process on this machine, reachable from it alone."""
-    from dask.distributed import Client
-
-    return Client(
-        n_workers=min(jobs, os.cpu_count() or 1), threads_per_worker=1, host="127.0.0.1", dashboard_address=None
-    )
+    """Counts of done cases, as batches end: in processes of this machine, or on a Dask cluster."""
+    yield from results_in_order(partial(task, *arguments), batches, Workers(jobs, scheduler))
 
 
 class Progress:

@@ -11,13 +11,14 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from planrunner.base.workers import Workers, results_in_order
 from tests.blind import product
 from tests.blind.device import SENSORS, Device, Sensor, clean_output, limit, random_device
 from tests.blind.effects import CATALOGUE
@@ -177,17 +178,16 @@ def _hours(begin: float, further: Sequence[Segment]) -> float:
 
 
 def outcomes(
-    seed: int, numbers: Sequence[int], jobs: int = 1, equipped: bool = False
+    seed: int, numbers: Sequence[int], jobs: int = 1, equipped: bool = False, scheduler: str | None = None
 ) -> Iterator[tuple[int, Outcome | str]]:
     """All cases, those of one set-up together: its signatures are kept."""
     numbers = sorted(numbers, key=lambda number: (number % len(SETUPS), number))
-    if jobs == 1:
-        yield from ((number, outcome(seed, number, equipped)) for number in numbers)
-        return
-    with ProcessPoolExecutor(jobs) as pool:
-        chunk = max(1, len(numbers) // (4 * jobs))
-        each = [seed] * len(numbers), numbers, [equipped] * len(numbers)
-        yield from zip(numbers, pool.map(outcome, *each, chunksize=chunk), strict=True)
+    work = partial(_numbered, seed, equipped)
+    yield from results_in_order(work, numbers, Workers(jobs, scheduler))
+
+
+def _numbered(seed: int, equipped: bool, number: int) -> tuple[int, Outcome | str]:
+    return number, outcome(seed, number, equipped)
 
 
 def summary(found: Sequence[Outcome]) -> dict[str, float]:
@@ -218,10 +218,13 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("count", type=int)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--scheduler", help="address of a Dask scheduler, in place of --jobs")
     parser.add_argument("--equipped", action="store_true", help="on a bench with a three-axis table and a chamber")
     given = parser.parse_args(argv)
     found, others = [], dict[str, int]()
-    for done, (_, one) in enumerate(outcomes(given.seed, range(given.count), given.jobs, given.equipped), 1):
+    for done, (_, one) in enumerate(
+        outcomes(given.seed, range(given.count), given.jobs, given.equipped, given.scheduler), 1
+    ):
         if isinstance(one, Outcome):
             found.append(one)
             print(json.dumps(asdict(one)), flush=True)

@@ -85,6 +85,16 @@ def test_checks_of_plans_give_the_same_findings(cluster: Cluster) -> None:
     assert (here.returncode, here.stdout) == (there.returncode, there.stdout)
 
 
+@pytest.mark.slow
+def test_a_search_for_positions_finds_the_same_digits(cluster: Cluster) -> None:
+    words = ("design", "plans/flexure_gyro_eight_position.yaml", "--json", "--quiet", "--restarts", "4")
+    here, forks, there = (
+        planrunner(*words, *options, cwd=ROOT) for options in ((), ("--jobs", "2"), ("--scheduler", cluster.address))
+    )
+    assert here.returncode == 0 and json.loads(here.stdout)
+    assert here.stdout == there.stdout == forks.stdout, there.stderr
+
+
 def test_an_address_of_another_form_is_refused(tmp_path: Path) -> None:
     done = planrunner("verify", "runs", "--scheduler", "localhost", cwd=tmp_path)
     assert done.returncode == 2 and "tcp://" in done.stderr
