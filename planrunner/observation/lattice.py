@@ -11,8 +11,10 @@ COARSER = 1.2  # of the declared count: a larger common step is another resoluti
 DISTINCT = 20  # different values needed to recognise a lattice
 MANY = 4  # different values needed to recognise the lattice of a channel without a declared count
 REPEATED = 4  # mean number of times that each value of a lattice occurs at least
+STUCK = 0.1  # share of samples that repeat the one before, from which on a count is visible in a channel that takes many values
 ROUNDED = 1.1  # of the smallest step: steps up to this differ from it by floating-point rounding
 OFF_LATTICE = 0.05  # of a count
+NEAR = 100  # counts between neighbouring values that are compared with a lattice
 _PIECE = 4096  # values taken at once
 
 
@@ -44,10 +46,14 @@ def undeclared_step(values: Array) -> float:
     some = values[:: max(len(values) // _PIECE, 1)]
     distinct = np.unique(np.round((some - some.min()) / max(float(np.ptp(some)), 1e-300), 9))
     steps = np.diff(distinct) * float(np.ptp(some))
-    if not MANY <= len(distinct) <= len(some) / REPEATED:
+    repeated = len(distinct) <= len(some) / REPEATED or float(np.mean(np.diff(values) == 0)) > STUCK
+    if len(distinct) < MANY or not repeated:
         return 0.0
     count = float(np.median(steps[steps < ROUNDED * steps.min()]))
-    return count if float(np.abs(steps / count - np.round(steps / count)).max()) < OFF_LATTICE else 0.0
+    whole = np.round(steps / count)
+    near = whole <= NEAR  # beyond, the error of the count adds up to more than the tolerance
+    count = float(steps[near].sum() / whole[near].sum())
+    return count if float(np.abs(steps[near] / count - whole[near]).max()) < OFF_LATTICE else 0.0
 
 
 def seen_levels(values: Array, step: float) -> Array:

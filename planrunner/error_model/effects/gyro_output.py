@@ -114,6 +114,10 @@ class GyroFoldOver(Shaped):
         "Keep the rates of the plan below the limit, or set a larger measurement range in the sensor: {found}.",
     )
 
+    not_fitted = (
+        "The parameters of the simulation are fitted first, and a fit to folded readings no longer shows the limit."
+    )
+
     def grid(self, observed: Observed) -> Array:
         return GyroSaturation().grid(observed)
 

@@ -42,7 +42,8 @@ class Column:
     the sensor (0, 1, 2) whose input it is: on that of the channel, the amplitude is the error of the scale factor. plain: its unit as that
     of a quantity, if `unit` also contains a factor without a unit, such as the strength of a field. axis: the axis (0, 1, 2) to which it
     belongs alone, whose letter ends its name after "_"; None for an amplitude of the whole sensor or of its surroundings. It must always
-    be given, because a column of one axis is reported for each output, and one without axis for all outputs in common."""
+    be given, because a column of one axis is reported for each output, and one without axis for all outputs in common. largest: the
+    largest amplitude, SI, that is physically possible."""
 
     name: str
     unit: str
@@ -54,6 +55,7 @@ class Column:
     along: int | None = None
     plain: str = ""
     axis: int | None = field(kw_only=True)
+    largest: float = field(default=np.inf, kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +125,13 @@ class NoHypothesis(Effect, Protocol):
     """An effect for simulations and estimates, which the diagnosis does not weigh unless it is named."""
 
     hypothesis: Literal[False]
+
+
+@runtime_checkable
+class NotFitted(Effect, Protocol):
+    """An effect that a diagnosis can subtract if its values are stated, but cannot fit. not_fitted: the reason, as a sentence."""
+
+    not_fitted: str
 
 
 @runtime_checkable

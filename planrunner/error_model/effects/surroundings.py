@@ -93,6 +93,10 @@ class SiteLatitude:
         return single([Column("error", "deg", DEG, DEG, parts, axis=None)] if parts else [])
 
 
+_LARGEST_ARM = 1.0
+"""m, from the axis of a table for inertial sensors; of a recorded motion, such as that of a vehicle, there is no limit."""
+
+
 class LeverArm:
     """Accelerometers off the axis of rotation: ω×(ω×r) + α×r, r in sensor axes, ω and α the table's; or, if other accelerometers show the
     motion, off those."""
@@ -110,10 +114,12 @@ class LeverArm:
         turn, spin_up = observed.turn, observed.swing
         if not turn.any() or not observed.of_kind("accel"):
             return []
+        largest = np.inf if observed.moved.any() else _LARGEST_ARM
         columns = []
         for name, arm in zip("xyz", np.eye(3), strict=True):
             felt = np.cross(turn, np.cross(turn, arm)) + np.cross(spin_up, arm)
-            columns.append(Column(f"r_{name}", "mm", 1e-3, 1e-2, on_stimulus(observed, None, felt), axis=None))
+            parts = on_stimulus(observed, None, felt)
+            columns.append(Column(f"r_{name}", "mm", 1e-3, 1e-2, parts, axis=None, largest=largest))
         return single(columns)
 
 

@@ -19,7 +19,9 @@ from planrunner.error_model.effects.interface import (
     Effect,
     Follows,
     FollowsSurroundings,
+    HasShape,
     NoHypothesis,
+    NotFitted,
 )
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer import parameters as estimates
@@ -211,6 +213,11 @@ def _given(candidates: Sequence[Candidate], names: Sequence[str]) -> list[Member
         if name not in by_id:
             message = f"{name} is fitted by the simulation or acts only on the noise, which is measured in any case"
             raise ObservationError(message, "leave it out of --given")
+        effect = by_id[name].effect
+        if isinstance(effect, NotFitted):
+            message = f"{name} can only be given with its values. {effect.not_fitted}"
+            hint = f"state the {effect.shape_name}, as in --given '{name}=…'" if isinstance(effect, HasShape) else ""
+            raise ObservationError(message, hint)
         if not np.isfinite(by_id[name].log_bayes).any():
             message = (
                 f"the recording cannot show {name}: it does not act under this plan, or fitted parameters absorb it"

@@ -62,7 +62,19 @@ class Weighed:
         """(G,), averaged over λ; at amplitude 1 if that is held."""
         if self.held:
             return held_log_bayes_factor(self.gram[:, 0, 0], self.score[:, 0])
-        return log_bayes_factors(self.gram, self.score, self.trace)
+        return log_bayes_factors(self.gram, self.score, self.trace) + self.log_possible
+
+    @cached_property
+    def log_possible(self) -> float:
+        """log of the probability that every amplitude is physically possible, by which a prior without a limit overstates the evidence."""
+        limited = [k for k, column in enumerate(self.variant.columns) if np.isfinite(column.largest)]
+        if not limited:
+            return 0.0
+        from scipy.special import log_ndtr
+
+        mean, covariance = self.amplitudes
+        size = np.array([self.variant.columns[k].largest / self.variant.columns[k].magnitude for k in limited])
+        return float(log_ndtr((size - np.abs(mean[limited])) / np.sqrt(np.diag(covariance)[limited])).sum())
 
     @cached_property
     def amplitudes(self) -> tuple[Array, Array]:

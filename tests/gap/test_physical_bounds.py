@@ -1,0 +1,46 @@
+"""Explanations that physics excludes, and effects that cannot be fitted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
+from planrunner.observation.refusals import ObservationError
+from tests.gap.turntable import Fault, record
+
+AXIS = np.array([0.0, 0.0, 1.0])
+EFFECTS = ("lever_arm", "accel_second_order", "table_tilt")
+
+
+def arm(metres: float, about: float = 1.0) -> Fault:
+    """Accelerometers away from the axis: centripetal and tangential acceleration, turned into the sensor by its attitude. about: share."""
+
+    def fault(
+        seen: Observed, omega: np.ndarray, force: np.ndarray, draw: np.random.Generator
+    ) -> tuple[float, np.ndarray]:
+        axis = np.einsum("nij,j->ni", seen.attitude[seen.owner], AXIS)
+        place = metres * np.array([0.6, 0.0, 0.8])
+        turn, spin = seen.rate[:, None] * axis, seen.acceleration[:, None] * axis
+        return 0.0, about * (np.cross(turn, np.cross(turn, place)) + np.cross(spin, place))
+
+    return fault
+
+
+def test_a_lever_arm_on_the_table_is_named() -> None:
+    found = diagnose(record(seed=5, fault=arm(0.05)), DiagnosisOptions(effects=EFFECTS))
+    assert found.verdict.effects == ("lever_arm",)
+    assert {p.name: round(p.value) for p in found.parameters}["r_z"] == pytest.approx(40, abs=2)
+
+
+def test_a_lever_arm_longer_than_any_table_is_not_named() -> None:
+    found = diagnose(record(seed=5, fault=arm(2.3)), DiagnosisOptions(effects=EFFECTS))
+    assert "lever_arm" not in found.verdict.effects and found.verdict.kind != "none"
+    assert sum(p for name, p in found.posterior.probability.items() if "lever_arm" in name) < 0.01
+
+
+def test_a_fold_over_is_only_given_with_its_limit() -> None:
+    with pytest.raises(ObservationError, match="gyro_fold_over can only be given with its values") as raised:
+        diagnose(record(seed=5), DiagnosisOptions(effects=("gyro_warm_up",), given=("gyro_fold_over",)))
+    assert "limit" in raised.value.hint
