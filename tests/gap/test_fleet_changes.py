@@ -51,6 +51,20 @@ def test_a_step_worked_by_hand() -> None:
     assert found.p == pytest.approx(2 * t.sf(10, 5) * (2 + 5 + 5 + 4))
 
 
+def test_a_step_is_that_of_statsmodels() -> None:
+    """statsmodels 0.15.0, `WLS(y, [1, device, bench, step], weights=1/s²)`: 5.02 with the standard error 0.1095445115 for a fixed scale.
+    The scale of the residuals is 0.6458, and counts as 1 here. The last two runs are on b2: all runs may have changed as well."""
+    groups = {
+        Source.BENCH: ["b1", "b1", "b2", "b2"] * 3,
+        Source.DEVICE: ["D", "E"] * 6,
+        Source.OCCASION: list("abcdefghijkl"),
+    }
+    y = np.array([1.0, 2.1, 3.2, 4.0, 1.1, 1.9, 3.0, 4.2, 0.9, 2.0, 8.1, 9.2])
+    (found,) = changes(Estimates(y, np.array([0.1, 0.2] * 6), groups), range(12))
+    assert found.sources == ((Source.BENCH, "b2"), (Source.COMMON, ALL_RUNS)) and found.before == 4
+    assert (found.size, found.standard_uncertainty) == pytest.approx((5.02, 0.10954451150103328))
+
+
 def test_a_bench_that_tilts_is_named_with_size_and_night() -> None:
     right = inside = 0
     for seed in range(40):

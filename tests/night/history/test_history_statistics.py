@@ -24,7 +24,8 @@ FLOWRATE = [49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1]
 
 
 def test_individuals_chart_of_the_nist_handbook() -> None:
-    """6.3.2.2, flowrates: mean 50.81, mean moving range 1.8778, limits 55.8041 and 45.8159 (with d₂ = 1.128)."""
+    """6.3.2.2 (itl.nist.gov/div898/handbook/pmc/section3/pmc322.htm), flowrates:
+    mean 50.81, mean moving range 1.8778, limits 55.8041 and 45.8159 (with d₂ = 1.128)."""
     x, none = np.array(FLOWRATE), np.zeros(10)
     sigma = between_runs(x, none)
     assert np.abs(np.diff(x)).mean() == pytest.approx(1.8778, abs=5e-5)
@@ -35,7 +36,7 @@ def test_individuals_chart_of_the_nist_handbook() -> None:
 
 
 def test_ewma_chart_of_the_nist_handbook() -> None:
-    """6.3.2.4: EWMA₀ = 50, s = 2.0539, λ = 0.3, limits 52.5884 and 47.4115, no alarm."""
+    """6.3.2.4 (…/pmc324.htm): EWMA₀ = 50, s = 2.0539, λ = 0.3, limits 52.5884 and 47.4115, no alarm."""
     data = [52.0, 47.0, 53.0, 49.3, 50.1, 47.0, 51.0, 50.1, 51.2, 50.5]
     data += [49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1]
     expected = [50.60, 49.52, 50.56, 50.18, 50.16, 49.21, 49.75, 49.85, 50.26, 50.33]
@@ -47,16 +48,16 @@ def test_ewma_chart_of_the_nist_handbook() -> None:
 
 
 def test_cusum_chart_of_the_nist_handbook() -> None:
-    """6.3.2.3: mean 325, σ = 0.635, k = 0.3175, h = 4.1959; the sum is beyond h from group 14 on."""
+    """6.3.2.3 (…/pmc323.htm): mean 325, σ = 0.635, k = 0.3175, h = 4.1959; the sum is beyond h from group 14 on."""
     data = [324.925, 324.675, 324.725, 324.350, 325.350, 325.225, 324.125, 324.525, 325.225, 324.600]
     data += [324.625, 325.150, 328.325, 327.250, 327.825, 328.500, 326.675, 327.775, 326.875, 328.350]
     high = [0, 0, 0, 0, 0.03, 0, 0, 0, 0, 0, 0, 0, 3.01, 4.94, 7.45, 10.63, 11.99, 14.44, 16.00, 19.04]
-    low = [0, 0.01, 0, 0.33, 0, 0, 0.56, 0.72, 0.17, 0.25, 0.31, 0.14, 0, 0, 0, 0, 0, 0, 0, 0]
+    low = [0, 0.01, 0, 0.33, 0, 0, 0.56, 0.72, 0.17, 0.25, 0.31, 0, 0, 0, 0, 0, 0, 0, 0, 0]
     sigma = 0.635
     up, down = cusum(np.array(data), 325.0, np.full(20, sigma), 0.3175 / sigma, 4.1959 / sigma)
     assert up.statistic * sigma == pytest.approx(high, abs=0.011)
-    assert -down.statistic[:11] * sigma == pytest.approx(low[:11], abs=0.011)
-    assert up.first_alarm == 13 and not down.alarms.any()
+    assert -down.statistic * sigma == pytest.approx(low, abs=0.011)
+    assert up.first_alarm == 13 and up.alarms[13:].all() and not down.alarms.any()
 
 
 # -- run lengths -------------------------------------------------------------------------------------------------------
@@ -186,6 +187,16 @@ def test_a_drift_worked_by_hand() -> None:
     assert days_left(replace(line, slope=0.0, slope_uncertainty=0.0), 6.0) == HORIZON
 
 
+def test_the_line_is_that_of_statsmodels() -> None:
+    """statsmodels 0.15.0, `WLS(y, [1, t], weights=1/u²).fit(cov_type="fixed scale")`; the level is that of the weighted mean."""
+    days, u = np.array([0.0, 30, 65, 90, 140, 200]), np.array([0.05, 0.08, 0.05, 0.1, 0.06, 0.07])
+    line = drift_line(days, np.array([1.02, 1.10, 0.97, 1.21, 1.18, 1.36]), u, 0.0)
+    assert line is not None
+    assert (line.slope, line.slope_uncertainty) == pytest.approx((0.00159813, 0.00037849), abs=1e-8)
+    assert (line.level, line.level_uncertainty) == pytest.approx((1.10148458, 0.02549802), abs=1e-8)
+    assert line.level - line.middle * line.slope == pytest.approx(0.9774326, abs=1e-7)  # the constant of statsmodels
+
+
 def test_a_drift_needs_three_values_at_different_times() -> None:
     assert drift_line(np.array([0.0, 1]), np.array([0.0, 1]), np.ones(2), 0.0) is None
     assert drift_line(np.zeros(3), np.arange(3.0), np.ones(3), 0.0) is None
@@ -241,6 +252,32 @@ def test_the_study_of_the_aiag_manual() -> None:
     assert found["gauge R&R"] == pytest.approx(0.302373, abs=5e-6)
     assert found["device"] == pytest.approx(1.042327, abs=5e-6)
     assert found["total"] == pytest.approx(1.085, abs=5e-4)
+
+
+def test_the_sums_of_squares_are_those_of_statsmodels() -> None:
+    """statsmodels 0.15.0, `anova_lm(ols("y ~ C(device)*C(operator)"), typ=2)`, and with `*C(bench)` on 24 whole numbers."""
+    table = np.array([[float(text) for text in line.split()] for line in AIAG.split("\n") if line])
+    places = [(str(part), str(row // 3)) for row in range(9) for part in range(10)]
+    two = gauge_study({"device": [p for p, _ in places], "operator": [o for _, o in places]}, table.ravel().tolist())
+    expected = [88.361934444, 3.167262222, 0.358982222, 2.758933333]
+    assert [one.sum_of_squares for one in two.anova] == pytest.approx(expected, abs=1e-9)
+    values = [0, 11, 5, 16, 3, 14, 12, 6, 7, 12, 12, 0, 10, 15, 4, 9, 14, 13, 2, 1, 0, 16, 13, 12]
+    design = list(np.ndindex(3, 2, 2, 2))
+    labels = {name: [str(p[axis]) for p in design] for axis, name in enumerate(("device", "operator", "bench"))}
+    three = {one.factors: one for one in gauge_study(labels, [float(x) for x in values]).anova}
+    expected_sums = {
+        ("device",): (1.0, 2),
+        ("operator",): (18.375, 1),
+        ("bench",): (22.041666667, 1),
+        ("device", "operator"): (4.0, 2),
+        ("device", "bench"): (66.333333333, 2),
+        ("operator", "bench"): (15.041666667, 1),
+        ("device", "operator", "bench"): (134.333333333, 2),
+        (): (438.5, 12),
+    }
+    assert three.keys() == expected_sums.keys()
+    for names, (sum_of_squares, df) in expected_sums.items():
+        assert three[names].sum_of_squares == pytest.approx(sum_of_squares, abs=1e-8) and three[names].df == df
 
 
 def three_factors(rng: np.random.Generator) -> tuple[dict[str, list[str]], list[float]]:
