@@ -252,7 +252,7 @@ def lacking_signatures(
 
     The bench file requires signatures if it names a key. So does the key ring for a bench with a key that is valid on the day of the run:
     a bench file that was changed therefore cannot take the requirement away. made: when the run began; analyses: their numbers. An analysis
-    may instead be covered by the signature of a person, who may evaluate a run elsewhere.
+    may instead be covered by the signature of a person, who may evaluate a run elsewhere; with a key ring, the person must be in it.
     """
     day = made.date()
     expected = [one for one in ([] if ring is None else _benches(ring)) if one.person == bench.name]
@@ -272,7 +272,8 @@ def lacking_signatures(
         )
         yield "run-bench-unsigned", message
         return
-    covered = {number for one in good for number in one.analyses}
+    counts = [one for one in good if one.by_bench or ring is None or one.standing == "valid"]
+    covered = {number for one in counts for number in one.analyses}
     for number in sorted(set(analyses) - covered):
         message = f"{stored.FOLDER}/{number}: the bench signs its runs, but neither the bench nor a person signed this analysis"
         yield "run-analysis-unsigned", message
