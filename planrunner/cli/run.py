@@ -109,7 +109,8 @@ def run(args: argparse.Namespace) -> int:
     print_findings((*outcome.remarks, *outcome.unsigned))
     with reading_progress(args.quiet) as notice:
         analysis = running.analyse_run(folder, checked=sound, notice=notice)
-    return finish(analysis, outcome, as_json=args.json, run=folder)
+    standard = sound.bench.check_standard
+    return finish(analysis, outcome, as_json=args.json, run=None if standard is None else folder)
 
 
 def _admission(args: argparse.Namespace, sound: Sound, info: Mapping[str, Json]) -> Admission | None:
