@@ -24,6 +24,8 @@ CONSPICUOUS = 0.05
 """Deviations that noise alone causes with more than this probability are not shown."""
 SMALL_REST = 0.05
 """Share of a gap, as a root mean square, below which an effect explains nearly all of it."""
+WRONG_BY = 2.0
+"""Factor up to which a declared noise may be wrong without a sentence about it beside the verdict."""
 DEPARTURE = 0.05
 """Relative departure of the noise from its declaration that is reported."""
 MOST_PLACES = 12
@@ -104,7 +106,26 @@ def _capital(text: str) -> str:
 
 
 def verdict(found: Data) -> str:
-    """The answer in one sentence."""
+    """The answer in one sentence, and a second one if the noise is far from its declaration."""
+    return " ".join(filter(None, (_cause(found), *_noise_declared_wrongly(found))))
+
+
+def _noise_declared_wrongly(found: Data) -> list[str]:
+    """Sentences about channels whose white noise is not within a factor of two of its declaration."""
+    factors = {one["channel"]: one["white"] / one["declared"] for one in found.get("noise", ()) if one["declared"]}
+    larger = {name: ratio for name, ratio in factors.items() if ratio > WRONG_BY}
+    smaller = {name: 1 / ratio for name, ratio in factors.items() if 0 < ratio < 1 / WRONG_BY}
+    told = []
+    for what, ratios in (("larger", larger), ("smaller", smaller)):
+        if ratios:
+            low, high = (f"{end(ratios.values()):.2g}" for end in (min, max))
+            times = low if low == high else f"{low} to {high}"
+            told.append(f"The noise of {_listed(list(ratios), 'and')} is {what} than declared by a factor of {times}.")
+    return told
+
+
+def _cause(found: Data) -> str:
+    """The cause of the gap in one sentence."""
     said, posterior = found["verdict"], found["posterior"]
     kind, effects = said["kind"], list(said["effects"])
     if kind == "none" and posterior["none"] < SURE:

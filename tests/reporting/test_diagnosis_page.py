@@ -71,6 +71,27 @@ def test_the_verdict_in_one_sentence(kind, words):
     assert verdict(diagnosis(kind)) == words
 
 
+def test_noise_far_from_its_declaration_is_said_beside_the_verdict():
+    first = {
+        "unit": "deg/s",
+        "count": 0.0,
+        "declared_count": 0.0,
+        "slow": 1.0,
+        "quietest": 1.0,
+        "loudest": 1.0,
+        "line": None,
+    }
+    loud = [{**first, "channel": name, "declared": 1.0, "white": white} for name, white in (("a", 3.0), ("b", 2.9))]
+    quiet = {**first, "channel": "c", "declared": 1.0, "white": 0.02}
+    right = {**first, "channel": "d", "declared": 1.0, "white": 1.9}
+    found = diagnosis("none", noise=[*loud, quiet, right])
+    check(found)
+    assert verdict(found) == (
+        "No gap: noise alone explains the recording (P = 0.97). The noise of a and b is larger than declared by a "
+        "factor of 2.9 to 3. The noise of c is smaller than declared by a factor of 50."
+    )
+
+
 def test_noise_alone_is_not_said_to_be_sure_where_it_is_only_possible():
     found = diagnosis("none", posterior={"none": 0.4, "unknown": 0.1, "lever_arm": 0.5})
     assert verdict(found) == "No effect is named: noise alone may explain the recording (P = 0.40)."
