@@ -312,10 +312,10 @@ def corrected_observation(
                 sound.models.site,
                 sensor,
                 only=_with_axis(used),
-                angle_channel=_only(units, "angle"),
-                temperature_channel=_only(units, "temperature"),
-                supply_channel=_only(units, "voltage"),
-                pressure_channel=_only(units, "pressure"),
+                angle_channel=only_channel(units, "angle"),
+                temperature_channel=only_channel(units, "temperature"),
+                supply_channel=only_channel(units, "voltage"),
+                pressure_channel=only_channel(units, "pressure"),
                 magnetic=sound.models.site.magnetic_field,
             )
         seen, wrong = corrected(seen)
@@ -507,7 +507,7 @@ def _with_axis(outputs: Sequence[str]) -> tuple[str, ...] | None:
     return tuple(name for name in outputs if axis_of(name) is not None) or None
 
 
-def _only(units: dict[str, str], dimension: str) -> str | None:
+def only_channel(units: Mapping[str, str], dimension: str) -> str | None:
     """The one channel of a dimension; None without one or with several."""
     found = [name for name, text in units.items() if unit(text).dimension == DIMENSIONS[dimension]]
     return found[0] if len(found) == 1 else None

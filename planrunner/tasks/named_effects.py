@@ -10,7 +10,7 @@ import yaml
 
 from planrunner.base import plugins
 from planrunner.base.findings import InputError, Mark
-from planrunner.error_model.effects.interface import PerOrientation
+from planrunner.error_model.effects.interface import Follows, FollowsSurroundings, PerOrientation
 from planrunner.error_model.observed import orientation_key
 from planrunner.plan import source
 from planrunner.plan.rewriting import appended
@@ -50,8 +50,25 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
     keys: dict[str, object] = {"estimator": "error_model"}
     if len(labels) < len(sound.schedule.segments):
         keys["segments"] = labels
+    keys |= _channels(recorded, [effects[name] for name in named])
     text = _with_estimate(source.decode(sound.plan_bytes, sound.file), {**keys, "outputs": outputs})
     return check_plan(Document(text.encode(), sound.file), Document(sound.bench_bytes, sound.bench.origin.mark.file))
+
+
+def _channels(recorded: Recorded, effects: Sequence[Effect]) -> dict[str, object]:
+    """Keys of an estimate for the channels that show the supply voltage and the pressure which effects follow, as in the diagnosis."""
+    from planrunner.tasks.diagnose import only_channel
+
+    followed = {effect.follows for effect in effects if isinstance(effect, FollowsSurroundings)}
+    units, found = recorded.segments[0].units, dict[str, object]()
+    for follows, key, dimension in (
+        (Follows.SUPPLY, "supply_channel", "voltage"),
+        (Follows.PRESSURE, "pressure_channel", "pressure"),
+    ):
+        channel = only_channel(units, dimension) if follows in followed else None
+        if channel is not None:
+            found[key] = channel
+    return found
 
 
 def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from planrunner.estimators.error_model.parameters import ErrorModelParameters
 from planrunner.gap.answer.diagnosis import DiagnosisOptions, hypotheses
 from planrunner.tasks.check import Checked, Document, check_plan
 from planrunner.tasks.diagnose import diagnose_recorded, recorded_run
+from planrunner.tasks.named_effects import plan_with_estimate
 from tests.in_process import planrunner
 from tests.worlds.campaigns import CAMPAIGNS
 from tests.worlds.coverage import estimated, known, recorded
@@ -180,8 +182,14 @@ def test_a_diagnosis_weighs_the_effects_of_a_supply_that_varies(tmp_path: Path) 
     run(tmp_path, text(states, CHANNELS, ("bias_supply",)), "--with", "gyro_bias_supply=c_z:0.02 deg/s/V")
     recording = recorded_run(next((tmp_path / "runs").iterdir()))
     options = DiagnosisOptions(effects=("gyro_bias_supply", "gyro_bias_drift", "gyro_warm_up"))
-    found = diagnose_recorded(recording, options).diagnosis
+    made = diagnose_recorded(recording, options)
+    found = made.diagnosis
     assert found.verdict.effects == ("gyro_bias_supply",)
+    plan = plan_with_estimate(made).plan
+    assert plan is not None
+    written = plan.estimates["diagnosed"].parameters
+    assert isinstance(written, ErrorModelParameters) and written.supply_channel == "supply_voltage"
+    assert written.pressure_channel is None and "gyro_bias_supply" in written.outputs["gyro_z"]
     (c,) = [one for one in found.parameters if one.name == "c_z"]
     assert abs(c.value - (0.02 + 30 / 3600)) < 4 * c.standard_uncertainty
     observed = found.grounds.weighing.observed
