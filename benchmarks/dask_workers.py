@@ -24,7 +24,7 @@ class Size:
     dwell: str
 
 
-FULL, SMALL = Size(40, 2, "2 min"), Size(4, 1, "1 s")
+FULL, SMALL = Size(200, 3, "2 min"), Size(4, 1, "1 s")
 
 
 def run(size: Size = FULL) -> Figures:

@@ -155,8 +155,9 @@ def _imported(name: str) -> ModuleType:
             gc.enable()
 
 
-_ONE_THREAD = ("check", "show", "runs", "history", "compare", "gauge")
-"""Commands whose matrices are so small that the threads of OpenBLAS only take time to start."""
+_ONE_THREAD = ("check", "show", "runs", "history", "compare", "gauge", "estimate", "verify")
+"""Commands whose matrices are so small that the threads of OpenBLAS only take time to start, and commands that compute with one thread, so
+that digits do not depend on their number. Without threads, processes that share work can be forks."""
 
 
 def _start_no_threads(command: str) -> None:

@@ -12,7 +12,7 @@ from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.cli import exit_codes
 from planrunner.cli.archive_arguments import folder_argument
 from planrunner.cli.each_run import Done, add_runs, each_result, each_run, runs_of
-from planrunner.cli.jobs import add_workers, single_threaded, workers_of
+from planrunner.cli.jobs import add_workers, workers_of
 from planrunner.cli.outcome import conclude
 from planrunner.cli.progress import reading_progress
 
@@ -38,8 +38,6 @@ def run(args: argparse.Namespace) -> int:
     if args.analysis is not None and not args.prove:
         raise InputError.at(COMMAND_LINE, "command-usage", "--analysis belongs to --prove", "add --prove")
     workers = workers_of(args, seen=args.runs[0])
-    if workers.jobs != 1:
-        single_threaded()
     runs = runs_of(args)
     if args.prove:
         work = partial(_proved, args.analysis)

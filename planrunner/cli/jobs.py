@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import re
 from pathlib import Path
 
@@ -54,8 +53,3 @@ def workers_of(args: argparse.Namespace, jobs: int | None = 1, seen: Path | None
         message = "--jobs is for the processes of this machine, not for a cluster"
         raise InputError.at(COMMAND_LINE, "command-usage", message, "give --jobs or --scheduler")
     return Workers(1, args.scheduler, seen)
-
-
-def single_threaded() -> None:
-    """Keeps numpy from starting threads, so that processes can be forks. To be called before numpy is imported."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

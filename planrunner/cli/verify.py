@@ -13,7 +13,7 @@ from planrunner.base.findings import COMMAND_LINE, InputError, Mark
 from planrunner.cli import exit_codes
 from planrunner.cli.archive_arguments import folder_to_verify
 from planrunner.cli.each_run import Done, add_runs, archive_of, each_result, run_folders
-from planrunner.cli.jobs import add_workers, single_threaded, workers_of
+from planrunner.cli.jobs import add_workers, workers_of
 from planrunner.cli.log import add_heads, heads_of, ring_of, show_log
 from planrunner.plan.source import read_bytes
 from planrunner.reporting.printable import printable
@@ -58,8 +58,6 @@ def run(args: argparse.Namespace) -> int:
         raise InputError.at(COMMAND_LINE, "command-usage", message, "give the certificate of the authority too")
     authority = None if args.authority is None else _authority(args.authority, args.revoked)
     workers = workers_of(args, seen=archive)
-    if workers.jobs != 1:
-        single_threaded()
     examined: list[LoggedRun] = []
     bad = 0
 
