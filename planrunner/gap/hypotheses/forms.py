@@ -90,10 +90,9 @@ def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: 
     the opposite sign."""
     best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
     forms = [replace(form, held=True) for form, _ in whole_forms(weighing, effect)] if best.amplitudes[0][0] > 0 else []
-    strength = np.log([form.gram[0, 0, 0] for form in forms])
-    if len(forms) < 3 or not np.isfinite(strength).all():
+    if len(forms) < 3 or any(form.trace <= 0 for form in forms):  # too weak for the amplitude 1 to mean anything
         return usable, log_bayes
-    width = np.abs(np.gradient(strength)) / RANGE
+    width = np.abs(np.gradient(np.log([form.trace for form in forms]))) / RANGE
     share = width / width.sum()
     stacked = np.array([form.log_bayes for form in forms])
     return forms, log_mean_exp(stacked, 0, share[:, None]) + float(np.log(width.sum()))
