@@ -57,6 +57,9 @@ segments:
   - {orientation: *z, temperature: 45 degC, rate: 60 deg/s, label: WZ}
   - {orientation: *y, temperature: {ramp_to: 48 degC}, dwell: 2 min, label: R}
   - {orientation: *z, temperature: 20 degC, soak: 2 min, label: C}
+  - {orientation: *x, temperature: 20 degC, supply_voltage: 6 V, ambient_pressure: 900 hPa, rate: 60 deg/s, label: SX}
+  - {orientation: *y, temperature: 20 degC, supply_voltage: 6 V, ambient_pressure: 900 hPa, rate: 60 deg/s, label: SY}
+  - {orientation: *z, temperature: 20 degC, supply_voltage: 6 V, ambient_pressure: 900 hPa, rate: 60 deg/s, label: SZ}
 """
 NOT_POSSIBLE_BEFORE = [
     "earth_rate",
