@@ -44,7 +44,8 @@ def check_cycle(
     cycle = RotationCycle.of(motion, axis.max_acceleration)
     if abs(axis.direction[2]) < _UPRIGHT:
         message = (
-            f"the cycle turns the {axis.name} axis, which is not vertical: it modulates the errors across that axis"
+            f"the cycle turns the {axis.name} axis, which is not vertical: it therefore modulates the errors perpendicular "
+            "to that axis, and not the horizontal errors"
         )
         log.warning("physics-cycle-axis", at("cycle"), message, "use a bench whose outermost axis is vertical")
     stops, turns = cycle.integral()

@@ -166,7 +166,10 @@ def _spin(
     if state.roughly is not None and course.joint > state.roughly:
         # The direction of an axis follows from the joints that carry it.
         carrier, axis = table.axes[state.roughly].name, table.axes[course.joint].name
-        message = f"the {axis} axis is along that direction only if the {carrier} axis is at the planned end of the previous motion"
+        message = (
+            f"the direction of the {axis} axis is not known exactly: the {carrier} axis, which carries it, is only "
+            "approximately at its planned angle after the previous motion"
+        )
         log.error(
             "physics-rate-axis", mark, message, "give the segment an orientation; the table then moves there first"
         )

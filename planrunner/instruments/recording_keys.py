@@ -167,8 +167,8 @@ class ChannelKind:
             log.error(
                 "meaning-range",
                 channel.at("per_unit"),
-                "a column that never changes measures nothing",
-                "write the counts per unit",
+                "with 0 counts per unit, the column would not change with the measured quantity",
+                "write the counts per unit, which are not zero",
             )
         for name in ("noise", "bias_instability", "resolution", "full_scale"):
             _check_dimension(channel, name, "", log)

@@ -133,7 +133,7 @@ def scan(
         _on_time(found, name, log)
     for remark in file.remarks:
         hint = "check `format` in the bench file, and the logger"
-        log.warning("recording-corrupt", Mark(name), f"{name}: left out: {remark}", hint)
+        log.warning("recording-corrupt", Mark(name), f"left out: {remark}", hint)
     if found.wrong:
         return None
     for one, seen in zip(wanted, found.seen, strict=True):

@@ -340,7 +340,7 @@ class Plan(Record):
         default_factory=dict,
     )
     defaults: State | None = key(
-        RecordOf(State), "State that every segment starts from.", {"settle": "30 s", "dwell": "2 min"}, default=None
+        RecordOf(State), "The state that every segment starts from.", {"settle": "30 s", "dwell": "2 min"}, default=None
     )
     segments: tuple[SegmentSpec, ...] = key(
         ListOf(SegmentKind(), minimum=1),

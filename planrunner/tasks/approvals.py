@@ -357,7 +357,9 @@ def _author(found: Examined, kept: KeptApprovals, bench: Bench) -> tuple[str, ..
     other = [name for name, equal in same.items() if not equal]
     made = str(found.run["versions"]["planrunner"])
     if other and made != __version__:
-        _unverified(found, f"{' and '.join(other)} ran with planrunner {made}, whose meanings have another form")
+        _unverified(
+            found, f"{' and '.join(other)} ran with planrunner {made}, which writes canonical meanings in another form"
+        )
     elif other:
         message = f"{path / APPROVALS}: the approved meaning is not that of {' and '.join(other)}"
         found.error("run-approval", message, hint="")

@@ -193,7 +193,7 @@ def test_frames_with_a_checksum_and_a_counter_that_wraps(tmp_path: Path) -> None
     log = Findings()
     player(tmp_path, keys).look_over([Segment(0, "all", None, "unknown", Rest(), None)], log)
     said = [one.message for one in log if one.code == "recording-corrupt"]
-    assert any("corrupt or not where they are expected: 2" in one for one in said), said
+    assert any("2 records that are corrupt or not where they are expected" in one for one in said), said
     assert any("bytes outside of good records: 13" in one for one in said), said
 
 

@@ -148,7 +148,7 @@ class BinaryFile(FormatFile[BinaryKeys]):
                     )
             if framer is not None:
                 self._remarks = tuple(
-                    f"{what}: {count}"
+                    f"{count} {what}"
                     for count, what in (
                         (framer.corrupt, "records that are corrupt or not where they are expected"),
                         (framer.skipped, "bytes outside of good records"),
