@@ -159,6 +159,9 @@ class InputError(Exception):
         self.findings = list(findings)
         super().__init__("\n".join(map(str, self.findings)))
 
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.findings,)
+
     @classmethod
     def at(cls, mark: Mark, code: str, message: str, hint: str = "") -> InputError:
         return cls([Finding(mark, code, "error", message, hint)])

@@ -48,6 +48,9 @@ class NotOrdinaryError(OSError):
     def __init__(self, path: Path, what: str):
         super().__init__(errno.EPERM, what, str(path))
 
+    def __reduce__(self) -> tuple[object, ...]:  # the arguments of `OSError` are not those of this class
+        return type(self), (Path(self.filename), self.strerror)
+
 
 @dataclass(frozen=True, slots=True)
 class Entry:

@@ -28,6 +28,9 @@ class RefusedFileError(Exception):
         self.kind: Refusal = kind
         self.hint = hint
 
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.kind, str(self), self.hint)
+
 
 def open_regular(
     path: Path | str, limit: int | None = None, *, folder: int | None = None, links: bool = True

@@ -15,12 +15,13 @@ from planrunner.base.documents import JsonObject
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.base.progress import Pace
 from planrunner.base.workers import Workers, results_in_order
-from planrunner.cli.failures import CommandFailure, failure_of
+from planrunner.cli.failures import CommandFailure, unsaved_failure_of
 from planrunner.cli.printing import print_json
 from planrunner.cli.progress import reading_progress
 from planrunner.night.record import holds_nights
 from planrunner.reporting.printable import printable
 
+T = TypeVar("T")
 R = TypeVar("R")
 
 
@@ -74,7 +75,7 @@ def each_run(runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: boo
 
     def attempt(run: Path) -> Done | CommandFailure:
         _name(run, len(runs), as_json)
-        return _attempt(work, run)
+        return _attempt(work, run, run)
 
     alone = len(runs) == 1 and not as_json
     return _concluded(runs, map(work if alone else attempt, runs), lambda done: done, as_json=as_json)
@@ -96,18 +97,22 @@ def each_result(
     with reading_progress(as_json) as notice:
         pace = Pace(what, 1.0, notice)
         results: Iterable[R | CommandFailure] = results_in_order(
-            work if alone else partial(_attempt, work), runs, workers, pace.reached
+            work if alone else partial(_attempted, work), runs, workers, pace.reached
         )
         return _concluded(runs, results, show, last, headed=True, as_json=as_json)
 
 
-def _attempt(work: Callable[[Path], R], run: Path) -> R | CommandFailure:
+def _attempted(work: Callable[[Path], R], run: Path) -> R | CommandFailure:
+    return _attempt(work, run, run)
+
+
+def _attempt(work: Callable[[T], R], given: T, run: Path) -> R | CommandFailure:
     try:
-        return work(run)
+        return work(given)
     except BrokenPipeError:
         raise  # the reader closed the pipe
     except Exception as error:
-        return failure_of(error, str(run))
+        return unsaved_failure_of(error, str(run))
 
 
 def _name(run: Path, number: int, as_json: bool) -> None:
@@ -125,15 +130,13 @@ def _concluded(
     headed: bool = False,
 ) -> int:
     """headed: the names of the runs are printed here."""
+    alone = len(runs) == 1 and not as_json
     entries, worst = [], 0
     for run, result in zip(runs, results, strict=True):
         if headed:
             _name(run, len(runs), as_json)
-        if isinstance(result, CommandFailure):
-            result.show()
-            done = Done(result.code, {"findings": [finding.to_json() for finding in result.findings]})
-        else:
-            done = show(result)
+        shown = result if isinstance(result, CommandFailure) else show(result) if alone else _attempt(show, result, run)
+        done = _failed(shown) if isinstance(shown, CommandFailure) else shown
         if as_json:
             entries.append({"run": str(run), "exit_code": done.code, **done.found})
         worst = max(worst, done.code)
@@ -144,3 +147,9 @@ def _concluded(
     if as_json:
         print_json(entries)
     return worst
+
+
+def _failed(failure: CommandFailure) -> Done:
+    failure = failure.saved()
+    failure.show()
+    return Done(failure.code, {"findings": [finding.to_json() for finding in failure.findings]})

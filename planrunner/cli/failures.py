@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from planrunner.base.findings import COMMAND_LINE, Finding, InputError, Mark
 from planrunner.cli import exit_codes
@@ -14,11 +14,25 @@ from planrunner.cli.printing import print_findings
 
 @dataclass(frozen=True, slots=True)
 class CommandFailure:
-    """text: shown on the terminal instead of the findings, if it says more."""
+    """text: shown on the terminal instead of the findings, if it says more. trace: traceback of an unexpected exception, until it is
+    `saved`."""
 
     code: int
     findings: tuple[Finding, ...]
     text: str = ""
+    trace: str = ""
+
+    def saved(self) -> CommandFailure:
+        """With the traceback, if there is one, in a temporary file, which the message names."""
+        if not self.trace:
+            return self
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="planrunner-", suffix=".txt", delete=False, encoding="utf-8"
+        ) as file:
+            file.write(self.trace)
+        hint = f"Please report it with the file {file.name}."
+        (finding,) = self.findings
+        return CommandFailure(self.code, (replace(finding, hint=hint),), f"{self.text}\n{hint}")
 
     def show(self) -> None:
         """Print to standard error."""
@@ -54,6 +68,11 @@ def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> CommandFailu
 
     For an unexpected exception the traceback is saved in a temporary file, which the message names.
     """
+    return unsaved_failure_of(error, where).saved()
+
+
+def unsaved_failure_of(error: Exception, where: str) -> CommandFailure:
+    """As `failure_of`, but nothing is written: it may be computed on another computer than the command."""
     if isinstance(error, InputError):
         return CommandFailure(exit_codes.WRONG_INPUT, tuple(error.findings))
     for kind in type(error).__mro__:
@@ -65,11 +84,9 @@ def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> CommandFailu
         place = str(error.filename or where)
         reason = error.strerror or str(error)
         return _failure(_SYSTEM, place, reason, f"{error.filename}: {reason}" if error.filename else reason)
-    with tempfile.NamedTemporaryFile("w", prefix="planrunner-", suffix=".txt", delete=False, encoding="utf-8") as file:
-        file.write("".join(traceback.format_exception(error)))
-    message, hint = f"{type(error).__name__}: {error}", f"Please report it with the file {file.name}."
-    finding = Finding(Mark(where), _INTERNAL.code, "error", message, hint)
-    return CommandFailure(_INTERNAL.exit_code, (finding,), f"internal error: {message}\n{hint}")
+    message, trace = f"{type(error).__name__}: {error}", "".join(traceback.format_exception(error))
+    finding = Finding(Mark(where), _INTERNAL.code, "error", message)
+    return CommandFailure(_INTERNAL.exit_code, (finding,), f"internal error: {message}", trace)
 
 
 def _failure(known: _Known, where: str, message: str, shown: str = "") -> CommandFailure:

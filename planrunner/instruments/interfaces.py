@@ -50,6 +50,9 @@ class UnservedError(InstrumentError):
         self.findings = tuple(findings)
         super().__init__("; ".join(finding.message for finding in findings))
 
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.findings,)
+
 
 class Clock(Protocol):
     """Interface of time for code that must work in the same way with simulated and real time."""

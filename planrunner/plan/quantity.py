@@ -87,6 +87,9 @@ class QuantityError(ValueError):
         self.code = code
         self.hint = hint
 
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.code, str(self), self.hint)
+
 
 def takes_bare_number(dimension: str | None) -> bool:
     """Whether a number without a unit is a quantity of this dimension: true for a ratio, and if any dimension is allowed."""
