@@ -62,13 +62,18 @@ def _of_change(amplitude: Data, change: Data) -> str:
     ]
     value, u = format_pair(change["size"], change["expanded_uncertainty"])
     label = f"{amplitude['effect']} {amplitude['name']}"
-    after, until = (str(change[key])[:16].replace("T", " ") for key in ("after", "until"))
+    after, until = _minute(change["after"]), _minute(change["until"])
     size = f"{value} ± {u}{_unit(change['unit'])}"
     p = "p < 0.001" if change["p"] < 0.001 else f"p = {change['p']:.2g}"
     if change["kind"] == "drift":
         return f"{' or '.join(names)}: {label} drifts by {size} from {after} to {until} UTC ({change['runs_after']} runs, {p})."
     counts = f"{change['runs_before']} runs before, {change['runs_after']} since, {p}"
     return f"{' or '.join(names)}: {label} changed by {size} between {after} and {until} UTC ({counts})."
+
+
+def _minute(moment: object) -> str:
+    """Such as `2026-03-03 22:14`, of a moment in ISO 8601."""
+    return str(moment)[:16].replace("T", " ")
 
 
 def _of_lot(one: Data) -> str:
@@ -97,7 +102,7 @@ def _of_amplitude(found: Data, amplitude: Data) -> Iterator[str]:
             size = _with_u(part["level"] or part["part"], unit)
             others = "the mean of the others" if len(one["parts"]) > 2 else "the other"
             apart = f", {_with_u(part['difference'], unit)} from {others}" if part["difference"] else ""
-            yield f"{_who(found, sources, part)}: {label} {size}{apart} ({_count(found, sources, part)}{chance})."
+            yield f"{_who(found, sources, part)}: {label} {size}{apart} ({_count(sources, part)}{chance})."
         if len(clear) > MOST_PARTS:
             kind = _WORDS[sources[0]]
             yield f"{label}: {len(clear) - MOST_PARTS} more values for a single {kind} are in the JSON output."
@@ -119,21 +124,21 @@ def _unit(unit: str) -> str:
 
 
 def _who(found: Data, sources: Sequence[str], part: Data) -> str:
-    """Such as `bench bench-2`, or `bench bench-2, or what all runs have in common`."""
+    """Such as `bench bench-2`, `bench bench-2 since 2026-03-03 22:14 UTC`, or `bench bench-2, or what all runs have in common`."""
     if list(sources) == ["common"]:
         return "all runs"
-    runs = [run for run in found["runs"] if part["label"] in (run[name] for name in sources if name != "common")]
-    words = [f"{_WORDS[name]} {runs[0][name]}" if name != "common" and runs else _WORDS[name] for name in sources]
-    return ", or ".join(words)
+    run = next(run for run in found["runs"] if run[sources[0]] == part["label"])
+    words = [_WORDS[name] if name == "common" else f"{_WORDS[name]} {run[name]}" for name in sources]
+    since = f" since {_minute(part['since'])} UTC" if part["since"] else ""
+    return ", or ".join(words) + since
 
 
-def _count(found: Data, sources: Sequence[str], part: Data) -> str:
+def _count(sources: Sequence[str], part: Data) -> str:
     """The runs of a part, and for a bench the devices."""
     runs = f"{part['runs']} run{'s' if part['runs'] != 1 else ''}, "
     if list(sources) != ["bench"]:
         return runs
-    devices = {run["device"] for run in found["runs"] if run["bench"] == part["label"]}
-    return f"{runs}{len(devices)} device{'s' if len(devices) != 1 else ''}, "
+    return f"{runs}{part['devices']} device{'s' if part['devices'] != 1 else ''}, "
 
 
 def _either(sources: Sequence[str]) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from planrunner.base.progress import Announce, Pace
 from planrunner.base.workers import Workers, results_of
 from planrunner.gap.fleet.amplitudes import AmplitudeEstimate, AmplitudeKey, amplitudes
 from planrunner.gap.fleet.attribution import SURE, Attribution, Contribution, Estimates, Source, Uncertain, attribute
-from planrunner.gap.fleet.changes import ChangeKind, FleetChange, changes
+from planrunner.gap.fleet.changes import ChangeKind, FleetChange, changes, since_steps
 from planrunner.gap.fleet.lots import SharedByLot, shared_by_lots
 from planrunner.instruments.models import DataOrigin
 from planrunner.plan.model import NOMINAL_TERMS
@@ -150,7 +150,10 @@ class FleetDiagnosis:
             "shape": one.key.shape,
             "none": one.attribution.none,
             "probability": dict(one.attribution.probability),
-            "contributions": [_plain(item) for item in one.attribution.contributions],
+            "contributions": [
+                _plain(item, [self.origins[index].labels[Source.DEVICE] for index in one.runs])
+                for item in one.attribution.contributions
+            ],
             "named": [list(_words(item)) for item in one.attribution.named],
             "open": [list(_words(item)) for item in one.attribution.open],
             "changes": [self._change(one, change) for change in one.changes],
@@ -179,7 +182,8 @@ def _words(one: Contribution) -> tuple[str, ...]:
     return tuple(source.value for source in one.component.sources)
 
 
-def _plain(one: Contribution) -> JsonObject:
+def _plain(one: Contribution, devices: Sequence[str]) -> JsonObject:
+    """devices: of the runs (n)."""
     return {
         "sources": list(_words(one)),
         "probability": one.probability,
@@ -189,12 +193,16 @@ def _plain(one: Contribution) -> JsonObject:
         "parts": [
             {
                 "label": part.label,
+                "since": part.since or None,
                 "runs": part.runs,
+                "devices": len(
+                    {device for device, k in zip(devices, one.component.members, strict=True) if k == number}
+                ),
                 "part": _uncertain(part.part),
                 "level": _uncertain(part.level),
                 "difference": _uncertain(part.difference),
             }
-            for part in one.parts
+            for number, part in enumerate(one.parts)
         ],
     }
 
@@ -502,13 +510,8 @@ def _one_attributed(
     estimates = Estimates(np.array(values), np.array(spreads), groups)
     with threadpool_limits(limits=1, user_api="blas"):
         found = changes(estimates, days, amplitudes_)
-        for change in found:
-            source, label = change.sources[0]
-            if change.kind is ChangeKind.STEP and source in STATED:
-                for k in change.runs[change.before :]:
-                    since = origins[indices[change.runs[change.before]]].created[:10]
-                    groups[source][k] = f"{label} since {since}"
-        made = attribute(Estimates(estimates.values, estimates.standard_uncertainties, groups))
+        since = since_steps(found, [origins[index].created for index in indices])
+        made = attribute(replace(estimates, since=since))
     return Attributed(key, indices, values, spreads, made, found)
 
 
@@ -520,6 +523,8 @@ def _shared(attributed: Sequence[Attributed], origins: Sequence[RunOrigin]) -> t
         device = one.attribution.of(Source.DEVICE)
         if device.probability < SURE or len(device.component.sources) > 1:
             continue
-        levels = {part.label: part.level or part.part for part in device.parts}
+        levels: dict[str, list[Uncertain]] = {}
+        for part in device.parts:
+            levels.setdefault(part.label, []).append(part.level or part.part)
         found += shared_by_lots(one.key, levels, lots)
     return tuple(found)

@@ -123,13 +123,26 @@ def test_a_new_device_or_a_single_outlier_is_no_change() -> None:
 def test_devices_of_a_lot_are_named_if_all_of_them_and_no_others_differ() -> None:
     """Three of six devices: by chance 1/20. Means 11 and 1, each of three levels with U = 1: U = √(1/3 + 1/3)."""
     key = AmplitudeKey("accel_thermal", "x", "mg/K")
-    levels = {name: Uncertain(value, 1.0) for name, value in zip("abcdef", [10.0, 11, 12, 0, 1, 2], strict=True)}
+    levels = {name: [Uncertain(value, 1.0)] for name, value in zip("abcdef", [10.0, 11, 12, 0, 1, 2], strict=True)}
     lots = dict.fromkeys("abc", "17") | dict.fromkeys("def", "16")
     seventeen = next(one for one in shared_by_lots(key, levels, lots) if one.lot == "17")
     assert (seventeen.devices, seventeen.others) == (("a", "b", "c"), 3)
     assert seventeen.chance == pytest.approx(0.05)
     assert (seventeen.difference, seventeen.expanded) == pytest.approx((10, math.sqrt(2 / 3)))
-    assert not list(shared_by_lots(key, {**levels, "d": Uncertain(9.5, 1.0)}, lots))  # another device has it too
-    assert not list(shared_by_lots(key, {**levels, "a": Uncertain(2.5, 1.0)}, lots))  # a device of the lot has it not
+    assert not list(shared_by_lots(key, {**levels, "d": [Uncertain(9.5, 1.0)]}, lots))  # another device has it too
+    assert not list(shared_by_lots(key, {**levels, "a": [Uncertain(2.5, 1.0)]}, lots))  # a device of the lot has it not
     few = {name: levels[name] for name in "abde"}
     assert not list(shared_by_lots(key, few, lots))  # 1/6 by chance
+
+
+def test_a_device_that_stepped_is_one_device_of_its_lot() -> None:
+    """Three of six devices, each at 5 and then at 11: means 8 and 1; U = √(3·(√2/2)²)/3 of the lot, √3/3 of the others. One that stepped
+    to where the others are does not differ from them any more."""
+    key = AmplitudeKey("accel_thermal", "x", "mg/K")
+    others = {name: [Uncertain(value, 1.0)] for name, value in zip("def", [0.0, 1, 2], strict=True)}
+    stepped = {name: [Uncertain(5.0, 1.0), Uncertain(11.0, 1.0)] for name in "abc"}
+    (found,) = shared_by_lots(key, {**stepped, **others}, dict.fromkeys("abc", "17"))
+    assert found.devices == ("a", "b", "c") and found.others == 3 and found.chance == pytest.approx(0.05)
+    assert (found.difference, found.expanded) == pytest.approx((7, math.sqrt(1 / 6 + 1 / 3)))
+    stepped["a"] = [Uncertain(5.0, 1.0), Uncertain(2.5, 1.0)]
+    assert not list(shared_by_lots(key, {**stepped, **others}, dict.fromkeys("abc", "17")))

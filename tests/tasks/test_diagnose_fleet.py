@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
 from planrunner.base.findings import InputError
 from planrunner.base.workers import ALONE
 from planrunner.cli import main
-from planrunner.tasks.diagnose_fleet import diagnose_fleet
+from planrunner.gap.fleet.amplitudes import AmplitudeEstimate, AmplitudeKey
+from planrunner.gap.fleet.attribution import Source
+from planrunner.reporting.fleet_page import sentences
+from planrunner.tasks.diagnose_fleet import (
+    FleetDiagnosis,
+    RunOrigin,
+    RunVerdict,
+    _attributed,
+    _shared,
+    diagnose_fleet,
+)
 from tests.conftest import ROOT
 from tests.tasks.test_simulate import PLAN
 
@@ -130,3 +142,76 @@ def test_a_run_with_another_kind_of_sensor_is_refused(runs: list[Path], tmp_path
     with pytest.raises(InputError) as caught:
         diagnose_fleet([runs[1], other], origins=table, workers=ALONE)
     assert "fleet-other-sensor" in str(caught.value)
+
+
+# -- steps -------------------------------------------------------------------------------------------------------------
+
+KEY = AmplitudeKey("table_tilt", "about_east", "arcsec")
+
+
+def made(rows: list[tuple[str, str, float]], lots: dict[str, str] | None = None) -> FleetDiagnosis:
+    """Estimates with s = 0.3 of runs (device, bench, true value), one in every half hour."""
+    random = np.random.default_rng(1)
+    origins = tuple(
+        RunOrigin(
+            Path(f"r{n}"),
+            {Source.DEVICE: device, Source.BENCH: bench, Source.OCCASION: f"r{n}"},
+            (datetime(2026, 3, 3, tzinfo=UTC) + n * timedelta(minutes=30)).isoformat(),
+            (lots or {}).get(device, ""),
+        )
+        for n, (device, bench, _) in enumerate(rows)
+    )
+    fits = [[AmplitudeEstimate(KEY, value + random.normal(0, 0.3), 0.3)] for _, _, value in rows]
+    attributed = _attributed(fits, origins, ALONE)
+    verdict = RunVerdict("Plan", "imu", (), "effect", ("table_tilt",), (), {}, {}, "simulated")
+    return FleetDiagnosis(
+        origins, (verdict,) * len(rows), ("table_tilt",), attributed, {}, _shared(attributed, origins)
+    )
+
+
+def test_two_steps_of_a_device_on_one_day_make_three_parts() -> None:
+    """The later step is the larger one, and is found first. Device B stays at 0."""
+    a = [0.0] * 5 + [2.0] * 6 + [12.0] * 6
+    found = made([row for value in a for row in (("A", "b", value), ("B", "b", 0.0))])
+    (one,) = found.attributed
+    assert [change.before for change in one.changes] == [11, 5]
+    parts = {(part.label, part.since[11:16]): part for part in one.attribution.of(Source.DEVICE).parts}
+    assert {key: part.runs for key, part in parts.items()} == {
+        ("A", ""): 5,
+        ("A", "05:00"): 6,
+        ("A", "11:00"): 6,
+        ("B", ""): 17,
+    }
+    for key, true in {("A", ""): 0.0, ("A", "05:00"): 2.0, ("A", "11:00"): 12.0}.items():
+        level = parts[key].level
+        assert level is not None and abs(level.value - true) < 1.5 * level.expanded < 0.6
+    assert one.attribution.of(Source.OCCASION).probability < 0.5
+    assert any(
+        text.startswith("device A since 2026-03-03 11:00 UTC: table_tilt") for text in sentences(found.to_json())
+    )
+
+
+def test_a_bench_that_stepped_keeps_its_name_and_its_devices() -> None:
+    rows = [
+        (device, bench, 60.0 * (bench == "v" and night > 2)) for night in range(6) for bench in "uv" for device in "AB"
+    ]
+    found = made(rows).to_json()
+    schema = json.loads((ROOT / "schemas" / "fleet.schema.json").read_text(encoding="utf-8"))
+    Draft202012Validator(schema).validate(found)
+    said = next(
+        text for text in sentences(found) if " since " in text and text.startswith("bench v since 2026-03-03 07:00")
+    )
+    assert "(6 runs, 2 devices, P > 0.9" in said
+
+
+def test_devices_that_stepped_are_those_of_their_lot() -> None:
+    """Those of lot 17 are at 5, and at 11 from another night on each; the three others are at 0."""
+    since = {"A": 4, "B": 8, "C": 12}
+    rows = [
+        (device, "b", (5.0 + 6.0 * (night >= since[device])) if device in since else 0.0)
+        for night in range(16)
+        for device in "ABCDEF"
+    ]
+    (shared,) = made(rows, dict.fromkeys("ABC", "17")).shared
+    assert shared.devices == ("A", "B", "C") and shared.others == 3 and shared.chance == pytest.approx(1 / 20)
+    assert abs(shared.difference - 8.0) < 1.5 * shared.expanded < 1.0

@@ -65,11 +65,13 @@ _NUMBERS = 2_000_000  # of the matrices M that are in memory at once
 @dataclass(frozen=True)
 class Estimates:
     """One amplitude in n runs. values, standard_uncertainties: (n,), in one unit, all finite and the latter positive. groups: the label of
-    every run (n) for each source except `COMMON`."""
+    every run (n) for each source except `COMMON`. since: for sources with steps, the moment of the last step of the run's group
+    up to the run (n); empty before the first. A group counts as another one after each step."""
 
     values: Array
     standard_uncertainties: Array
     groups: Mapping[Source, Sequence[str]]
+    since: Mapping[Source, Sequence[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.values).all() and (self.standard_uncertainties > 0).all()):
@@ -78,10 +80,11 @@ class Estimates:
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One or more sources that group the runs in the same way. labels: of the groups (m); members: (n,), the group of each run."""
+    """One or more sources that group the runs in the same way. labels: of the groups, with the moment of the step since which each
+    counts or an empty text (m); members: (n,), the group of each run."""
 
     sources: tuple[Source, ...]
-    labels: tuple[str, ...]
+    labels: tuple[tuple[str, str], ...]
     members: NDArray[np.int64] = field(repr=False)
 
     @property
@@ -102,9 +105,11 @@ class Uncertain:
 class SourcePart:
     """The part of one device, bench or occasion, if its source contributes. level: the part and what all runs have in common together,
     which the data often determine better than either. difference: from the mean of the other parts of the source. Both are None if every
-    group has one run; the difference also for a single group. runs: number of runs that contain the part."""
+    group has one run; the difference also for a single group. runs: number of runs that contain the part. since: moment of the step since
+    which the part counts; empty if it counts from the first run."""
 
     label: str
+    since: str
     part: Uncertain
     level: Uncertain | None
     difference: Uncertain | None
@@ -148,12 +153,15 @@ class Attribution:
         return tuple(one for one in self.contributions if 1 - SURE < one.probability < SURE)
 
 
-def components(groups: Mapping[Source, Sequence[str]]) -> tuple[Component, ...]:
-    """The sources, with those together that group the runs in the same way."""
-    found: dict[tuple[int, ...], tuple[list[Source], list[str]]] = {}
+def components(
+    groups: Mapping[Source, Sequence[str]], since: Mapping[Source, Sequence[str]] | None = None
+) -> tuple[Component, ...]:
+    """The sources, with those together that group the runs in the same way. groups, since: as in `Estimates`."""
+    found: dict[tuple[int, ...], tuple[list[Source], list[tuple[str, str]]]] = {}
     n = len(groups[Source.OCCASION])
     for source in Source:
-        given = [ALL_RUNS] * n if source is Source.COMMON else groups[source]
+        names = [ALL_RUNS] * n if source is Source.COMMON else groups[source]
+        given = list(zip(names, (since or {}).get(source, [""] * n), strict=True))
         labels = list(dict.fromkeys(given))
         members = tuple(labels.index(label) for label in given)
         found.setdefault(members, ([], labels))[0].append(source)
@@ -170,7 +178,7 @@ def log_evidence(given: Estimates, chosen: Sequence[Component], spreads: Array) 
 
 def attribute(given: Estimates) -> Attribution:
     """Attributes an amplitude to its sources."""
-    every = components(given.groups)
+    every = components(given.groups, given.since)
     subsets = [chosen for size in range(len(every) + 1) for chosen in combinations(every, size)]
     models = [_Model(given, chosen) for chosen in subsets]
     prior = [len(chosen) * np.log(PRIOR) + (len(every) - len(chosen)) * np.log(1 - PRIOR) for chosen in subsets]
@@ -343,7 +351,8 @@ def _parts(
             others = (m * np.eye(m) - 1) / (m - 1)
             differences[:] = _averaged([(p, *model.combined(component, others, None)) for p, model in having])
     runs = np.bincount(component.members, minlength=m).tolist()
-    return tuple(map(SourcePart, component.labels, parts, levels, differences, runs))
+    names, since = zip(*component.labels, strict=True)
+    return tuple(map(SourcePart, names, since, parts, levels, differences, runs))
 
 
 def _averaged(found: Sequence[tuple[float, Array, Array, Array]]) -> list[Uncertain]:

@@ -102,6 +102,19 @@ def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tup
     return tuple(found)
 
 
+def since_steps(found: Sequence[FleetChange], moments: Sequence[str]) -> dict[Source, list[str]]:
+    """The moment of the last step of a run's device or bench before the run, as `Estimates.since`. moments: of every run, in the order of
+    time. A step that several sources may have made counts for the first of them; one of all runs makes no group another one."""
+    since = {source: [""] * len(moments) for source in (Source.DEVICE, Source.BENCH)}
+    for change in sorted(found, key=lambda one: one.before):
+        source, _ = change.sources[0]
+        if change.kind is ChangeKind.STEP and source in since:
+            after = change.runs[change.before :]
+            for k in after:
+                since[source][k] = moments[after[0]]
+    return since
+
+
 def _dummies(labels: Sequence[str]) -> Array:
     names = sorted(set(labels))
     return np.array([[float(label == name) for name in names] for label in labels])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from planrunner.base.dataclass import dataclass
 from planrunner.gap.fleet.amplitudes import AmplitudeKey
@@ -16,8 +16,8 @@ MOST_CHANCE = 0.05
 @dataclass(frozen=True, slots=True)
 class SharedByLot:
     """An amplitude that separates the devices of a lot from all others. difference: of the mean of the lot from the mean of the others, and
-    `expanded`, the half-width of its 95 % interval, in the unit of the key. others: number of the other devices. chance: 1 divided by the
-    number of ways to choose as many devices from all."""
+    `expanded`, the half-width of its 95 % interval, in the unit of the key; a device counts with the mean of its levels. others: number of
+    the other devices. chance: 1 divided by the number of ways to choose as many devices from all."""
 
     lot: str
     key: AmplitudeKey
@@ -29,10 +29,10 @@ class SharedByLot:
 
 
 def shared_by_lots(
-    key: AmplitudeKey, levels: Mapping[str, Uncertain], lots: Mapping[str, str]
+    key: AmplitudeKey, levels: Mapping[str, Sequence[Uncertain]], lots: Mapping[str, str]
 ) -> Iterator[SharedByLot]:
-    """The lots whose devices all lie on one side of all other devices, with intervals that do not overlap. levels: amplitude of each
-    device; lots: device → its lot, if known."""
+    """The lots whose devices all lie on one side of all other devices, with intervals that do not overlap. levels: amplitudes of each
+    device, one, or one before and after every step of it; lots: device → its lot, if known."""
     for lot in sorted(set(lots.values())):
         own = [name for name in levels if lots.get(name) == lot]
         others = [name for name in levels if lots.get(name) != lot]
@@ -42,19 +42,20 @@ def shared_by_lots(
         above = min(_low(levels[name]) for name in own) > max(_high(levels[name]) for name in others)
         below = max(_high(levels[name]) for name in own) < min(_low(levels[name]) for name in others)
         if chance <= MOST_CHANCE and (above or below):
-            (first, u), (second, v) = _mean(levels, own), _mean(levels, others)
-            yield SharedByLot(lot, key, tuple(own), len(others), first - second, math.hypot(u, v), chance)
+            first, second = (_mean([_mean(levels[name]) for name in names]) for names in (own, others))
+            difference, expanded = first.value - second.value, math.hypot(first.expanded, second.expanded)
+            yield SharedByLot(lot, key, tuple(own), len(others), difference, expanded, chance)
 
 
-def _low(one: Uncertain) -> float:
-    return one.value - one.expanded
+def _low(levels: Sequence[Uncertain]) -> float:
+    return min(one.value - one.expanded for one in levels)
 
 
-def _high(one: Uncertain) -> float:
-    return one.value + one.expanded
+def _high(levels: Sequence[Uncertain]) -> float:
+    return max(one.value + one.expanded for one in levels)
 
 
-def _mean(levels: Mapping[str, Uncertain], names: list[str]) -> tuple[float, float]:
-    """The mean, and the half-width of its interval; the levels count as independent."""
-    n = len(names)
-    return sum(levels[name].value for name in names) / n, math.hypot(*(levels[name].expanded for name in names)) / n
+def _mean(given: Sequence[Uncertain]) -> Uncertain:
+    """The mean, with the half-width of its interval; the values count as independent."""
+    n = len(given)
+    return Uncertain(sum(one.value for one in given) / n, math.hypot(*(one.expanded for one in given)) / n)
