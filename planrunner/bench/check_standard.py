@@ -100,7 +100,10 @@ def _check(rule: CheckStandardRule, log: Findings) -> None:
         log.error("meaning-date", rule.at("since"), message, "write year-month-day, such as 2026-03-01")
     for one in rule.coefficients.values():
         spread, centre = one.repeatability, one.reference
-        if spread is not None and spread.value < 0:
+        if spread is not None and spread.unit.offset:
+            message = f"a repeatability is a difference, which {spread.unit.text} does not state"
+            log.error("meaning-range", one.at("repeatability"), message, "write it in K")
+        elif spread is not None and spread.value < 0:
             log.error("meaning-range", one.at("repeatability"), "a repeatability is not negative", "write zero or more")
         if spread is not None and centre is not None and spread.unit.dimension != centre.unit.dimension:
             message = f"the repeatability in {spread.unit.text} does not belong to a reference in {centre.unit.text}"

@@ -11,7 +11,7 @@ from planrunner.base import plugins
 from planrunner.base.findings import InputError, Mark
 from planrunner.bench.model import read_bench, shipped_benches
 from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import add_index
+from planrunner.cli.archive_arguments import add_index, report_left_out
 from planrunner.cli.printing import print_json
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_index(standard)
     standard.add_argument("--json", action="store_true", help="print the state as JSON")
-    standard.epilog = "Exit codes: 0 in control, 1 not in control, 2 wrong input."
+    standard.epilog = "Exit codes: 0 in control, 1 not in control, 2 wrong input, 4 a run in the archive is damaged."
 
 
 def run(args: argparse.Namespace) -> int:
@@ -57,6 +57,7 @@ def _check_standard(args: argparse.Namespace) -> int:
     if state is None:
         hint = "declare it under `check_standard:` in the bench file"
         raise InputError.at(Mark(shown), "bench-check-standard", "this bench has no check standard", hint)
+    code = report_left_out(state.damaged)
     if args.json:
         print_json(state.to_json())
     else:
@@ -67,7 +68,7 @@ def _check_standard(args: argparse.Namespace) -> int:
         if state.coefficients:
             terminal.console().print(terminal.data_table(control_table(state)))
         print(printable(state.words(), keep=""))
-    return exit_codes.DONE if state.in_control else exit_codes.LIMIT_FAILED
+    return code or (exit_codes.DONE if state.in_control else exit_codes.LIMIT_FAILED)
 
 
 def _list(*, as_json: bool) -> int:

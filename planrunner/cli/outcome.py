@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from planrunner.base.documents import JsonObject
+from planrunner.base.findings import InputError
 from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done
 from planrunner.cli.printing import print_findings, print_json
@@ -72,18 +74,29 @@ def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool, run: Path | N
     """The end of a command that made one run: its results, and the exit code. A run that its bench did not sign, although it must, counts
     as a fault, unless the results already have a code of their own. After a run of the check standard of the bench, also whether it is in
     control. run: its folder, if it was made on a bench."""
-    from planrunner.tasks.check_standard import state_after
-
     done = conclude(analysis, as_json=as_json)
     unsigned = [finding.message for finding in (*outcome.unsigned, *analysis.unsigned)]
-    state = None if run is None else state_after(run)
+    standard, in_control = ({}, True) if run is None else _check_standard(run)
     if as_json:
-        more = {"unsigned": unsigned} if unsigned else {}
-        print_json(done.found | more | ({} if state is None else {"check_standard": state.to_json()}))
-    if state is not None:
-        print(printable(f"{'note' if state.in_control else 'warning'}: {state.words()}", keep=""), file=sys.stderr)
-    failed = exit_codes.DONE if state is None or state.in_control else exit_codes.LIMIT_FAILED
-    return done.code or (exit_codes.FAULT if unsigned else failed)
+        print_json(done.found | ({"unsigned": unsigned} if unsigned else {}) | standard)
+    return done.code or (exit_codes.FAULT if unsigned else exit_codes.DONE if in_control else exit_codes.LIMIT_FAILED)
+
+
+def _check_standard(run: Path) -> tuple[JsonObject, bool]:
+    """What the JSON of a run states about the check standard that it measured (null if it cannot be determined: the run is complete
+    nevertheless), and whether nothing is wrong with it. Prints it on standard error. Empty for other runs."""
+    from planrunner.tasks.check_standard import state_after
+
+    try:
+        state = state_after(run)
+    except InputError as error:
+        message = f"warning: the state of the check standard cannot be determined: {error}"
+        print(printable(message, keep=""), file=sys.stderr)
+        return {"check_standard": None}, False
+    if state is None:
+        return {}, True
+    print(printable(f"{'note' if state.in_control else 'warning'}: {state.words()}", keep=""), file=sys.stderr)
+    return {"check_standard": state.to_json()}, state.in_control
 
 
 def code_of(results: Results) -> int:

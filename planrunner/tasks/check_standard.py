@@ -12,7 +12,7 @@ from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import COMMAND_LINE, Finding, Findings, InputError, closest
 from planrunner.base.progress import Announce
 from planrunner.bench.model import Bench, bench_of
-from planrunner.night.history.check_standard import ControlState, judge, state_in
+from planrunner.night.history.check_standard import ControlStanding, ControlState, judge, state_in
 from planrunner.tasks.history import Freshness, opened
 
 CODE = "bench-check-standard"
@@ -64,9 +64,9 @@ def check_in_control(bench: Bench, state: ControlState, log: Findings) -> None:
         if rule.may_override
         else "nobody may override this on this bench"
     )
-    hint = (
-        f"run {rule.plan} with device_serial={rule.device} on this bench; if it fails again, find the cause; {allowed}"
-    )
+    measure = f"run {rule.plan} with device_serial={rule.device} on this bench; if it fails again, find the cause"
+    restore = "restore the damaged run from a backup: `planrunner verify` shows what was changed"
+    hint = f"{restore if state.standing is ControlStanding.NOT_DETERMINED else measure}; {allowed}"
     add = log.error if rule.action == "refuse" else log.warning
     add(CODE, bench.at("check_standard"), state.words(), hint)
 

@@ -23,13 +23,15 @@ LEAST = 4
 def diagnose_night(
     archive: Path, runs: Sequence[str], asked: NightDiagnosis, workers: Workers | None = None
 ) -> Iterator[tuple[JsonObject | None, str]]:
-    """For each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json), and why there is none or which runs are left out.
+    """For each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json), and why there is none or which runs are left out;
+    a last remark names the damaged runs of the archive.
 
     runs: names of the folders of the night's runs. Raises `InputError` if the index cannot be used.
     """
     since = (datetime.now(UTC) - timedelta(seconds=asked.within.value)).isoformat()
     with opened(archive, None, Freshness()) as index:
         known = [run for run in index.runs(RunFilter(since=since)) if run.state == "sealed" and run.info.get(DEVICE)]
+        damaged = ", ".join(fault.folder for fault in index.faults())
     own = [run for run in known if run.folder in runs]
     for key in dict.fromkeys((run.plan, run.title) for run in own):
         group = [run for run in known if (run.plan, run.title) == key][: asked.recent]
@@ -37,6 +39,8 @@ def diagnose_night(
             yield _of_plan(archive, group, [run.folder for run in own], workers or Workers())
         else:
             yield None, f"{key[0]}: {len(group)} runs are too few to be diagnosed together"
+    if damaged:
+        yield None, f"the night: damaged runs are left out: {damaged}"
 
 
 def _of_plan(

@@ -14,6 +14,7 @@ from planrunner.cli import main
 from planrunner.night.history.databases import INDEX
 from planrunner.night.suite import NightDiagnosis
 from planrunner.tasks.diagnose_night import diagnose_night
+from tests.night.history.made_runs import MadeRun, make_run
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCH = (ROOT / "plans" / "benches" / "virtual_imu_nominal.yaml").read_text(encoding="utf-8")
@@ -104,3 +105,14 @@ def test_a_bench_that_tilts_is_named_with_size_and_night(tmp_path: Path, monkeyp
 def test_an_archive_in_which_nothing_changes_says_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = diagnosed(archive_of(tmp_path, monkeypatch, 0.0))
     assert found["changes"] == [] and found["shared"] == [] and found["statements"] == []
+
+
+def test_a_damaged_run_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(INDEX, str(tmp_path / "index.sqlite"))
+    archive = tmp_path / "runs"
+    archive.mkdir()
+    plan = make_run(archive, MadeRun()) / "plan.yaml"
+    assert list(diagnose_night(archive, (), NightDiagnosis())) == []
+    plan.write_bytes(plan.read_bytes() + b"#")
+    ((found, remark),) = diagnose_night(archive, (), NightDiagnosis())
+    assert found is None and remark.endswith("damaged runs are left out: 0000-calibration")

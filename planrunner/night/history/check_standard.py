@@ -35,7 +35,7 @@ from planrunner.night.history.control_charts import (
     shewhart,
 )
 from planrunner.night.history.index import Index, literal
-from planrunner.night.history.rows import HistoryPoint, RunFilter, RunRow
+from planrunner.night.history.rows import FaultRow, HistoryPoint, RunFilter, RunRow
 from planrunner.night.history.trend import Trend, trend
 from planrunner.night.words import spell_out
 from planrunner.plan.units import UnknownUnitError, unit
@@ -52,6 +52,8 @@ class ControlStanding(Enum):
     MISSING = "missing"
     NOT_ESTABLISHED = "not established"
     """There is no reference value, and there are too few values for limits."""
+    NOT_DETERMINED = "not determined"
+    """A damaged run in the archive may be a newer run of the check standard."""
 
 
 class ControlTest(Enum):
@@ -105,7 +107,8 @@ class CoefficientControl:
 
 @dataclass(frozen=True)
 class ControlState:
-    """The check standard of a bench at a moment. run: its newest run, None without one. reasons: why it is not in control, in words."""
+    """The check standard of a bench at a moment. run: its newest run, None without one. reasons: why it is not in control, in words.
+    damaged: runs of the archive that cannot be read; each may be a run of the check standard."""
 
     bench: str
     device: str
@@ -113,6 +116,7 @@ class ControlState:
     run: RunRow | None = None
     coefficients: tuple[CoefficientControl, ...] = ()
     reasons: tuple[str, ...] = ()
+    damaged: tuple[FaultRow, ...] = ()
 
     @property
     def in_control(self) -> bool:
@@ -134,6 +138,7 @@ class ControlState:
             "created": None if self.run is None else self.run.created,
             "coefficients": [one.to_json() for one in self.coefficients],
             "reasons": list(self.reasons),
+            "damaged": [{"folder": fault.folder, "message": fault.message} for fault in self.damaged],
         }
 
 
@@ -146,7 +151,7 @@ def state_in(index: Index, bench: Bench, now: datetime) -> ControlState | None:
         device=literal(rule.device), plan=literal(rule.plan_name), bench=literal(bench.name), since=rule.since or ""
     )
     points = {quantity: index.points(quantity, wanted) for quantity in rule.coefficients}
-    return judge(rule, bench.name, index.runs(wanted), points, now)
+    return judge(rule, bench.name, index.runs(wanted), points, now, index.faults())
 
 
 def judge(
@@ -155,13 +160,15 @@ def judge(
     runs: Sequence[RunRow],
     points: Mapping[str, Sequence[HistoryPoint]],
     now: datetime,
+    damaged: Sequence[FaultRow] = (),
 ) -> ControlState:
     """The state at a moment. runs: of the check standard on this bench, the newest first. points: coefficient → its values in these runs,
-    the oldest first."""
+    the oldest first. damaged: runs of the archive that cannot be read."""
+    lost = [f"the damaged run {fault.folder} may be one of its runs" for fault in damaged]
     newest = next((run for run in runs if run.state == "sealed"), None)
     if newest is None:
         reason = f"no finished run of the plan '{rule.plan_name}' with this device on this bench is in the archive"
-        return ControlState(bench, rule.device, ControlStanding.MISSING, None, (), (reason,))
+        return ControlState(bench, rule.device, ControlStanding.MISSING, None, (), (reason, *lost), tuple(damaged))
     found: list[CoefficientControl] = []
     wrong: list[str] = []
     unknown: list[str] = []
@@ -188,6 +195,7 @@ def judge(
             state
             for state, reasons in (
                 (ControlStanding.OUT_OF_CONTROL, wrong),
+                (ControlStanding.NOT_DETERMINED, lost),
                 (ControlStanding.TOO_OLD, old),
                 (ControlStanding.NOT_ESTABLISHED, unknown),
             )
@@ -195,7 +203,8 @@ def judge(
         ),
         ControlStanding.IN_CONTROL,
     )
-    return ControlState(bench, rule.device, standing, newest, tuple(found), (*wrong, *old, *unknown))
+    reasons = (*wrong, *lost, *old, *unknown)
+    return ControlState(bench, rule.device, standing, newest, tuple(found), reasons, tuple(damaged))
 
 
 def _age(run: RunRow, rule: CheckStandardRule, now: datetime) -> Iterator[str]:

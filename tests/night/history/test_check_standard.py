@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -12,12 +13,13 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
+from planrunner.base.findings import Findings
 from planrunner.base.workers import ALONE
 from planrunner.bench.model import Bench, parse_bench
 from planrunner.night.history.check_standard import ControlStanding, ControlState, ControlTest
 from planrunner.night.history.databases import INDEX
 from planrunner.plan import source
-from planrunner.tasks.check_standard import control_state
+from planrunner.tasks.check_standard import check_in_control, control_state
 from planrunner.tasks.check_suite import check_suite
 from tests.in_process import planrunner
 from tests.night.history.made_runs import BEGIN, MadeRun, make_run
@@ -156,6 +158,41 @@ def test_wrong_rules_are_found_at_their_place() -> None:
     assert [item.code for item in log] == ["meaning-check-standard"]
 
 
+def test_a_repeatability_in_a_unit_with_an_offset_is_refused_where_it_stands() -> None:
+    """0.01 °C read as a temperature would be τ = 273.16 K: no limit would ever be exceeded."""
+    for text in ("0.01 degC", "0.01 degF", "0.01 K"):
+        rule = {
+            "device": "CS-01",
+            "plan": "standard.yaml",
+            "coefficients": {"drift.bias": {"reference": "25 degC ± 0.1 degC", "repeatability": text}},
+            "max_age": "1 d",
+        }
+        document = json.dumps(rule, ensure_ascii=False)
+        log = parse_bench(source.parse(f"{VIRTUAL}check_standard: {document}\n", "lab.yaml"))[1]
+        column = len("check_standard: ") + document.index(f'"{text}"') + 1
+        assert [str(item.mark) for item in log.errors] == ([] if text == "0.01 K" else [f"lab.yaml:57:{column}"])
+        assert all("write it in K" in item.hint for item in log.errors)
+
+
+def test_a_damaged_run_may_be_the_newest_one_and_admits_nothing(tmp_path: Path) -> None:
+    """Somebody changes a byte of the newest run, which is out of control: the run before it was in control and is young enough."""
+    bench = bench_with(coefficients={"drift.bias": {"reference": "1.0 deg/h"}}, action="refuse")
+    archive = archive_of(tmp_path, [1.0, 5.0], 0.1)
+    assert state(bench, archive, days=2).standing is ControlStanding.OUT_OF_CONTROL
+    plan = archive / "0001-standard" / "plan.yaml"
+    plan.write_bytes(plan.read_bytes() + b"#")
+    found = state(bench, archive, days=2)
+    assert found.standing is ControlStanding.NOT_DETERMINED
+    assert found.reasons == ("the damaged run 0001-standard may be one of its runs",)
+    assert [fault.folder for fault in found.damaged] == ["0001-standard"]
+    log = Findings()
+    check_in_control(bench, found, log)
+    (error,) = log.errors
+    assert "restore the damaged run" in error.hint
+    shutil.rmtree(archive / "0000-standard")
+    assert state(bench, archive, days=2).standing is ControlStanding.MISSING
+
+
 # -- commands ----------------------------------------------------------------------------------------------------------
 
 PLAN = """\
@@ -250,6 +287,34 @@ def test_a_bench_whose_check_standard_is_out_of_control_refuses_and_an_override_
     let = planrunner(*words, "--override-check-standard", "levelled again", "--override-by", "anna", cwd=tmp_path)
     assert let.returncode == 0 and "anna let this run begin: levelled again" in let.stderr
     assert run_json(tmp_path)["check_standard"]["override"] == {"by": "anna", "why": "levelled again"}
+
+
+def test_a_damaged_run_is_named_and_refuses_plans(tmp_path: Path) -> None:
+    lab(tmp_path)
+    measured = planrunner("run", "standard.yaml", "--set", "device_serial=CS-01", "--quiet", cwd=tmp_path)
+    assert measured.returncode == 0
+    (tmp_path / "other").mkdir()
+    damaged = make_run(tmp_path / "other", MadeRun()).rename(tmp_path / "runs" / "damaged")
+    (damaged / "plan.yaml").write_text("planrunner: 1\ntitle: Another\n", encoding="utf-8")
+    shown = planrunner("bench", "check-standard", "lab.yaml", "--json", cwd=tmp_path)
+    assert shown.returncode == 4 and "not in the index: damaged: " in shown.stderr
+    document = json.loads(shown.stdout)
+    schema = json.loads((ROOT / "schemas" / "check-standard.schema.json").read_bytes())
+    Draft202012Validator(schema).validate(document)
+    assert document["standing"] == "not determined" and [one["folder"] for one in document["damaged"]] == ["damaged"]
+    refused = planrunner("run", "work.yaml", "--set", "device_serial=D1", "--quiet", cwd=tmp_path)
+    assert refused.returncode == 2 and "the damaged run damaged may be one of its runs" in refused.stderr
+
+
+def test_a_run_whose_index_cannot_be_used_still_gives_its_results(tmp_path: Path) -> None:
+    lab(tmp_path)
+    (tmp_path / "index").mkdir()
+    words = ("run", "standard.yaml", "--set", "device_serial=CS-01", "--json", "--quiet")
+    measured = planrunner(*words, cwd=tmp_path, **{INDEX: str(tmp_path / "index")})
+    assert measured.returncode == 1
+    assert "the state of the check standard cannot be determined" in measured.stderr
+    document = json.loads(measured.stdout)
+    assert document["check_standard"] is None and document["estimates"]
 
 
 def test_a_bench_may_only_warn(tmp_path: Path) -> None:
