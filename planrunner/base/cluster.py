@@ -54,12 +54,10 @@ _SCHEDULER = "--scheduler"
 
 @dataclass(frozen=True, slots=True)
 class _Terms:
-    """What holds for each item. versions: of the program and the libraries. directory: the working directory. seen: a folder that the
-    worker must see."""
+    """What holds for each item. versions: of the program and the libraries. directory: the working directory."""
 
     versions: Mapping[str, str]
     directory: str
-    seen: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,14 +93,14 @@ def computed_on_cluster(
     work: Callable[[T], R],
     items: Sequence[T],
     address: str,
-    seen: Path | None = None,
     tell: Callable[[float], None] | None = None,
 ) -> Iterator[R]:
-    """The results of `work` for all items, in their order; see `workers.results_in_order`. address: of the scheduler. seen: a folder that
-    the workers must see. Raises `InputError` if the cluster cannot be used, and `ProcessEndedError` if it ends."""
+    """The results of `work` for all items, in their order; see `workers.results_in_order`. address: of the scheduler. Raises
+    `InputError` if the cluster cannot be used, for example because a worker does not see a path among the items, and `ProcessEndedError`
+    if it ends."""
     if not items:
         return
-    terms = _Terms(versions(), os.getcwd(), None if seen is None else str(seen))
+    terms = _Terms(versions(), os.getcwd())
     with _connected(address) as client:
         packed = _packed(work)
         threads = sum(one["nthreads"] for one in client.scheduler_info(n_workers=-1)["workers"].values())
@@ -115,7 +113,8 @@ def computed_on_cluster(
                 size = max(
                     1, min(size, math.ceil((len(items) - sent) / ahead))
                 )  # the last tasks are shared by all workers too
-                waiting.append(client.submit(_compute, packed, terms, tuple(items[sent : sent + size]), pure=False))
+                some = tuple(items[sent : sent + size])
+                waiting.append(client.submit(_compute, packed, terms, some, _paths(some), pure=False))
                 sent += size
             answer = _answer_of(waiting.popleft(), address)
             _require_fit(answer, terms, address)
@@ -142,8 +141,14 @@ def _packed(work: Callable[[T], R]) -> bytes:
     return bytes(cloudpickle.dumps(work))
 
 
-def _compute(packed: bytes, terms: _Terms, items: Sequence[T]) -> _Answer:
-    """On a worker: the items of a task."""
+def _paths(items: Sequence[object]) -> tuple[str, ...]:
+    """The files and folders that exist here, among the items and their parts."""
+    parts = (part for item in items for part in (item if isinstance(item, tuple) else (item,)))
+    return tuple(str(part) for part in parts if isinstance(part, Path) and part.exists())
+
+
+def _compute(packed: bytes, terms: _Terms, items: Sequence[T], paths: Sequence[str] = ()) -> _Answer:
+    """On a worker: the items of a task. paths: the worker must see them."""
     own = versions()
     unfit = {
         name: (one, own.get(name, "not installed")) for name, one in terms.versions.items() if own.get(name) != one
@@ -156,9 +161,10 @@ def _compute(packed: bytes, terms: _Terms, items: Sequence[T]) -> _Answer:
         work = _unpacked(packed)
     except (ImportError, AttributeError) as error:
         return _Answer(unfit={"plug-ins": ("those of the command", str(error))}, worker=_name())
-    with _ONE_AT_A_TIME, _in_directory(terms.directory):
-        if terms.seen is not None and not os.path.exists(terms.seen):
-            return _Answer(unseen=terms.seen, worker=_name())
+    with _ONE_AT_A_TIME, _in_directory(terms.directory) as there:
+        for path in paths:
+            if not (there or os.path.isabs(path)) or not os.path.exists(path):
+                return _Answer(unseen=path, worker=_name())
         began, results = monotonic(), list[object]()
         with threadpool_limits(limits=1, user_api="blas"):
             try:
@@ -176,13 +182,14 @@ def _unpacked(packed: bytes) -> Callable[[object], object]:
 
 
 @contextlib.contextmanager
-def _in_directory(path: str) -> Iterator[None]:
-    """In the working directory of the command, where the worker has it: relative paths then mean the same, also in messages."""
-    before = os.getcwd()
+def _in_directory(path: str) -> Iterator[bool]:
+    """In the working directory of the command: relative paths then mean the same, also in messages. Gives whether the worker has it."""
+    before, there = os.getcwd(), False
     with contextlib.suppress(OSError):
         os.chdir(path)
+        there = True
     try:
-        yield
+        yield there
     finally:
         os.chdir(before)
 
@@ -277,7 +284,7 @@ def _require_fit(answer: _Answer, terms: _Terms, address: str) -> None:
         hint = "install the same versions on each worker: results are otherwise not the same to the last digit"
         raise InputError.at(Mark(_SCHEDULER), "scheduler-versions", message, hint)
     if answer.unseen:
-        message = f"the worker {answer.worker} of {address} does not see the folder {answer.unseen}"
+        message = f"the worker {answer.worker} of {address} does not see {answer.unseen}"
         where = os.path.join(terms.directory, answer.unseen)
         raise InputError.at(
             Mark(_SCHEDULER), "scheduler-folder", message, f"share {where} with each worker, under the same path"

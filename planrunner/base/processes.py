@@ -54,7 +54,7 @@ def shared_out(
     tell = tell or _untold
     method = "fork" if _may_fork() else "spawn"
     most = min(processors(), len(items) // _PAYS[method]) if jobs is None else min(jobs, len(items))
-    if most < 2:
+    if most < 2 or _is_worker():
         alone = []
         for number, item in enumerate(items, start=1):
             alone.append(work(item))
@@ -85,6 +85,13 @@ def _up_to_a_failure(work: Callable[[T], R], share: Sequence[T], tell: Callable[
             results.append(work(item))
             tell(len(results) / len(share))
     return results
+
+
+def _is_worker() -> bool:
+    """Whether this process is itself a worker, of this module or of Dask: such a process must not start others."""
+    from multiprocessing import current_process
+
+    return current_process().daemon
 
 
 def _may_fork() -> bool:

@@ -7,7 +7,6 @@ results come in the order of the items. `processes` and `cluster` are the two ba
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from time import monotonic
 from typing import TypeVar
 
@@ -21,11 +20,10 @@ R = TypeVar("R")
 @dataclass(frozen=True, slots=True)
 class Workers:
     """jobs: processes of this machine, this one included; None: as many as pay. scheduler: address of a Dask scheduler, which is used
-    instead, such as `tcp://10.0.0.5:8786`. seen: a folder that every worker of the cluster must see under the same path."""
+    instead, such as `tcp://10.0.0.5:8786`. Every worker of the cluster must see the paths among the items under the same names."""
 
     jobs: int | None = None
     scheduler: str | None = None
-    seen: Path | None = None
 
 
 ALONE = Workers(1)
@@ -58,7 +56,7 @@ def results_in_order(
     if workers.scheduler is not None:
         from planrunner.base.cluster import computed_on_cluster
 
-        yield from computed_on_cluster(work, items, workers.scheduler, workers.seen, tell)
+        yield from computed_on_cluster(work, items, workers.scheduler, tell)
         return
     jobs = processors() if workers.jobs is None else workers.jobs
     size, done = 1 if jobs == 1 else _FEW * jobs, 0

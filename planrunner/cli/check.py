@@ -54,7 +54,12 @@ def run(args: argparse.Namespace) -> int:
     # Recordings are read one after the other, with progress, and none has to share the memory.
     workers = ALONE if args.data is not None else workers_of(args, None)
     require_usable(args)
-    answers = results_of(partial(_answer, args), args.plans, workers)
+    if workers.scheduler is None:
+        answers = results_of(partial(_answer, args), args.plans, workers)
+    else:
+        bench = None if args.bench is None else Path(args.bench)
+        found = results_of(partial(_answer_elsewhere, args), [(Path(plan), bench) for plan in args.plans], workers)
+        answers = [one or _answer(args, plan) for plan, one in zip(args.plans, found, strict=True)]
     if args.json:
         print_json([finding.to_json() for answer in answers for finding in answer.findings])
     else:
@@ -73,17 +78,29 @@ class _Answer:
     summary: str
 
 
+def _answer_elsewhere(args: argparse.Namespace, files: tuple[Path, Path | None]) -> _Answer | None:
+    """On a worker of a cluster: None if this computer does not decide it. files: the plan, and the bench that was given."""
+    plan, _ = files
+    if is_suite(plan):
+        return None  # its plans are shared
+    checked = check_plan(plan, bench=args.bench)
+    return _finished(args, checked) if checked.portable else None
+
+
 def _answer(args: argparse.Namespace, plan: str) -> _Answer:
     if is_suite(Path(plan)):
         suite = checked_suite(args, Path(plan))
         return _Answer(tuple(suite.findings), suite.ok, "" if args.json else suite_summary(suite))
-    checked = check_plan(Path(plan), bench=args.bench)
+    return _finished(args, check_plan(Path(plan), bench=args.bench))
+
+
+def _finished(args: argparse.Namespace, checked: Checked) -> _Answer:
     if args.unattended and checked.bench is not None and checked.schedule is not None:
         check_unattended(checked.bench, checked.schedule, checked.findings)
     if checked.bench is not None and checked.bench.check_standard is not None:
         from planrunner.tasks.check_standard import check_before_run
 
-        check_before_run(checked.bench, Path(plan).stem, args.runs, checked.findings)
+        check_before_run(checked.bench, Path(checked.file).stem, args.runs, checked.findings)
     if args.data is not None and checked.models is not None and checked.models.replays:
         from planrunner.tasks.check_recording import check_recording
 

@@ -31,7 +31,7 @@ def run_fleet(args: argparse.Namespace, runs: list[Path], nominal: tuple[str, ..
         message = f"{', '.join(given)} cannot be given with several runs"
         raise InputError.at(COMMAND_LINE, "gap-arguments", message, "diagnose one run at a time with these options")
     with reading_progress() as notice:
-        made = diagnose_fleet(runs, nominal, args.origins, workers_of(args, processors(), runs[0]), notice)
+        made = diagnose_fleet(runs, nominal, args.origins, workers_of(args, processors()), notice)
     print_findings(made.findings)
     found = made.to_json()
     if args.html is not None:

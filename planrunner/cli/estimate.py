@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     if args.analysis is not None and not args.prove:
         raise InputError.at(COMMAND_LINE, "command-usage", "--analysis belongs to --prove", "add --prove")
-    workers = workers_of(args, seen=args.runs[0])
+    workers = workers_of(args)
     runs = runs_of(args)
     if args.prove:
         work = partial(_proved, args.analysis)
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         return each_run(runs, lambda folder: _estimate(folder, as_json=args.json), as_json=args.json)
     from planrunner.tasks.run import evaluate_run
 
-    keep = partial(_keep, as_json=args.json)
+    keep = partial(_keep, as_json=args.json, elsewhere=workers.scheduler is not None)
     return each_result(runs, evaluate_run, keep, workers, what="estimating the runs", as_json=args.json)
 
 
@@ -60,11 +60,11 @@ def _estimate(folder: Path, *, as_json: bool) -> Done:
     return _keep(made, as_json=as_json)
 
 
-def _keep(made: Evaluated, *, as_json: bool) -> Done:
+def _keep(made: Evaluated, *, as_json: bool, elsewhere: bool = False) -> Done:
     from planrunner.archive.remote import push_back
     from planrunner.tasks.run import keep
 
-    analysis = keep(made)
+    analysis = keep(made, elsewhere=elsewhere)
     push_back(made.run)
     if analysis.before is not None:
         verdict = "the same numbers as" if analysis.same else "OTHER NUMBERS than"

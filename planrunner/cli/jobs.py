@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import re
-from pathlib import Path
 
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.base.workers import Workers
@@ -39,12 +38,13 @@ def add_workers(parser: argparse.ArgumentParser, jobs: str) -> None:
         metavar="ADDRESS",
         type=scheduler,
         help=f"compute on the Dask cluster of this scheduler, such as tcp://10.0.0.5:8786; {HERE}: on one process per processor of this "
-        "machine. The results are the same to the last digit",
+        "machine. The results are the same to the last digit. The cluster and this computer can run programs on each other: give only an "
+        "address that you trust",
     )
 
 
-def workers_of(args: argparse.Namespace, jobs: int | None = 1, seen: Path | None = None) -> Workers:
-    """The workers that were asked for. jobs: processes if neither option is given. seen: a folder that every worker must see."""
+def workers_of(args: argparse.Namespace, jobs: int | None = 1) -> Workers:
+    """The workers that were asked for. jobs: processes if neither option is given."""
     if args.scheduler is None:
         return Workers(jobs if args.jobs is None else args.jobs)
     if args.scheduler == HERE:
@@ -52,4 +52,4 @@ def workers_of(args: argparse.Namespace, jobs: int | None = 1, seen: Path | None
     if args.jobs is not None:
         message = "--jobs is for the processes of this machine, not for a cluster"
         raise InputError.at(COMMAND_LINE, "command-usage", message, "give --jobs or --scheduler")
-    return Workers(1, args.scheduler, seen)
+    return Workers(1, args.scheduler)

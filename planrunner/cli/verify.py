@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         message = "--revoked belongs to --authority"
         raise InputError.at(COMMAND_LINE, "command-usage", message, "give the certificate of the authority too")
     authority = None if args.authority is None else _authority(args.authority, args.revoked)
-    workers = workers_of(args, seen=archive)
+    workers = workers_of(args)
     examined: list[LoggedRun] = []
     bad = 0
 

@@ -78,10 +78,13 @@ def sign_seal(folder: GuardedFolder, run: str, bench: Bench, storage: Storage | 
     return ()
 
 
-def sign_analysis(reader: RunReader, bench: Bench, analysis: StoredAnalysis, results: Results) -> tuple[Finding, ...]:
+def sign_analysis(
+    reader: RunReader, bench: Bench, analysis: StoredAnalysis, results: Results, *, elsewhere: bool = False
+) -> tuple[Finding, ...]:
     """Signs an analysis that has just been made from the run. Returns why it is not signed; empty if it is, or need not be.
 
-    The bench signs only if it signed the seal too: then the samples are those that it recorded, whoever had the folder since.
+    The bench signs only if it signed the seal too: then the samples are those that it recorded, whoever had the folder since. elsewhere:
+    another computer made the results; the bench does not sign what it has not computed.
     """
     public = key_of(bench)
     if public is None or not reader.sealed:
@@ -89,6 +92,8 @@ def sign_analysis(reader: RunReader, bench: Bench, analysis: StoredAnalysis, res
     try:
         with locked(reader.folder):
             _require_signed_seal(reader)
+            if elsewhere:
+                raise BenchKeyError("another computer made it")
             signer, result = bench_signer(public), statement_result(results)
             _sign(reader.folder, reader.run["run"], bench.name, signer, "evaluated", result, (analysis.number,))
     except (BenchKeyError, InputError, OSError) as error:

@@ -77,6 +77,12 @@ class Checked:
     def ok(self) -> bool:
         return self.schedule is not None and not self.findings.errors
 
+    @property
+    def portable(self) -> bool:
+        """Whether another computer would find the same: it has no signing key and perhaps other runs, and may lack files."""
+        bench = self.bench
+        return self.ok and bench is not None and bench.signing is None and bench.check_standard is None
+
     def sound(self) -> Sound:
         """The plan with everything needed to run it. Raises `InputError` with the findings if there are errors."""
         if (

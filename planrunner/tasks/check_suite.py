@@ -21,7 +21,7 @@ from planrunner.night.suite import HEADER, Suite, SuiteDevice, read_suite
 from planrunner.night.timetable import NightForecast, foresee, night_hours
 from planrunner.plan import source
 from planrunner.plan.run_information import DEVICE
-from planrunner.tasks.check import Document, check_plan
+from planrunner.tasks.check import Checked, Document, check_plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +227,11 @@ def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
     log = checked.findings
     pairs = {(test.file, test.bench): test for test in checked.tests}
     items = [(file, bench_file(suite, checked.file, bench)) for file, bench in pairs]
-    answers = results_of(_look_at, items, workers)
+    if workers.scheduler is None:
+        answers = results_of(_look_at, items, workers)
+    else:
+        found = results_of(_look_elsewhere, [(file, bench, Path(bench)) for file, bench in items], workers)
+        answers = [one or _look_at(item) for item, one in zip(items, found, strict=True)]
     for (pair, test), answer in zip(pairs.items(), answers, strict=True):
         checked.plans[pair] = answer
         for finding in answer.findings:
@@ -246,9 +250,19 @@ def _plan_of(test: PlannedTest) -> Mark:
     return test.mark if test.standard else test.plan.at("plan")
 
 
+def _look_elsewhere(given: tuple[Path, str, Path]) -> PlanOnBench | None:
+    """On a worker of a cluster: None if this computer does not decide it. given: the plan, and the bench, also as a path."""
+    file, bench, _ = given
+    found = check_plan(file, bench)
+    return _seen(found) if found.portable else None
+
+
 def _look_at(pair: tuple[Path, str]) -> PlanOnBench:
     file, bench = pair
-    found = check_plan(file, bench)
+    return _seen(check_plan(file, bench))
+
+
+def _seen(found: Checked) -> PlanOnBench:
     if found.bench is not None and found.schedule is not None:
         check_unattended(found.bench, found.schedule, found.findings)
     asks = () if found.plan is None else tuple((name, item.required) for name, item in found.plan.record.items())

@@ -468,11 +468,12 @@ def evaluate_run(
     )
 
 
-def keep(made: Evaluated) -> Analysis:
-    """Writes an evaluation to its run, as a new analysis."""
+def keep(made: Evaluated, *, elsewhere: bool = False) -> Analysis:
+    """Writes an evaluation to its run, as a new analysis. elsewhere: another computer made it, so that the bench does not sign it."""
     reader = RunReader.open(made.run)
     stored = add_analysis(reader.folder, made.files, made.basis)
-    unsigned = sign_analysis(replace(reader, basis=made.basis), made.bench, stored, made.results)
+    reader = replace(reader, basis=made.basis)
+    unsigned = sign_analysis(reader, made.bench, stored, made.results, elsewhere=elsewhere)
     paths = tuple(stored.path / name for name in made.reports)
     return Analysis(
         stored.path, made.results, made.headline, paths, made.withheld, made.remarks, made.before, made.same, unsigned

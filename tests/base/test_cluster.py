@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from planrunner.base import cluster as on_cluster
 from planrunner.base.findings import InputError
 from planrunner.base.processes import ProcessEndedError
 from planrunner.base.workers import ALONE, Workers, results_in_order, results_of
@@ -40,6 +41,10 @@ def marked(folder: Path, item: int) -> tuple[int, bytes]:
     return item, drawn(7, item)
 
 
+def name_of(path: Path) -> str:
+    return path.name
+
+
 def fails(item: int) -> int:
     if item >= 5:
         raise ArithmeticError(f"of {item}")
@@ -57,8 +62,8 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
         yield found
 
 
-def on(cluster: Cluster, seen: Path | None = None) -> Workers:
-    return Workers(1, cluster.address, seen)
+def on(cluster: Cluster) -> Workers:
+    return Workers(1, cluster.address)
 
 
 def refusal(address: str) -> str:
@@ -86,10 +91,37 @@ def test_the_first_failure_is_raised_after_the_results_before_it(cluster: Cluste
 
 
 @pytest.mark.slow
-def test_a_folder_that_a_worker_does_not_see_is_a_message(cluster: Cluster, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="does not see the folder"):
-        results_of(fails, range(3), on(cluster, tmp_path / "absent"))
-    assert results_of(fails, range(3), on(cluster, tmp_path)) == [0, 1, 2]
+def test_a_folder_that_a_worker_does_not_see_is_a_message(
+    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert results_of(name_of, [tmp_path, tmp_path / "absent"], on(cluster)) == [tmp_path.name, "absent"]
+    monkeypatch.setattr(on_cluster, "_paths", lambda items: (str(tmp_path / "only here"),))
+    with pytest.raises(InputError, match="only here"):
+        results_of(name_of, [tmp_path], on(cluster))
+
+
+@pytest.mark.parametrize("items", [[Path("runs/a")], [Path("runs/a"), Path("runs/b")], [(Path("runs/b"), "bench")]])
+def test_a_worker_never_computes_on_its_own_folder_of_the_same_name(
+    items: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder of the command has all runs. The worker has no such folder, or one without run b; its own folder has all runs too."""
+    for place in ("command", "worker"):
+        for run in "ab":
+            (tmp_path / place / "runs" / run).mkdir(parents=True)
+    shared = tmp_path / "shared"
+    (shared / "runs" / "a").mkdir(parents=True)
+    monkeypatch.setattr(on_cluster, "_name", lambda: "worker 1")
+    monkeypatch.chdir(tmp_path / "command")
+    paths = on_cluster._paths(items)
+    assert paths == tuple(str(item[0] if isinstance(item, tuple) else item) for item in items)
+    monkeypatch.chdir(tmp_path / "worker")
+    work = on_cluster._packed(str)
+    absent = on_cluster._Terms(on_cluster.versions(), str(tmp_path / "absent"))
+    assert on_cluster._compute(work, absent, items, paths).unseen == paths[0]
+    partly = on_cluster._Terms(on_cluster.versions(), str(shared))
+    unseen = on_cluster._compute(work, partly, items, paths).unseen
+    assert unseen == ("runs/b" if "runs/b" in paths else "")
+    assert on_cluster._compute(work, absent, [1, 2]).results == ("1", "2")
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import multiprocessing
 import os
 import select
 import signal
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from planrunner.base.processes import shared_out
 from tests.conftest import ROOT
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and inherited pipes as on POSIX")
@@ -176,3 +178,9 @@ def test_sigterm_to_the_first_ends_all(waiting: _Waiting) -> None:
     assert (waiting.process.returncode, err) == (130, "ended by SIGTERM\n")
     _until_all_are_gone(waiting.held)
     os.close(waiting.release)
+
+
+def test_a_worker_starts_no_other_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python refuses processes of a daemonic process; workers of this package and of Dask are daemonic."""
+    monkeypatch.setitem(vars(multiprocessing.current_process())["_config"], "daemon", True)
+    assert shared_out(abs, range(-200, 0), 2) == [*range(200, 0, -1)]

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
+import pickle
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from planrunner.execution.stopping import StopRequest
+from planrunner.signing.keys import PrivateKey, write_unencrypted
 from planrunner.tasks import run as running
 from planrunner.tasks.check import check_plan
 from tests.conftest import ROOT
@@ -18,6 +24,7 @@ from tests.dask_cluster import Cluster, dask_cluster
 from tests.in_process import planrunner
 
 pytest.importorskip("distributed")
+cloudpickle = pytest.importorskip("cloudpickle")
 
 _PLAN = ROOT / "tests" / "agreement" / "corpus" / "counts_that_alternate.yaml"
 _RUNS = 6
@@ -108,3 +115,51 @@ def test_processes_and_a_cluster_exclude_each_other(tmp_path: Path) -> None:
 def test_one_run_is_not_diagnosed_on_a_cluster(tmp_path: Path) -> None:
     done = planrunner("diagnose", "run", "--scheduler", "tcp://127.0.0.1:1", cwd=tmp_path)
     assert done.returncode == 2 and "--scheduler is for several runs" in done.stderr
+
+
+_STANDARD = "check_standard: {device: C, plan: c.yaml, coefficients: {drift.D_X_F: {}}, max_age: 1 h, action: warn}\n"
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """The answers of a cluster that sees the plans, but has no signing keys."""
+    answers: list[object] = []
+    monkeypatch.delenv("SSH_AUTH_SOCK", raising=False)
+    monkeypatch.setenv("PLANRUNNER_STATE", str(tmp_path / "state"))
+    key = PrivateKey(Ed25519PrivateKey.from_private_bytes(bytes([11]) * 32))
+    (tmp_path / "state" / "signing-keys").mkdir(parents=True)
+    (tmp_path / "state").chmod(0o700)
+    write_unencrypted(tmp_path / "state" / "signing-keys" / "lab.pem", key)
+    (tmp_path / "state" / "signing-keys" / "lab.pem.pub").write_text(f"{key.public.line} lab\n")
+    bench = (ROOT / "plans" / "benches" / "virtual.yaml").read_text(encoding="utf-8")
+    plan = (ROOT / "plans" / "flexure_gyro_eight_position.yaml").read_text(encoding="utf-8")
+    for name, more in {"signed": f"signing: {{key: {key.public.line}}}\n", "plain": "", "watched": _STANDARD}.items():
+        (tmp_path / f"bench_{name}.yaml").write_text(bench + more)
+        (tmp_path / f"{name}.yaml").write_text(re.sub("(?m)^bench: .*", f"bench: bench_{name}.yaml", plan))
+
+    def computed(work: Callable[[Any], Any], items: Sequence[Any], *_: object) -> Iterator[Any]:
+        work = pickle.loads(cloudpickle.dumps(work))
+        for item in items:
+            with mock.patch.dict(os.environ, PLANRUNNER_STATE=str(tmp_path / "worker")):
+                answers.append(work(item))
+            yield answers[-1]
+
+    monkeypatch.setattr("planrunner.base.cluster.computed_on_cluster", computed)
+    return answers
+
+
+@pytest.mark.parametrize("file", ["plans", "suite"])
+def test_what_belongs_to_this_computer_is_checked_here(file: str, elsewhere: list[object], tmp_path: Path) -> None:
+    (tmp_path / "suite.yaml").write_text(
+        "planrunner_suite: 1\ntitle: Two\nbenches: {s: {bench: bench_signed.yaml}, p: {bench: bench_plain.yaml}}\n"
+        "devices: {FG-7: {benches: s}, FG-8: {benches: p}}\nset: {operator: ann, device_serial: X}\n"
+        "plans: {a: {plan: signed.yaml, devices: FG-7}, b: {plan: plain.yaml, devices: FG-8}}\n"
+    )
+    words = ("signed.yaml", "plain.yaml", "watched.yaml") if file == "plans" else ("suite.yaml",)
+    here, there = (
+        planrunner("check", *words, *options, cwd=tmp_path) for options in ((), ("--scheduler", "tcp://127.0.0.1:1"))
+    )
+    assert here.returncode == 0, here.stdout + here.stderr
+    assert (here.returncode, here.stdout, here.stderr) == (there.returncode, there.stdout, there.stderr)
+    decided = [one is not None for one in elsewhere]
+    assert decided == ([False, True, False] if file == "plans" else [False, False, True])

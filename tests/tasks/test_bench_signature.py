@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -124,6 +124,20 @@ def test_every_further_analysis_is_signed(run: Path) -> None:
     assert found.changes == ()
     numbers = [one.analyses for one in found.signatures]
     assert numbers == [(), *((one.number,) for one in found.found.analyses)]
+
+
+def test_what_a_cluster_computed_is_signed_after_it_was_recomputed(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def computed(work: Callable[[Path], object], items: Sequence[Path], *_: object) -> Iterator[object]:
+        yield from map(work, items)
+
+    monkeypatch.setattr("planrunner.base.cluster.computed_on_cluster", computed)
+    done = planrunner("estimate", run, "--json", "--scheduler", "tcp://127.0.0.1:1", cwd=run.parent)
+    assert done.returncode == 0 and "another computer made it" in json.loads(done.stdout)[0]["unsigned"][0]
+    assert f"`planrunner sign {run} --as recorded`" in done.stderr
+    assert [one.analyses for one in verify_run(run, ring()).signatures] == [(), (1,)]
+    assert planrunner("sign", run, "--as", "recorded", cwd=run.parent).returncode == 0
+    found = verify_run(run, ring())
+    assert found.changes == () and [one.analyses for one in found.signatures] == [(), (1,), (2,)]
 
 
 def test_a_missing_key_is_announced_and_loses_nothing(state: Path, tmp_path: Path) -> None:
