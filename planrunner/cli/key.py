@@ -47,7 +47,7 @@ def _new(args: argparse.Namespace) -> int:
     if public.exists():
         raise InputError.at(Mark(str(public)), "key-exists", "this file exists already", "choose another name")
     write_private(args.file, key, passphrase(args, twice=True))
-    write_new(public, f"{key.public.line} {args.file.stem}\n".encode())
+    _write_public(args.file, f"{key.public.line} {args.file.stem}\n")
     return _tell(args, key.public.line, key.public.fingerprint)
 
 
@@ -56,6 +56,9 @@ def _new_for_bench(args: argparse.Namespace) -> int:
 
     from planrunner.signing.bench_key import BenchKeyError, new_bench_key
 
+    if args.passphrase_fd is not None:
+        message = "the key of a bench has no passphrase, because nobody may be present when it signs"
+        raise InputError.at(COMMAND_LINE, "command-usage", message, "leave --passphrase-fd out")
     name = str(args.file)
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,79}", name):
         message = f"'{name}' is not a name for the key of a bench"
@@ -65,10 +68,19 @@ def _new_for_bench(args: argparse.Namespace) -> int:
     except BenchKeyError as error:
         hint = "set PLANRUNNER_STATE to a folder that belongs to you"
         raise InputError.at(COMMAND_LINE, "bench-signing-key", str(error), hint) from None
-    write_new(path.with_name(f"{path.name}.pub"), f"{key.public.line} {name}\n".encode())
+    _write_public(path, f"{key.public.line} {name}\n")
     if not args.json:
         print(f"private key: {path}\nadd to the bench file:\nsigning: {{key: {key.public.line}}}")
     return _tell(args, key.public.line, key.public.fingerprint)
+
+
+def _write_public(private: Path, line: str) -> None:
+    """Writes the public key beside its private key, which is removed if that fails: nobody could use it."""
+    try:
+        write_new(private.with_name(f"{private.name}.pub"), line.encode())
+    except InputError:
+        private.unlink(missing_ok=True)
+        raise
 
 
 def _show(args: argparse.Namespace) -> int:

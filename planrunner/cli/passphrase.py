@@ -7,8 +7,8 @@ import os
 import sys
 
 from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.signing.passphrase import VARIABLE, of_environment
 
-VARIABLE = "PLANRUNNER_PASSPHRASE"
 _MOST = 1024  # bytes
 
 
@@ -30,8 +30,8 @@ def passphrase(args: argparse.Namespace, *, twice: bool = False) -> bytes:
             message = f"the file descriptor {args.passphrase_fd} cannot be read: {error.strerror}"
             raise InputError.at(COMMAND_LINE, "key-passphrase", message, "redirect a file to it") from None
         return data.partition(b"\n")[0]
-    if VARIABLE in os.environ:
-        return os.environ[VARIABLE].encode()
+    if (stated := of_environment()) is not None:
+        return stated
     if sys.stdin is None or not sys.stdin.isatty():
         hint = f"set {VARIABLE} in the environment, or give --passphrase-fd"
         raise InputError.at(COMMAND_LINE, "key-passphrase", "there is no terminal to ask for the passphrase", hint)

@@ -6,12 +6,11 @@ keys of SSH), or its passphrase is in the environment.
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 
 from planrunner.archive.origin import OriginUnknownError, state_folder
-from planrunner.base.findings import InputError
+from planrunner.base.findings import InputError, Mark
 from planrunner.base.trusted_folders import UntrustedFolderError, make_private, trusted
 from planrunner.signing.keys import (
     PrivateKey,
@@ -23,13 +22,12 @@ from planrunner.signing.keys import (
     read_public,
     write_unencrypted,
 )
+from planrunner.signing.passphrase import VARIABLE, of_environment
 from planrunner.signing.ssh_agent import AgentKey, holds
 
 FOLDER = "signing-keys"
 """Folder of the signing keys in the user's state folder."""
 ENDING = ".pem"
-PASSPHRASE = "PLANRUNNER_PASSPHRASE"
-"""Environment variable for the passphrase of a key file that is encrypted."""
 
 
 class BenchKeyError(Exception):
@@ -64,6 +62,9 @@ def new_bench_key(name: str) -> tuple[Path, PrivateKey]:
     except (OSError, UntrustedFolderError) as error:
         raise BenchKeyError(f"{folder}: {error}") from None
     path, key = folder / f"{name}{ENDING}", generate()
+    public = path.with_name(f"{path.name}.pub")
+    if public.exists():
+        raise InputError.at(Mark(str(public)), "key-exists", "this file exists already", "choose another name")
     write_unencrypted(path, key)
     return path, key
 
@@ -84,7 +85,7 @@ def _of_files(public: PublicKey) -> tuple[PrivateKey | None, str]:
                 continue
             return _private(folder / name.removesuffix(".pub"), public), ""
         except (InputError, BenchKeyError, OSError) as error:
-            why = f"{folder / name}: {_reason(error)}"
+            why = f"{folder / name}: {reason(error)}"
     return None, why
 
 
@@ -92,16 +93,17 @@ def _private(path: Path, public: PublicKey) -> PrivateKey:
     if sys.platform != "win32" and path.stat().st_mode & 0o077:
         raise BenchKeyError("other users may read its private key: remove these permissions (chmod 600)")
     encrypted = is_encrypted(path)
-    passphrase = os.environ.get(PASSPHRASE, "").encode() or None
+    passphrase = of_environment() or None
     if encrypted and passphrase is None:
-        raise BenchKeyError(f"its private key has a passphrase, and {PASSPHRASE} is not set")
+        raise BenchKeyError(f"its private key has a passphrase, and {VARIABLE} is not set")
     key = read_private(path, passphrase if encrypted else None)
     if key.public != public:
         raise BenchKeyError("its private key belongs to another public key")
     return key
 
 
-def _reason(error: Exception) -> str:
+def reason(error: Exception) -> str:
+    """Why a key or a file cannot be used, in words."""
     if isinstance(error, InputError):
         return error.findings[0].message
     return error.strerror or str(error) if isinstance(error, OSError) else str(error)

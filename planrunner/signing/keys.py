@@ -131,31 +131,42 @@ def _write_new(path: Path, data: bytes) -> None:
 
 def is_encrypted(path: Path) -> bool:
     """Whether the file holds a private key that needs a passphrase. Raises `InputError` if it cannot be read."""
-    data = _read(path)
-    return b"ENCRYPTED" in data.partition(b"\n")[0] or b"OPENSSH PRIVATE KEY" in data.partition(b"\n")[0]
+    try:
+        _load(_read(path), None)
+    except TypeError:
+        return True
+    except (ValueError, UnsupportedAlgorithm):  # no key: `read_private` says so
+        pass
+    return False
 
 
 def read_private(path: Path, passphrase: bytes | None) -> PrivateKey:
     """A private key in PEM (PKCS #8) or in the format of OpenSSH. Raises `InputError`."""
     data = _read(path)
-    load = (
-        serialization.load_ssh_private_key
-        if data.startswith(b"-----BEGIN OPENSSH PRIVATE KEY-----")
-        else serialization.load_pem_private_key
-    )
     try:
-        key = load(data, passphrase or None)
+        key = _load(data, passphrase or None)
     except TypeError:
         needs = "this key needs a passphrase" if not passphrase else "this key has no passphrase"
         hint = "keep private keys encrypted; `planrunner key new` makes one"
         raise InputError.at(Mark(str(path)), "key-passphrase", needs, hint) from None
-    except (ValueError, UnsupportedAlgorithm):
+    except UnsupportedAlgorithm as error:
+        message = f"this private key cannot be read: {error}"
+        hint = "give --agent if the ssh-agent holds it; OpenSSH keys with a passphrase need the package bcrypt"
+        raise InputError.at(Mark(str(path)), "key-unreadable", message, hint) from None
+    except ValueError:
         message = "this private key cannot be read, or the passphrase is wrong"
         raise InputError.at(Mark(str(path)), "key-unreadable", message, "check the file and the passphrase") from None
     if not isinstance(key, Ed25519PrivateKey):
         message = "this is not an Ed25519 key"
         raise InputError.at(Mark(str(path)), "key-algorithm", message, "make one with `planrunner key new`")
     return PrivateKey(key)
+
+
+def _load(data: bytes, passphrase: bytes | None) -> object:
+    """Raises TypeError if a passphrase is missing or not needed, and ValueError or UnsupportedAlgorithm for what is no such key."""
+    if data.startswith(b"-----BEGIN OPENSSH PRIVATE KEY-----"):
+        return serialization.load_ssh_private_key(data, passphrase)
+    return serialization.load_pem_private_key(data, passphrase)
 
 
 def read_public(path: Path) -> PublicKey:

@@ -19,7 +19,7 @@ from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.bench.model import Bench
 from planrunner.estimators.analysis import Results
 from planrunner.estimators.limits import VerdictKind, verdict_kind
-from planrunner.signing.bench_key import BenchKeyError, bench_signer
+from planrunner.signing.bench_key import BenchKeyError, bench_signer, reason
 from planrunner.signing.keys import PublicKey, Signer, parse_public
 from planrunner.signing.run_signatures import (
     BenchMeaning,
@@ -73,7 +73,7 @@ def sign_seal(folder: GuardedFolder, run: str, bench: Bench, storage: Storage | 
         _sign(folder, run, bench.name, bench_signer(public), "recorded", "WARNED", (), storage)
     except (BenchKeyError, InputError, OSError) as error:
         hint = f"`planrunner sign {folder.path} --as recorded` signs it later"
-        message = f"the seal is not signed by the key of the bench: {_reason(error)}"
+        message = f"the seal is not signed by the key of the bench: {reason(error)}"
         return (Finding(Mark(str(folder.path)), "run-bench-unsigned", "warning", message, hint),)
     return ()
 
@@ -98,7 +98,7 @@ def sign_analysis(
             _sign(reader.folder, reader.run["run"], bench.name, signer, "evaluated", result, (analysis.number,))
     except (BenchKeyError, InputError, OSError) as error:
         hint = f"`planrunner sign {reader.path} --as recorded` on the computer of the bench"
-        message = f"analysis {analysis.number} is not signed by the key of the bench: {_reason(error)}"
+        message = f"analysis {analysis.number} is not signed by the key of the bench: {reason(error)}"
         return (Finding(Mark(str(reader.path)), "run-analysis-unsigned", "warning", message, hint),)
     return ()
 
@@ -123,12 +123,6 @@ def _sign(
     storage: Storage | None = None,
 ) -> None:
     sign_run(folder, run, signer, result, meaning, bench, analyses=analyses, storage=storage)
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, InputError):
-        return error.findings[0].message
-    return error.strerror or str(error) if isinstance(error, OSError) else str(error)
 
 
 @contextmanager

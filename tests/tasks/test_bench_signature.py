@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import shutil
@@ -17,7 +18,7 @@ from jsonschema import Draft202012Validator
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.signing.bench_key import BenchKeyError, bench_signer
 from planrunner.signing.key_ring import KeyRing, KnownKey, entry_text
-from planrunner.signing.keys import PrivateKey, PublicKey, parse_public, write_unencrypted
+from planrunner.signing.keys import PrivateKey, PublicKey, parse_public, read_public, write_unencrypted
 from planrunner.signing.run_signatures import sign_run
 from planrunner.tasks.verify import verify_run
 from tests.forging import rechain, reseal, rewrite, with_digest
@@ -238,6 +239,40 @@ def test_a_key_for_the_bench_is_made_where_runs_find_it(state: Path, tmp_path: P
     if sys.platform != "win32":
         assert (state / "signing-keys" / "lab.pem").stat().st_mode & 0o777 == 0o600
     assert planrunner("key", "new", "../lab", "--for-bench", cwd=tmp_path).returncode == 2
+
+
+def test_a_key_that_cannot_be_made_whole_leaves_nothing(state: Path, tmp_path: Path) -> None:
+    folder = store(BENCH, state)
+    (folder / "lab.pem").unlink()
+    done = planrunner("key", "new", "lab", "--for-bench", cwd=tmp_path)
+    assert done.returncode == 2 and "lab.pem.pub" in done.stderr and "key-exists" in done.stderr
+    if sys.platform != "win32":
+        (folder / "other.pem.pub").symlink_to("nowhere")
+        assert planrunner("key", "new", "other", "--for-bench", cwd=tmp_path).returncode == 2
+    assert sorted(path.name for path in folder.glob("*.pem")) == []
+    done = planrunner("key", "new", "third", "--for-bench", "--passphrase-fd", "0", cwd=tmp_path)
+    assert done.returncode == 2 and "has no passphrase" in done.stderr
+    assert sorted(path.name for path in folder.glob("*.pem")) == []
+
+
+@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="needs ssh-keygen")
+def test_keys_of_openssh_sign_with_and_without_a_passphrase(state: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PLANRUNNER_PASSPHRASE", raising=False)
+    folder = state / "signing-keys"
+    folder.mkdir(parents=True)
+    state.chmod(0o700)
+    for name, words in (("plain", ""), ("secret", "correct horse")):
+        command = ["ssh-keygen", "-q", "-t", "ed25519", "-N", words, "-f", str(folder / f"{name}.pem")]
+        subprocess.run(command, check=True)
+    plain, secret = (read_public(folder / f"{name}.pem.pub") for name in ("plain", "secret"))
+    assert bench_signer(plain).public == plain
+    assert "has a passphrase" in (bench_signer_fails(secret, "") or "")
+    monkeypatch.setenv("PLANRUNNER_PASSPHRASE", "correct horse")
+    assert bench_signer(plain).public == plain
+    if importlib.util.find_spec("bcrypt") is None:
+        assert "bcrypt" in (bench_signer_fails(secret, "") or "")
+    else:
+        assert bench_signer(secret).public == secret
 
 
 def test_a_bench_with_an_unreadable_key_is_refused(state: Path, tmp_path: Path) -> None:
