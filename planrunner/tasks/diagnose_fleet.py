@@ -5,19 +5,21 @@ every amplitude to device, bench or occasion.
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.run_reader import RunReader
 from planrunner.base import plugins
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
+from planrunner.base.guarded_folder import NotOrdinaryError
 from planrunner.base.processes import processors
 from planrunner.base.progress import Announce, Pace
 from planrunner.base.workers import Workers, results_of
@@ -27,6 +29,7 @@ from planrunner.gap.fleet.changes import ChangeKind, FleetChange, changes, since
 from planrunner.gap.fleet.lots import SharedByLot, shared_by_lots
 from planrunner.instruments.models import DataOrigin
 from planrunner.plan.model import NOMINAL_TERMS
+from planrunner.plan.run_information import DEVICE, device_of
 from planrunner.plan.source import read_text
 from planrunner.tasks.diagnose import observe, recorded_run
 
@@ -34,13 +37,15 @@ if TYPE_CHECKING:
     from planrunner.gap.answer.diagnosis import Diagnosis
 
 FLEET_FORMAT = 1
-DEVICE, LOT = "device_serial", "lot"
-"""Items of the run information that name the device and the lot that it was made in."""
+LOT = "lot"
+"""Item of the run information that names the lot that the device was made in."""
 COVERAGE_FACTOR = 2.0
 """Of the expanded uncertainty of a change."""
 STATED = (Source.DEVICE, Source.BENCH, Source.OCCASION)
 """The sources whose labels a table can state."""
 _COLUMNS = ("run", *(source.value for source in STATED))
+T = TypeVar("T")
+Obstacles = tuple[Finding, ...]
 _LEAST = 1e-12  # probability with which a run counts that gives an effect none
 
 
@@ -224,22 +229,24 @@ def diagnose_fleet(
     device, bench or occasion of runs; workers: share the runs, by default processes of this machine. notice: receives the progress. skip:
     runs that cannot be diagnosed are left out with a note, instead of being an error.
 
-    Raises `InputError` with all obstacles, and `IntegrityError`.
+    Raises `InputError` with all obstacles and, without `skip`, `IntegrityError`.
     """
-    known = _origins(runs, origins)
+    listed = _origins(runs, origins, skip=skip)
+    labelled = [one for one in listed if isinstance(one, RunOrigin)]
     workers = workers or Workers(processors())
     given = None if nominal is None else tuple(nominal)
-    found = results_of(partial(_verdict, given), runs, workers, Pace("diagnosing the runs", 1.0, notice).reached)
+    pace = Pace("diagnosing the runs", 1.0, notice).reached
+    found = results_of(partial(_verdict, given, skip), [one.run for one in labelled], workers, pace)
     findings = Findings()
-    obstacles = [one for one in found if not isinstance(one, RunVerdict)]
+    obstacles = [one for one in (*listed, *found) if not isinstance(one, RunOrigin | RunVerdict)]
     if not skip:
         _require_all(obstacles)
     for obstacle in obstacles:
         findings.note(
             obstacle[0].code, obstacle[0].mark, f"this run is left out: {obstacle[0].message}", obstacle[0].hint
         )
-    kept = [k for k, one in enumerate(found) if isinstance(one, RunVerdict)]
-    runs, known = [runs[k] for k in kept], tuple(known[k] for k in kept)
+    known = tuple(one for one, made in zip(labelled, found, strict=True) if isinstance(made, RunVerdict))
+    runs = [one.run for one in known]
     verdicts = tuple(one for one in found if isinstance(one, RunVerdict))
     if not verdicts:
         _require_all(obstacles)
@@ -266,58 +273,69 @@ def diagnose_fleet(
 # -- which device, bench and occasion ----------------------------------------------------------------------------------
 
 
-def _origins(runs: Sequence[Path], table: Path | None) -> tuple[RunOrigin, ...]:
-    """The runs with their labels, from the run folders and from the table, which takes precedence. Raises `InputError`."""
+@dataclass(frozen=True, slots=True)
+class _Opened:
+    """A run folder that passes the check. bench: its name; table: asset or serial number of its table, if known."""
+
+    run: JsonObject
+    bench: str
+    table: str
+
+
+def _opened(run: Path) -> _Opened:
+    from planrunner.tasks.run import sound_run
+
+    reader = RunReader.open(run)
+    bench = sound_run(reader).bench
+    if "table" not in bench.instruments:
+        return _Opened(reader.run, bench.name, "")
+    table = bench.instruments["table"].asset or reader.instruments.get("table", {}).get("serial", "")
+    return _Opened(reader.run, bench.name, table)
+
+
+def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[RunOrigin | Obstacles]:
+    """Every run with its labels, from the run folder and from the table, which takes precedence, or the obstacles to it. skip: see
+    `_attempted`. Raises `InputError` for runs given twice and a wrong table, and without `skip` for all obstacles."""
     log = Findings()
     resolved = [run.resolve() for run in runs]
     for index, run in enumerate(runs):
         if resolved[index] in resolved[:index]:
             log.error("fleet-run-twice", Mark(str(run)), "this run is given twice", "give every run once")
     stated = {} if table is None else _stated(table, runs, log)
-    readers = []
-    for run in dict.fromkeys(runs):
-        try:
-            readers.append(RunReader.open(run))
-        except InputError as error:
-            log.extend(error.findings)
+    opened = {run: _attempted(_opened, run, skip=skip) for run in runs}
+    if not skip:
+        log.extend(finding for one in opened.values() if not isinstance(one, _Opened) for finding in one)
     if log.errors:
         raise InputError(log)
-    benches = _benches(readers)
-    origins = []
-    for run, reader, bench in zip(runs, readers, benches, strict=True):
-        own = stated.get(run, {})
-        labels = {
-            Source.DEVICE: own.get(Source.DEVICE) or str(reader.run.get("info", {}).get(DEVICE, "")),
-            Source.BENCH: own.get(Source.BENCH) or bench,
-            Source.OCCASION: own.get(Source.OCCASION) or run.resolve().name,
-        }
-        info = reader.run.get("info", {})
-        if not labels[Source.DEVICE]:
-            hint = f"state the device in a table for --origins, with the columns {', '.join(_COLUMNS)}"
-            message = f"run.json does not say which device was measured: it has no '{DEVICE}'"
-            log.error("fleet-no-device", Mark(str(run)), message, hint)
-        origins.append(RunOrigin(run, labels, str(reader.run["created"]), str(info.get(LOT) or "")))
-    if log.errors:
-        raise InputError(log)
-    return tuple(origins)
-
-
-def _benches(readers: Sequence[RunReader]) -> list[str]:
-    """The name of the bench of every run; with the serial number or asset of its table, if tables of several have the same name."""
-    from planrunner.tasks.run import sound_run
-
-    names, tables = [], []
-    for reader in readers:
-        bench = sound_run(reader).bench
-        names.append(bench.name)
-        identity = next((reader.instruments.get(name, {}) for name in ("table",) if name in bench.instruments), {})
-        asset = bench.instruments["table"].asset if "table" in bench.instruments else None
-        tables.append(asset or identity.get("serial", ""))
-    several = {name for name in names if len({t for n, t in zip(names, tables, strict=True) if n == name}) > 1}
-    return [
-        f"{name} (table {table or 'without a number'})" if name in several else name
-        for name, table in zip(names, tables, strict=True)
+    tables: dict[str, set[str]] = {}
+    for one in opened.values():
+        if isinstance(one, _Opened):
+            tables.setdefault(one.bench, set()).add(one.table)
+    several = {name for name, found in tables.items() if len(found) > 1}
+    known = [
+        _labelled(run, one, stated.get(run, {}), several) if isinstance(one, _Opened) else one
+        for run, one in opened.items()
     ]
+    if not skip:
+        _require_all(one for one in known if not isinstance(one, RunOrigin))
+    return known
+
+
+def _labelled(run: Path, opened: _Opened, stated: Mapping[Source, str], several: Set[str]) -> RunOrigin | Obstacles:
+    """several: names of benches with different tables; their labels contain the table."""
+    info = opened.run.get("info", {})
+    table = f" (table {opened.table or 'without a number'})" if opened.bench in several else ""
+    device = stated.get(Source.DEVICE) or device_of(info)
+    if not device:
+        hint = f"state the device in a table for --origins, with the columns {', '.join(_COLUMNS)}"
+        message = f"run.json does not say which device was measured: it has no {' and no '.join(map(repr, DEVICE))}"
+        return tuple(InputError.at(Mark(str(run)), "fleet-no-device", message, hint).findings)
+    labels = {
+        Source.DEVICE: device,
+        Source.BENCH: stated.get(Source.BENCH) or f"{opened.bench}{table}",
+        Source.OCCASION: stated.get(Source.OCCASION) or run.resolve().name,
+    }
+    return RunOrigin(run, labels, str(opened.run["created"]), str(info.get(LOT) or ""))
 
 
 def _stated(path: Path, runs: Sequence[Path], log: Findings) -> dict[Path, dict[Source, str]]:
@@ -359,24 +377,39 @@ def _stated(path: Path, runs: Sequence[Path], log: Findings) -> dict[Path, dict[
 # -- each run ----------------------------------------------------------------------------------------------------------
 
 
-def _verdict(nominal: tuple[str, ...] | None, run: Path) -> RunVerdict | tuple[Finding, ...]:
+def _attempted(make: Callable[[Path], T], run: Path, *, skip: bool) -> T | Obstacles:
+    """What is made of a run, or the obstacles to it. A run folder that was changed is an obstacle with `skip`, and else an error."""
+    from planrunner.observation.refusals import ObservationError
+
+    try:
+        return make(run)
+    except InputError as error:
+        return tuple(error.findings)
+    except ObservationError as error:
+        return tuple(InputError.at(Mark(str(run)), "gap-unfit", str(error), error.hint).findings)
+    except (IntegrityError, NotOrdinaryError) as error:
+        if not skip:
+            raise
+        said = f"{error.filename}: {error.strerror}" if isinstance(error, NotOrdinaryError) else str(error)
+        return tuple(InputError.at(Mark(str(run)), "run-integrity", said).findings)
+
+
+def _verdict(nominal: tuple[str, ...] | None, skip: bool, run: Path) -> RunVerdict | Obstacles:
     """The diagnosis of a run, or the obstacles to it."""
+    return _attempted(partial(_diagnosed, nominal), run, skip=skip)
+
+
+def _diagnosed(nominal: tuple[str, ...] | None, run: Path) -> RunVerdict:
     from threadpoolctl import threadpool_limits
 
     from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
-    from planrunner.observation.refusals import ObservationError
 
     with threadpool_limits(limits=1, user_api="blas"):
-        try:
-            recorded = recorded_run(run)
-            plan = recorded.sound.plan
-            terms = nominal or (DiagnosisOptions().nominal if plan.diagnosis is None else plan.diagnosis.nominal)
-            observed, findings = observe(recorded, terms)
-            made = diagnose(observed, DiagnosisOptions(nominal=tuple(terms)))
-        except InputError as error:
-            return tuple(error.findings)
-        except ObservationError as error:
-            return tuple(InputError.at(Mark(str(run)), "gap-unfit", str(error), error.hint).findings)
+        recorded = recorded_run(run)
+        plan = recorded.sound.plan
+        terms = nominal or (DiagnosisOptions().nominal if plan.diagnosis is None else plan.diagnosis.nominal)
+        observed, findings = observe(recorded, terms)
+        made = diagnose(observed, DiagnosisOptions(nominal=tuple(terms)))
     said = made.verdict
     return RunVerdict(
         plan.title,
@@ -417,8 +450,8 @@ def _fitted(
 # -- together ----------------------------------------------------------------------------------------------------------
 
 
-def _require_all(obstacles: object) -> None:
-    found = [finding for one in obstacles for finding in one]  # type: ignore[attr-defined]
+def _require_all(obstacles: Iterable[Obstacles]) -> None:
+    found = [finding for one in obstacles for finding in one]
     if found:
         raise InputError(found)
 

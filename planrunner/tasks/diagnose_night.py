@@ -13,7 +13,7 @@ from planrunner.base.workers import Workers
 from planrunner.night.history.rows import RunFilter, RunRow
 from planrunner.night.suite import NightDiagnosis
 from planrunner.reporting.fleet_page import statements
-from planrunner.tasks.diagnose_fleet import DEVICE, diagnose_fleet
+from planrunner.tasks.diagnose_fleet import diagnose_fleet
 from planrunner.tasks.history import Freshness, opened
 
 LEAST = 4
@@ -30,7 +30,7 @@ def diagnose_night(
     """
     since = (datetime.now(UTC) - timedelta(seconds=asked.within.value)).isoformat()
     with opened(archive, None, Freshness()) as index:
-        known = [run for run in index.runs(RunFilter(since=since)) if run.state == "sealed" and run.info.get(DEVICE)]
+        known = [run for run in index.runs(RunFilter(since=since)) if run.state == "sealed" and run.device]
         damaged = ", ".join(fault.folder for fault in index.faults())
     own = [run for run in known if run.folder in runs]
     for key in dict.fromkeys((run.plan, run.title) for run in own):

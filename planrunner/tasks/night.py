@@ -18,6 +18,7 @@ import subprocess
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -52,6 +53,8 @@ from planrunner.tasks.diagnose_night import diagnose_night
 
 JOURNAL = "night.jsonl"
 RESERVE = "reserve"
+DIAGNOSIS_LOG = "diagnosis.txt"
+"""In the folder `logs`: the traceback of a diagnosis with an internal error."""
 RESERVE_BYTES = 2**20
 """Kept free for the record of a night whose disk becomes full."""
 MOST_RECORD = 2**26
@@ -377,8 +380,14 @@ class _Night:
                     self._log("fleet", found)
                 if remark:
                     self._remark(f"diagnosis of {remark}")
-        except (InputError, ProcessEndedError, OSError) as error:
+        except (InputError, IntegrityError, ProcessEndedError, OSError) as error:
             self._remark(f"the runs could not be diagnosed: {error}")
+        except Exception as error:
+            with contextlib.suppress(OSError):
+                trace = "".join(traceback.format_exception(error)).encode("utf-8", "backslashreplace")
+                self._storage.write_whole(self._logs, DIAGNOSIS_LOG, trace)
+            what = f"internal error: {type(error).__name__}: {error}; see logs/{DIAGNOSIS_LOG}"
+            self._remark(f"the runs could not be diagnosed: {what}")
 
     def close(self) -> None:
         with contextlib.suppress(OSError):

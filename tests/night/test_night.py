@@ -16,7 +16,9 @@ from typing import Any
 import jsonschema
 import pytest
 from lxml import etree
+from numpy.linalg import LinAlgError
 
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.storage import Storage
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.workers import ALONE
@@ -24,6 +26,7 @@ from planrunner.execution.stopping import StopRequest
 from planrunner.night.record import FAULT, INTERRUPTED
 from planrunner.night.summary import github_annotations
 from planrunner.night.timetable import EndOfTest
+from planrunner.observation.refusals import EstimationError
 from planrunner.tasks import night as tasks_night
 from planrunner.tasks.check_suite import SoundSuite, check_suite
 from planrunner.tasks.night import NightClock, NightOptions, NightResult, judged, run_night
@@ -471,6 +474,7 @@ def test_the_diagnosis_after_the_night_is_in_its_record_and_never_its_failure(
     result = night(lab, sound)
     assert result.exit_code == 0
     check_reports(result)
+    assert not (result.folder / "logs" / "diagnosis.txt").exists()
     ((archive, runs, recent),) = given
     assert (archive, recent) == (lab / "runs", 12)
     assert runs == [result.record["tests"][0]["run"]]
@@ -479,3 +483,24 @@ def test_the_diagnosis_after_the_night_is_in_its_record_and_never_its_failure(
     assert any("the server stopped" in remark for remark in result.record["remarks"])
     summary = (result.folder / "summary.md").read_text(encoding="utf-8")
     assert f"- One position (8 runs): {text}" in summary and "| `r1` | table_tilt |" in summary
+
+
+@pytest.mark.parametrize(
+    ("kind", "internal"), [(LinAlgError, True), (ValueError, True), (EstimationError, True), (IntegrityError, False)]
+)
+def test_a_night_whose_diagnosis_fails_is_finished(
+    lab: Path, monkeypatch: pytest.MonkeyPatch, kind: type[Exception], internal: bool
+) -> None:
+    def diagnosed(*_: object) -> Any:
+        yield None, "p: 2 runs are too few to be diagnosed together"
+        raise kind("what went wrong")
+
+    monkeypatch.setattr(tasks_night, "diagnose_night", diagnosed)
+    sound = suite_in(lab, "benches: {a: {bench: virtual}}\nplans: {x: {plan: p.yaml}}\ndiagnosis: {recent: 12}\n")
+    result = night(lab, sound)
+    assert result.exit_code == 0 and result.record["state"] == "finished"
+    check_reports(result)
+    why = f"internal error: {kind.__name__}: what went wrong; see logs/diagnosis.txt" if internal else "what went wrong"
+    assert f"the runs could not be diagnosed: {why}" in result.record["remarks"]
+    trace = result.folder / "logs" / "diagnosis.txt"
+    assert trace.exists() == internal and (not internal or "in diagnosed" in trace.read_text(encoding="utf-8"))

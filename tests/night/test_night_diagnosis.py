@@ -23,7 +23,7 @@ planrunner: 1
 title: Six positions
 bench: virtual_imu_nominal
 sensor: {kind: imu, outputs: [gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]}
-record: {device_serial: required}
+record: {device_serial: optional, item_identification: optional}
 defaults: {settle: 2 s, dwell: 10 s}
 segments:
   - for_each:
@@ -45,7 +45,8 @@ def night_of(number: int) -> datetime:
 
 
 def archive_of(folder: Path, monkeypatch: pytest.MonkeyPatch, tilt: float) -> Path:
-    """Devices 17 and 18 on bench-2 and device 19 on bench-1, once in each night."""
+    """Devices 17 and 18 on bench-2 and device 19, which has an identification instead of a serial number, on bench-1, once in each
+    night."""
     monkeypatch.setenv(INDEX, str(folder / "index.sqlite"))
     archive, plan = folder / "runs", folder / "six.yaml"
     plan.write_text(PLAN, encoding="utf-8")
@@ -66,7 +67,8 @@ def archive_of(folder: Path, monkeypatch: pytest.MonkeyPatch, tilt: float) -> Pa
 
             monkeypatch.setattr(run_folder, "datetime", Clock)
             words = ["simulate", str(plan), "--bench", str(folder / f"{bench}.yaml"), "--seed", str(seed), "--quiet"]
-            words += ["--set", f"device_serial={device}", "--runs", str(archive)]
+            item = "item_identification" if device == "19" else "device_serial"
+            words += ["--set", f"{item}={device}", "--runs", str(archive)]
             if bench == "bench-2" and night >= SINCE and tilt:
                 words += ["--with", f"table_tilt=about_east:{tilt} arcsec"]
             assert main(words) == 0

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import shutil
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from planrunner.base.findings import InputError
+from planrunner.archive.formats import IntegrityError
+from planrunner.archive.run_reader import RunReader
+from planrunner.base.findings import InputError, Mark
 from planrunner.base.workers import ALONE
 from planrunner.cli import main
 from planrunner.gap.fleet.amplitudes import AmplitudeEstimate, AmplitudeKey
@@ -35,13 +39,14 @@ BIASES = (0.004, -0.003, 0.001, -0.005)
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Devices 17 and 18 on two benches: bench 2 is tilted by 60 arcsec about east, the gyros of device 17 are off by 210 ppm, and gyro x
-    has another bias at each switch-on. The first run does not record its device."""
+    has another bias at each switch-on. The first run does not record its device, and the third one records it as an identification."""
     folder = tmp_path_factory.mktemp("fleet")
     plan = folder / "six.yaml"
     made = []
     for number, bias in enumerate(BIASES):
         bench, device = 1 + number // 2, 17 + number % 2
-        plan.write_text(PLAN.replace("bench:", "record: {device_serial: optional}\nbench:", 1), encoding="utf-8")
+        record = "record: {device_serial: optional, item_identification: optional}"
+        plan.write_text(PLAN.replace("bench:", f"{record}\nbench:", 1), encoding="utf-8")
         place = folder / f"bench-{bench}.yaml"
         text = BENCH.read_text(encoding="utf-8")
         place.write_text(text.replace("name: virtual_imu_nominal", f"name: bench-{bench}"), encoding="utf-8")
@@ -49,7 +54,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
         effects += ["table_tilt=about_east:60 arcsec"] if bench == 2 else []
         effects += ["gyro_scale_factor=210 ppm"] if device == 17 else []
         words = [word for effect in effects for word in ("--with", effect)]
-        words += ["--set", f"device_serial={device}"] if number else []
+        item = "item_identification" if number == 2 else "device_serial"
+        words += ["--set", f"{item}={device}"] if number else []
         where = folder / f"runs-{number}"
         main(
             [
@@ -142,6 +148,44 @@ def test_a_run_with_another_kind_of_sensor_is_refused(runs: list[Path], tmp_path
     with pytest.raises(InputError) as caught:
         diagnose_fleet([runs[1], other], origins=table, workers=ALONE)
     assert "fleet-other-sensor" in str(caught.value)
+
+
+@pytest.mark.slow
+def test_runs_that_cannot_be_read_are_left_out_with_skip(
+    runs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The samples of the first run were changed, and its plan was replaced in a second copy; the third copy is no run folder, in the fourth
+    a file is a link, and the check of the fifth refuses its plan."""
+    from planrunner.tasks import run as tasks_run
+
+    samples, plan, empty, link, refused = (tmp_path / name for name in ("samples", "plan", "empty", "link", "refused"))
+    for copy in (samples, plan, link, refused):
+        shutil.copytree(runs[1], copy)
+    data = max((file for file in samples.rglob("*") if file.is_file()), key=lambda file: file.stat().st_size)
+    raw = bytearray(data.read_bytes())
+    raw[len(raw) // 2] ^= 1
+    data.write_bytes(raw)
+    (plan / "plan.yaml").write_text(PLAN, encoding="utf-8")
+    empty.mkdir()
+    (link / "plan.yaml").rename(tmp_path / "elsewhere.yaml")
+    (link / "plan.yaml").symlink_to(tmp_path / "elsewhere.yaml")
+    sound_run = tasks_run.sound_run
+
+    def checked(reader: RunReader, *words: Any) -> Any:
+        if reader.path.name == "refused":
+            raise InputError.at(Mark("plan.yaml"), "plan-refused", "it no longer passes")
+        return sound_run(reader, *words)
+
+    monkeypatch.setattr(tasks_run, "sound_run", checked)
+    bad = [samples, plan, empty, link, refused]
+    found = diagnose_fleet([*bad, *runs[1:3]], workers=ALONE, skip=True)
+    assert [one.run for one in found.origins] == runs[1:3]
+    left = {one.mark.file for one in found.findings if "this run is left out" in one.message}
+    assert {Path(name).name for name in left} >= {"samples", "plan", "empty", "link"} and len(left) == len(bad)
+    with pytest.raises(IntegrityError):
+        diagnose_fleet([samples, *runs[1:3]], workers=ALONE)
+    with pytest.raises(InputError, match="it no longer passes"):
+        diagnose_fleet([refused, *runs[1:3]], workers=ALONE)
 
 
 # -- steps -------------------------------------------------------------------------------------------------------------
