@@ -8,7 +8,7 @@ from datetime import datetime
 from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 from planrunner.instruments.models import DataOrigin
 from planrunner.night.history.agreement import ParticipantAgreement
-from planrunner.night.history.check_standard import ControlState
+from planrunner.night.history.check_standard import ControlState, ControlTest
 from planrunner.night.history.comparison import RunComparison
 from planrunner.night.history.control_charts import EWMA_WIDTH, SHEWHART
 from planrunner.night.history.drift import HORIZON
@@ -86,22 +86,21 @@ def alarms(found: Trend, k: int) -> list[str]:
 
 
 def control_table(state: ControlState) -> Table:
-    """One row for each coefficient of a check standard: the newest value and what it is compared with."""
-    titles = ("coefficient", "unit", "newest value", "u", "centre", "lower limit", "upper limit", "values", "outside")
+    """One row for each comparison of a coefficient of a check standard: the newest value with the limits, or a row without limits."""
+    titles = (
+        "coefficient", "unit", "newest value", "u", "values", "compared with", "centre", "lower limit", "upper limit", "outside"
+    )  # fmt: skip
     rows = []
     for one in state.coefficients:
-        limits = [one.centre, one.lower, one.upper]
-        rows.append(
-            (
-                one.quantity,
-                one.trend.unit,
-                words.number(one.trend.values[-1]),
-                words.number(one.trend.standard_uncertainties[-1], 2),
-                *("—" if value is None else words.number(value) for value in limits),
-                str(len(one.trend.values)),
-                ", ".join(test.value for test in one.failed),
-            )
-        )
+        value, u = one.trend.values[-1], one.trend.standard_uncertainties[-1]
+        head = one.quantity, one.trend.unit, words.number(value), words.number(u, 2), str(len(one.trend.values))
+        for limits in one.limits:  # EWMA and CUSUM belong to the chart of the Shewhart limits
+            about_reference = limits.test is ControlTest.REFERENCE
+            outside = [test.value for test in one.failed if (test is ControlTest.REFERENCE) == about_reference]
+            numbers = map(words.number, (limits.centre, limits.lower, limits.upper))
+            rows.append((*head, limits.test.value, *numbers, ", ".join(outside)))
+        if not one.limits:
+            rows.append((*head, *["—"] * 4, ""))
     return Table(f"Check standard {state.device} of bench {state.bench}", tuple(map(TableColumn, titles)), tuple(rows))
 
 

@@ -251,12 +251,13 @@ def lacking_signatures(
     """What a sealed run lacks of the signatures that its bench must make, each as code and message.
 
     The bench file requires signatures if it names a key. So does the key ring for a bench with a key that is valid on the day of the run:
-    a bench file that was changed therefore cannot take the requirement away. made: when the run began; analyses: their numbers. An analysis
-    may instead be covered by the signature of a person, who may evaluate a run elsewhere; with a key ring, the person must be in it.
+    a bench file that was changed therefore cannot take the requirement away, nor can the revocation of the key. made: when the run began;
+    analyses: their numbers. An analysis may instead be covered by the signature of a person, who may evaluate a run elsewhere; with a key
+    ring, the person must be in it.
     """
     day = made.date()
     expected = [one for one in ([] if ring is None else _benches(ring)) if one.person == bench.name]
-    expected = [one for one in expected if (one.begins or day) <= day <= (one.ends or day) and one.revoked is None]
+    expected = [one for one in expected if (one.begins or day) <= day <= (one.ends or day)]
     if expected and bench.key not in [one.public for one in expected]:
         what = "names no key of its own" if bench.key is None else "names another key"
         message = f"{BENCH}: the bench '{bench.name}' {what}, but the key ring has the key of this bench"

@@ -9,6 +9,8 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from datetime import date, timedelta
 from pathlib import Path
 
 import pytest
@@ -471,6 +473,17 @@ def test_a_forgery_of_the_bench_file_is_found_with_the_key_ring(run: Path, forge
     forge(run)
     assert codes(run) == set()
     assert codes(run, ring()) == WITH_RING[forge]
+
+
+def test_a_revoked_key_still_requires_signatures(run: Path) -> None:
+    """After a rotation of the key, an old run does not become free of the requirement."""
+    today, later = date.today(), date.today() + timedelta(days=30)
+    old = KnownKey("virtual", BENCH.public, ("bench",), revoked=today)
+    new = KnownKey("virtual-2", key_of(14).public, ("bench",), begins=later, owner="virtual")
+    _no_requirement(run)
+    assert codes(run, ring(old, new)) == codes(run, ring(old)) == {"run-bench-unsigned"}
+    ended = replace(old, ends=today - timedelta(days=30))
+    assert codes(run, ring(ended)) == set()  # the bench no longer signs since then
 
 
 def test_a_signature_of_another_run_is_found(run: Path, state: Path, tmp_path: Path) -> None:

@@ -66,16 +66,24 @@ class ControlTest(Enum):
 
 
 @dataclass(frozen=True)
+class ControlLimits:
+    """The limits of the newest value in a comparison that has no memory: with a reference value, or the Shewhart chart."""
+
+    test: ControlTest
+    centre: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
 class CoefficientControl:
-    """A coefficient of the check standard. trend: its history, the newest value last. centre, lower, upper: what the newest value is
-    compared with, and its limits (reference or Shewhart); None if no limits are established. charts: of its own history, None with too few
-    values. failed: the comparisons in which the newest value is outside. missing: earlier values that are still needed for limits."""
+    """A coefficient of the check standard. trend: its history, the newest value last. limits: of the newest value, in each comparison that
+    is established. charts: of its own history, None with too few values. failed: the comparisons in which the newest value is outside.
+    missing: earlier values that are still needed for limits."""
 
     quantity: str
     trend: Trend
-    centre: float | None
-    lower: float | None
-    upper: float | None
+    limits: tuple[ControlLimits, ...]
     charts: ControlCharts | None
     failed: tuple[ControlTest, ...]
     missing: int
@@ -83,12 +91,14 @@ class CoefficientControl:
     def words(self) -> str:
         """The newest value and its limits."""
         value = f"{self.quantity} is {self.trend.values[-1]:.6g} {self.trend.unit}"
-        if self.centre is None or self.upper is None:
+        if not self.limits:
             return f"{value}, and {self.missing} more values are needed for limits"
-        inside = "outside" if {ControlTest.REFERENCE, ControlTest.SHEWHART} & {*self.failed} else "within"
-        about = f"{value}, {inside} {self.centre:.6g} ± {self.upper - self.centre:.2g}"
+        about = ", ".join(
+            f"{'outside' if one.test in self.failed else 'within'} {one.centre:.6g} ± {one.upper - one.centre:.2g} ({one.test.value})"
+            for one in self.limits
+        )
         slow = [one.value for one in self.failed if one in (ControlTest.EWMA, ControlTest.CUSUM)]
-        return f"{about}, and outside the limits of {' and '.join(slow)}" if slow else about
+        return f"{value}, {about}" + (f", and outside the limits of {' and '.join(slow)}" if slow else "")
 
     def to_json(self) -> JsonObject:
         return {
@@ -97,9 +107,10 @@ class CoefficientControl:
             "value": self.trend.values[-1],
             "standard_uncertainty": self.trend.standard_uncertainties[-1],
             "values": len(self.trend.values),
-            "centre": self.centre,
-            "lower": self.lower,
-            "upper": self.upper,
+            "limits": [
+                {"test": one.test.value, "centre": one.centre, "lower": one.lower, "upper": one.upper}
+                for one in self.limits
+            ],
             "failed": [one.value for one in self.failed],
             "missing": self.missing,
         }
@@ -187,7 +198,7 @@ def judge(
         found.append(one)
         if one.failed:
             wrong.append(one.words())
-        elif one.centre is None:
+        elif not one.limits:
             unknown.append(one.words())
     old = list(_age(newest, rule, now))
     standing = next(
@@ -234,9 +245,10 @@ def _control(quantity: str, held: Trend, about: CheckedCoefficient, enough: int)
             centre = Centre(charts.centre.mean, charts.centre.standard_uncertainty, tau, earlier)
             charts = charts_about(x, u, centre)
     failed = []
-    limits: tuple[float, float, float] | None = None
+    limits: list[ControlLimits] = []
     if charts is not None:
-        limits = charts.centre.mean, float(charts.shewhart.lower[-1]), float(charts.shewhart.upper[-1])
+        lower, upper = float(charts.shewhart.lower[-1]), float(charts.shewhart.upper[-1])
+        limits.append(ControlLimits(ControlTest.SHEWHART, charts.centre.mean, lower, upper))
         named = {
             ControlTest.SHEWHART: (charts.shewhart,),
             ControlTest.EWMA: (charts.ewma,),
@@ -248,9 +260,7 @@ def _control(quantity: str, held: Trend, about: CheckedCoefficient, enough: int)
         u_R = about.reference.standard_uncertainty / own.factor
         sigma = math.sqrt(float(u[-1]) ** 2 + u_R**2 + tau**2)
         chart = shewhart(x[-1:], R, np.array([sigma]))
-        limits = R, float(chart.lower[0]), float(chart.upper[0])
+        limits.insert(0, ControlLimits(ControlTest.REFERENCE, R, float(chart.lower[0]), float(chart.upper[0])))
         failed += [ControlTest.REFERENCE] if chart.alarms[0] else []
-    if limits is None:
-        missing = max(1, enough - (len(x) - 1))
-        return CoefficientControl(quantity, held, None, None, None, charts, tuple(failed), missing)
-    return CoefficientControl(quantity, held, *limits, charts, tuple(failed), 0)
+    missing = 0 if limits else max(1, enough - (len(x) - 1))
+    return CoefficientControl(quantity, held, tuple(limits), charts, tuple(failed), missing)

@@ -19,6 +19,7 @@ from planrunner.bench.model import Bench, parse_bench
 from planrunner.night.history.check_standard import ControlStanding, ControlState, ControlTest
 from planrunner.night.history.databases import INDEX
 from planrunner.plan import source
+from planrunner.reporting.history_tables import control_table
 from planrunner.tasks.check_standard import check_in_control, control_state
 from planrunner.tasks.check_suite import check_suite
 from tests.in_process import planrunner
@@ -66,10 +67,11 @@ def test_limits_about_a_reference_worked_by_hand(tmp_path: Path, newest: float, 
     about = {"reference": "1.0 deg/h ± 0.04 deg/h", "repeatability": "0.03 deg/h"}
     found = state(bench_with(coefficients={"drift.bias": about}), archive_of(tmp_path, [newest], 0.12))
     (one,) = found.coefficients
-    assert (one.centre, one.lower, one.upper) == pytest.approx((1.0, 0.61, 1.39))
+    (limits,) = one.limits
+    assert (limits.centre, limits.lower, limits.upper) == pytest.approx((1.0, 0.61, 1.39))
     assert found.in_control is inside
     assert one.failed == (() if inside else (ControlTest.REFERENCE,))
-    assert inside or f"{newest} deg/h, outside 1 ± 0.39" in found.words()
+    assert inside or f"{newest} deg/h, outside 1 ± 0.39 (reference)" in found.words()
 
 
 @pytest.mark.parametrize(("newest", "inside"), [(1.63, True), (1.64, False)])
@@ -79,10 +81,30 @@ def test_limits_from_earlier_values_worked_by_hand(tmp_path: Path, newest: float
     bench = bench_with(coefficients={"drift.bias": {}}, values=10)
     found = state(bench, archive_of(tmp_path, [1.0, 1.2] * 5 + [newest], 0.0))
     (one,) = found.coefficients
-    assert one.centre == pytest.approx(1.1)
-    assert (one.lower, one.upper) == pytest.approx((1.1 - 0.531736, 1.1 + 0.531736), abs=1e-6)
+    (limits,) = one.limits
+    assert limits.centre == pytest.approx(1.1)
+    assert (limits.lower, limits.upper) == pytest.approx((1.1 - 0.531736, 1.1 + 0.531736), abs=1e-6)
     assert found.in_control is inside
     assert one.failed == (() if inside else (ControlTest.SHEWHART,))
+
+
+def test_each_comparison_is_stated_with_its_own_limits(tmp_path: Path) -> None:
+    """Ten values about 1.1 with σ = 0.177245 and a newest one of 1.64: outside the chart (± 0.53), but within 1.5 ± 3·0.2. The Shewhart
+    limits do not contain the value, the ones about the reference do: a sentence with one pair of limits would be wrong."""
+    about = {"reference": "1.5 deg/h ± 0.2 deg/h"}
+    archive = archive_of(tmp_path, [1.0, 1.2] * 5 + [1.64], 0.0)
+    found = state(bench_with(coefficients={"drift.bias": about}), archive)
+    (one,) = found.coefficients
+    assert one.failed == (ControlTest.SHEWHART,)
+    half = 3 * math.hypot(0.2, 0.177245)
+    assert f"is 1.64 deg/h, within 1.5 ± {half:.2g} (reference), outside 1.1 ± 0.53 (Shewhart)" in found.words()
+    document = found.to_json()["coefficients"][0]
+    assert [(limits["test"], limits["centre"]) for limits in document["limits"]] == [
+        ("reference", pytest.approx(1.5)),
+        ("Shewhart", pytest.approx(1.1)),
+    ]
+    rows = [(row[5], row[-1]) for row in control_table(found).rows]
+    assert rows == [("reference", ""), ("Shewhart", "Shewhart")]
 
 
 def test_a_small_lasting_shift_is_found_by_the_average_and_the_sums(tmp_path: Path) -> None:
@@ -92,7 +114,7 @@ def test_a_small_lasting_shift_is_found_by_the_average_and_the_sums(tmp_path: Pa
     found = state(bench, archive_of(tmp_path, [1.0, 1.2] * 5 + [1.37] * 8, 0.0), days=18)
     (one,) = found.coefficients
     assert one.failed == (ControlTest.EWMA, ControlTest.CUSUM)
-    assert "within 1.1 ± 0.53, and outside the limits of EWMA and CUSUM" in found.words()
+    assert "within 1.1 ± 0.53 (Shewhart), and outside the limits of EWMA and CUSUM" in found.words()
     assert one.charts is not None
     z = 0.27 / (0.2 / (2 / math.sqrt(math.pi)))
     assert one.charts.cusum_up.first_alarm == 14
