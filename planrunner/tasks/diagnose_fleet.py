@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 FLEET_FORMAT = 1
 LOT = "lot"
 """Item of the run information that names the lot that the device was made in."""
-COVERAGE_FACTOR = 2.0
-"""Of the expanded uncertainty of a change."""
 STATED = (Source.DEVICE, Source.BENCH, Source.OCCASION)
 """The sources whose labels a table can state."""
 _COLUMNS = ("run", *(source.value for source in STATED))
@@ -136,7 +134,7 @@ class FleetDiagnosis:
             "kind": change.kind.value,
             "sources": [[source.value, label] for source, label in change.sources],
             "size": change.size,
-            "expanded_uncertainty": COVERAGE_FACTOR * change.standard_uncertainty,
+            "expanded_uncertainty": change.expanded,
             "unit": one.key.unit if change.kind is ChangeKind.STEP else f"{one.key.unit}/d",
             "p": change.p,
             "after": runs[change.earliest].created,

@@ -42,6 +42,7 @@ def test_a_step_worked_by_hand() -> None:
     (found,) = changes(Estimates(np.array([0.0, 0, 0, 0, 10, 0, 10, 0]), np.ones(8), groups), range(8))
     assert (found.kind, found.sources[0], found.before) == (ChangeKind.STEP, (Source.BENCH, "b1"), 2)
     assert (found.size, found.standard_uncertainty) == pytest.approx((10, 1))
+    assert found.degrees_of_freedom == 5 and found.expanded == pytest.approx(2.571, abs=5e-4)  # t of any table, 97.5 %
     assert found.runs == (0, 2, 4, 6)
     assert (found.earliest, found.latest) == (1, 2)
     from scipy.stats import t
@@ -81,6 +82,18 @@ def test_a_bench_that_tilts_is_named_with_size_and_night() -> None:
         right += one.earliest < 3 * since <= one.latest
         inside += abs(one.size - 4.0) <= 2 * one.standard_uncertainty
     assert right >= 0.9 * 40 and inside >= 0.85 * 40  # 95 % less three standard deviations of 40 draws
+
+
+def test_the_interval_of_a_step_holds_it_in_95_of_100_cases() -> None:
+    """Four runs of one device that scatter thirty times as much as stated: ν = 2. Twice the standard uncertainty would hold 82 %."""
+    groups = {Source.BENCH: ["b"] * 4, Source.DEVICE: ["D"] * 4, Source.OCCASION: list("abcd")}
+    rng, count, true = np.random.default_rng(3), 400, 1e5
+    inside = 0
+    for _ in range(count):
+        y = np.array([0.0, 0.0, true, true]) + rng.normal(0, 30, 4)
+        (found,) = changes(Estimates(y, np.ones(4), groups), range(4))
+        inside += abs(found.size - true) <= found.expanded
+    assert abs(inside / count - 0.95) < 3 * math.sqrt(0.95 * 0.05 / count)
 
 
 @pytest.mark.parametrize("scatter", [0.0, 2.0])

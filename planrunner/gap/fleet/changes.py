@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.gap.fleet.attribution import ALL_RUNS, Estimates, Source
+from planrunner.gap.fleet.attribution import ALL_RUNS, COVERAGE, Estimates, Source
 
 Array = NDArray[np.float64]
 LEVEL = 0.01
@@ -45,7 +45,8 @@ class ChangeKind(Enum):
 class FleetChange:
     """A change of an amplitude. sources: with their labels; several that the runs cannot distinguish. runs: indices of the runs of the
     first source; before: number of them before a step. earliest, latest: indices into `runs` between which a step began (95 %): after the
-    first and not after the second. size: of a step, or of a drift per day; p: after the correction."""
+    first and not after the second. size: of a step, or of a drift per day; degrees_of_freedom: ν of its standard uncertainty;
+    p: after the correction."""
 
     kind: ChangeKind
     sources: tuple[tuple[Source, str], ...]
@@ -55,7 +56,15 @@ class FleetChange:
     latest: int
     size: float
     standard_uncertainty: float
+    degrees_of_freedom: int
     p: float
+
+    @property
+    def expanded(self) -> float:
+        """Half-width of the interval about the size that has the probability `COVERAGE`, with Student's t."""
+        from scipy.stats import t as student
+
+        return self.standard_uncertainty * float(student.ppf((1 + COVERAGE) / 2, self.degrees_of_freedom))
 
 
 @dataclass(frozen=True)
@@ -70,11 +79,13 @@ class _Candidate:
 
 @dataclass(frozen=True)
 class _Tried:
-    """size, u, p: of one candidate; chi2: of the fit with it; factor: c²; direction: its column of length 1, beside the other columns."""
+    """size, u, freedom, p: of one candidate; chi2: of the fit with it; factor: c²; direction: its column of length 1, beside the other
+    columns."""
 
     candidate: _Candidate
     size: float
     u: float
+    freedom: int
     p: float
     chi2: float
     factor: float
@@ -157,9 +168,8 @@ def _tried(design: Array, y: Array, listed: Sequence[tuple[_Candidate, Array]]) 
         left_over = max(0.0, chi2 - (size * length) ** 2)
         factor = max(1.0, left_over / freedom)
         u = math.sqrt(factor) / length
-        yield _Tried(
-            candidate, size, u, 2 * float(student.sf(abs(size) / u, freedom)), left_over, factor, beside / length
-        )
+        p = 2 * float(student.sf(abs(size) / u, freedom))
+        yield _Tried(candidate, size, u, freedom, p, left_over, factor, beside / length)
 
 
 def _change(best: _Tried, tried: Sequence[_Tried], p: float) -> FleetChange:
@@ -186,5 +196,6 @@ def _change(best: _Tried, tried: Sequence[_Tried], p: float) -> FleetChange:
         max(places),
         best.size,
         best.u,
+        best.freedom,
         p,
     )
