@@ -1,4 +1,4 @@
-"""Archives on object storage or another remote file system, through fsspec: `s3://bucket/archive`, `gs://…`, `sftp://…`.
+"""Archives on object storage or another remote file system, through fsspec: `s3://bucket/archive`, `gs://…`, `ftp://…`.
 
 Nothing is read from a remote file system directly. A remote folder is first copied to a private folder of this user (`fetched`). The copy
 is then read as any other folder: through `base.guarded_folder`, with everything held against its digests. The copy accepts only plain names
@@ -6,7 +6,11 @@ and files of limited size; it never follows where a remote name might lead. A ve
 judge an older copy.
 
 Sealed runs are written once (`push_run`): a file that exists is never replaced, and what was written is read back and compared. The seal is
-written last, so that an interrupted push leaves a run that is not sealed, and the next push completes it.
+written last, so that an interrupted push leaves a run that is not sealed, and the next push completes it. A file system that writes a
+file piece by piece gets it under another name first, so that no file is ever there in part.
+
+A command that has copied a remote folder holds a lock on the copies of that archive until it ends: otherwise another command could remove
+an analysis that is not written to the remote run yet.
 """
 
 from __future__ import annotations
@@ -22,6 +26,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from time import monotonic, sleep
+from types import MethodType
 from typing import TYPE_CHECKING
 
 from planrunner.archive import live, pausing
@@ -36,6 +42,7 @@ from planrunner.archive.segment_file import FOLDER as SEGMENTS
 from planrunner.archive.stamp_files import FOLDER as STAMPS
 from planrunner.archive.storage import ASIDE, digest
 from planrunner.archive.verifying import FILES, SIGNATURES, SIGNS, examine, open_run
+from planrunner.base.exclusive import COMMAND
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.guarded_folder import MOST_ENTRIES, GuardedFolder
 from planrunner.base.progress import Announce, Pace
@@ -51,6 +58,12 @@ _LOCAL = {LOCK, pausing.NAME, live.NAME, live.ANSWER, ORIGIN}
 """Files of a run that concern only the computer that writes it."""
 _BLOCK = 2**20
 _MOST_OF_URL = 2**12
+_PATIENCE = 60.0
+"""Longest time [s] to wait for another command that uses the copies of the same archive."""
+_HELD: set[Path] = set()
+"""The folders that the present command has locked."""
+_TAKES_ANY_SERVER = re.compile(r"(^|::)(sftp|ssh)://", re.IGNORECASE)
+"""fsspec connects to an SSH server with any host key, and asks nobody."""
 _Place = tuple[str, ...]
 
 
@@ -90,17 +103,32 @@ def fetched(url: str, *, anew: bool = False, notice: Announce | None = None) -> 
     place = _cache() / hashlib.sha256(parent.encode()).hexdigest()[:16]
     with _told(url):
         make_private(place / name)
+        _hold(place, url)
         folder = GuardedFolder.open(trusted(place / name))
-        lock = FolderLock(GuardedFolder.open(place))
-        try:
-            if not files.exists(root):
-                raise FileNotFoundError(errno.ENOENT, "there is no such folder", url)
-            _copy(_Copying(files, url, anew, notice), root, folder, ())
-            with GuardedFolder.open(place).open_new(_source(name)) as source:
-                source.write(url.rstrip("/").encode())
-        finally:
-            lock.release()
+        if not files.exists(root):
+            raise FileNotFoundError(errno.ENOENT, "there is no such folder", url)
+        _copy(_Copying(files, url, anew, notice), root, folder, ())
+        with GuardedFolder.open(place).open_new(_source(name)) as source:
+            source.write(url.rstrip("/").encode())
     return place / name
+
+
+def _hold(place: Path, url: str) -> None:
+    """Locks the copies of an archive until the command ends. Raises `InputError` if another process holds them for too long."""
+    until = monotonic() + _PATIENCE
+    while place not in _HELD:
+        try:
+            lock = FolderLock(GuardedFolder.open(place))
+        except InputError:
+            if monotonic() > until:
+                message = "another planrunner command is using this archive on this computer"
+                hint = f"wait until it ends, or let {CACHE} name another folder"
+                raise InputError.at(Mark(url), "remote-in-use", message, hint) from None
+            sleep(0.1)
+        else:
+            _HELD.add(place)
+            COMMAND.callback(_HELD.discard, place)
+            COMMAND.callback(lock.release)
 
 
 class _Copying:
@@ -117,10 +145,14 @@ def _copy(copying: _Copying, root: str, folder: GuardedFolder, place: _Place) ->
     listed = {
         _name(one, root): one
         for one in copying.files.ls(root, detail=True)
-        if _stripped(str(one["name"])) != _stripped(root)
+        if _stripped(str(one["name"])) != _stripped(root) and _counts(one)
     }
     if not listed.keys().isdisjoint(SIGNS):
-        found = {_parts(one, root, copying.url): one for one in copying.files.find(root, detail=True).values()}
+        found = {
+            _parts(one, root, copying.url): one
+            for one in copying.files.find(root, detail=True).values()
+            if _counts(one)
+        }
         _copy_files(copying, {parts: _file(one) for parts, one in found.items() if parts}, folder, place)
         return
     pace = Pace(f"copying {copying.url}", len(listed), copying.notice if not place else None)
@@ -201,6 +233,13 @@ def _copy_file(copying: _Copying, file: _RemoteFile, folder: GuardedFolder, name
     folder.replace(aside, name)
 
 
+def _counts(info: Mapping[str, object]) -> bool:
+    """Whether an entry belongs to the archive: it is no empty object that consoles of storage make for a folder, and no file that was being
+    written."""
+    name = str(info["name"])
+    return not (name.endswith("/") and info["type"] != "directory" and not info["size"]) and not name.endswith(ASIDE)
+
+
 def _file(info: Mapping[str, object]) -> _RemoteFile:
     return _RemoteFile(str(info["name"]), int(str(info["size"] or 0)), _changed(info))
 
@@ -278,11 +317,11 @@ def pull_runs(copy: Path, folder: Path) -> Pulled:
 # -- writing -------------------------------------------------------------------------------------------------------------
 
 
-def push_run(run: Path, archive: str) -> Pushed:
+def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
     """Writes a sealed run to a remote archive, or what it has more than the run there, such as a new analysis.
 
-    Raises `IntegrityError` for a run that was changed. Raises `InputError` if it is not sealed, if the archive has another run of this
-    name, or if the archive cannot be written.
+    including: a folder of the run that must be there. Raises `IntegrityError` for a run that was changed. Raises `InputError` if it is not
+    sealed, if the archive has another run of this name, or if the archive cannot be written.
     """
     found = examine(open_run(run), samples="digests")
     found.require_whole()
@@ -292,12 +331,17 @@ def push_run(run: Path, archive: str) -> Pushed:
     files, root = _opened(archive)
     target = f"{root.rstrip('/')}/{run.resolve().name}"
     written = present = 0
+    included = not including
     with _told(archive):
         for place, data in _content(found.folder):
             if _written(files, f"{target}/{place}", data, archive):
                 written += 1
             else:
                 present += 1
+            included = included or place.startswith(f"{including}/")
+    if not included:
+        message = f"{including} is no longer in {run}, and was not written to the archive"
+        raise InputError.at(Mark(archive), "remote-not-written", message, "give the command again")
     return Pushed(written, present)
 
 
@@ -322,12 +366,12 @@ def _below(folder: GuardedFolder, place: str) -> Iterator[tuple[str, bytes]]:
             yield f"{place}/{name}", folder.read(name, MOST_BYTES)
 
 
-def push_back(run: Path) -> None:
-    """Writes what was added to the copy of a remote run, such as a new analysis, to the remote run. Nothing happens for other runs. Raises
-    as `push_run`."""
+def push_back(run: Path, analysis: Path) -> None:
+    """Writes what was added to the copy of a remote run, this new analysis among it, to the remote run. Nothing happens for other runs.
+    Raises as `push_run`."""
     source = source_of_copy(run)
     if source is not None:
-        push_run(run, source.rpartition("/")[0])
+        push_run(run, source.rpartition("/")[0], including=f"{ANALYSES}/{analysis.name}")
 
 
 def source_of_copy(run: Path) -> str | None:
@@ -351,7 +395,7 @@ def _written(files: AbstractFileSystem, path: str, data: bytes, archive: str) ->
     if new:
         files.makedirs(path.rpartition("/")[0], exist_ok=True)
         try:
-            files.pipe_file(path, data, mode="create")
+            _write(files, path, data)
         except FileExistsError:  # somebody was first
             new = False
     if digest(files.cat_file(path)) != digest(data):
@@ -360,6 +404,21 @@ def _written(files: AbstractFileSystem, path: str, data: bytes, archive: str) ->
             message = f"{path}: what was read back differs from what was written"
         raise InputError.at(Mark(archive), "remote-differs", message, "compare both runs with `planrunner verify`")
     return new
+
+
+def _write(files: AbstractFileSystem, path: str, data: bytes) -> None:
+    """Writes a new file, all of it or nothing. Raises `FileExistsError` if the storage finds that it is there."""
+    from fsspec import AbstractFileSystem
+
+    write = files.pipe_file
+    in_pieces = isinstance(write, MethodType) and write.__func__ is AbstractFileSystem.pipe_file
+    if not in_pieces:
+        write(path, data, mode="create")
+        return
+    folder, _, name = path.rpartition("/")
+    aside = f"{folder}/.{name}{ASIDE}"
+    write(aside, data)
+    files.mv(aside, path)
 
 
 # -- the file system -----------------------------------------------------------------------------------------------------
@@ -371,15 +430,15 @@ def _opened(url: str) -> tuple[AbstractFileSystem, str]:
         from fsspec.core import url_to_fs
     except ImportError:
         raise _missing(url, "fsspec is not installed") from None
-    try:
-        files, root = url_to_fs(url, use_listings_cache=False)
-    except ImportError as error:
-        raise _missing(url, str(error)) from None
-    except ValueError as error:
-        raise InputError.at(
-            Mark(url), "remote-unreachable", str(error), "give a URL such as s3://bucket/archive"
-        ) from None
-    files.invalidate_cache()
+    if _TAKES_ANY_SERVER.search(url):
+        message = "SFTP is not supported: its library does not check that the server is the right one"
+        raise InputError.at(Mark(url), "remote-refused", message, "mount the folder, for example with sshfs")
+    with _told(url):
+        try:
+            files, root = url_to_fs(url, use_listings_cache=False)
+        except ImportError as error:
+            raise _missing(url, str(error)) from None
+        files.invalidate_cache()
     return files, str(root)
 
 

@@ -10,6 +10,9 @@ from pathlib import Path
 
 from planrunner.base.file_kind import open_flags
 
+COMMAND = contextlib.ExitStack()
+"""Locks that a command holds until it ends; `cli.main` closes it."""
+
 
 class HeldError(Exception):
     """Another process, or another lock of this one, holds the file. The message is the note of the holder."""

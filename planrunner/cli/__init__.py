@@ -20,6 +20,7 @@ from typing import NoReturn
 
 from planrunner import __version__
 from planrunner.base.dataclass import dataclass
+from planrunner.base.exclusive import COMMAND
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.base.interruption import Interruption
 from planrunner.cli.exit_codes import DONE, WRONG_INPUT
@@ -68,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """The `planrunner` command. Returns the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     _print_anything()
-    with printable_streams():
+    with printable_streams(), COMMAND:
         return _main(arguments)
 
 

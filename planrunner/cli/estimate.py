@@ -65,7 +65,7 @@ def _keep(made: Evaluated, *, as_json: bool, elsewhere: bool = False) -> Done:
     from planrunner.tasks.run import keep
 
     analysis = keep(made, elsewhere=elsewhere)
-    push_back(made.run)
+    push_back(made.run, analysis.folder)
     if analysis.before is not None:
         verdict = "the same numbers as" if analysis.same else "OTHER NUMBERS than"
         print(f"analysis {analysis.folder.name} has {verdict} analysis {analysis.before}", file=sys.stderr)

@@ -98,7 +98,7 @@ def _report(run: Path, names: tuple[str, ...], args: argparse.Namespace) -> Done
     if args.template is None:
         with reading_progress() as notice:
             analysis = running.analyse_run(run, issue, notice=notice)
-        push_back(run)
+        push_back(run, analysis.folder)
         print_findings((*analysis.remarks, *analysis.withheld, *analysis.unsigned))
         written = [*analysis.reports]
         found = {"analysis": str(analysis.folder), "withheld": [finding.to_json() for finding in analysis.withheld]}

@@ -13,6 +13,7 @@ import pytest
 
 from planrunner.archive.remote import Pushed, fetched, push_run, source_of_copy
 from planrunner.archive.verifying import verify
+from planrunner.base.exclusive import COMMAND
 from planrunner.base.findings import InputError
 from planrunner.execution.stopping import StopRequest
 from planrunner.tasks import run as running
@@ -61,7 +62,8 @@ def bucket(server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iter
     if files.exists("laboratory"):
         files.rm("laboratory", recursive=True)
     files.mkdir("laboratory")
-    yield files
+    with COMMAND:
+        yield files
     files.clear_instance_cache()
 
 
@@ -116,6 +118,15 @@ def test_what_is_there_is_never_replaced(bucket: Any, runs: Path) -> None:
     bucket.pipe_file(path, b"another plan")
     assert refusal(push_run, run, _URL).startswith("remote-differs: ")
     assert bucket.cat_file(path) == b"another plan"
+
+
+def test_empty_objects_for_folders_are_ignored(bucket: Any, runs: Path) -> None:
+    """Consoles and mounts of object storage make them."""
+    run = sorted(runs.iterdir())[0]
+    push_run(run, _URL)
+    for key in ("", f"{run.name}/", f"{run.name}/segments/", f"{run.name}/analyses/1/"):
+        bucket.call_s3("put_object", Bucket="laboratory", Key=f"archive/{key}", Body=b"")
+    assert contents(fetched(_URL) / run.name) == contents(run)
 
 
 @pytest.mark.slow
