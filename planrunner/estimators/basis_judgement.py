@@ -149,14 +149,20 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
     notes: list[FitNote] = []
     warnings: list[Said] = []
     if basis == "residual":
-        pooled = said(
+        pooled = counted(
+            "Uncertainties are based on the residuals: {freedom} degree of freedom for each output, pooled over the "
+            "outputs, so the coverage factors are large.",
             "Uncertainties are based on the residuals: {freedom} degrees of freedom for each output, pooled over the "
             "outputs, so the coverage factors are large.",
+            count=fit.freedom,
             freedom=fit.freedom,
         )
-        apart = said(
+        apart = counted(
+            "Uncertainties are based on the residuals: {freedom} degree of freedom for each output, so the coverage "
+            "factors are large.",
             "Uncertainties are based on the residuals: {freedom} degrees of freedom for each output, so the coverage "
             "factors are large.",
+            count=fit.freedom,
             freedom=fit.freedom,
         )
         notes.append(FitNote(pooled if fit.pooled else apart))

@@ -29,7 +29,8 @@ def languages() -> tuple[str, ...]:
 
 @lru_cache(maxsize=8)
 def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
-    """English message → translation, or the plural forms of one. Doubtful (fuzzy) and empty entries are left out."""
+    """English message → translation, or the plural forms of one. Doubtful (fuzzy) and empty entries are left out. The English plural is
+    a message too: in earlier versions, a text could have that form only, and stored results keep it."""
     if language == ENGLISH:
         return {}
     from babel.messages.pofile import read_po
@@ -43,7 +44,11 @@ def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
             if isinstance(said, list | tuple):
                 said = tuple(said) if all(said) else None
             if said:
-                found[message.id[0] if isinstance(message.id, list | tuple) else message.id] = said
+                if isinstance(message.id, list | tuple):
+                    found[message.id[0]] = said
+                    found.setdefault(message.id[1], said[-1])
+                else:
+                    found[message.id] = said
     return found
 
 

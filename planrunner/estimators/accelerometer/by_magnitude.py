@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
-from planrunner.base.said import said
+from planrunner.base.said import counted, said
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude, too_few
 from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.basis_judgement import MORE_SEGMENTS, judge, no_residual, require_basis
@@ -141,9 +141,12 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
     judged = judge(fit, basis, poses.channels)
     notes, warnings = list(judged.texts), list(judged.warnings)
     notes = [
-        said(
+        counted(
+            "{poses} poses; residuals of |f| {rms:.3g} mm/s² rms, corrected for {freedom} degree of freedom; condition "
+            "{condition:.3g}.",
             "{poses} poses; residuals of |f| {rms:.3g} mm/s² rms, corrected for {freedom} degrees of freedom; condition "
             "{condition:.3g}.",
+            count=fit.freedom,
             poses=len(poses.labels),
             rms=_size(fit, residuals) * 1e3,
             freedom=fit.freedom,

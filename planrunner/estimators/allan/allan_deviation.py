@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.findings import closest
-from planrunner.base.said import Said, said
+from planrunner.base.said import Said, counted, said
 from planrunner.estimators.allan.confidence import NAMES
 from planrunner.estimators.allan.described_range import DescribedRange, described_range
 from planrunner.estimators.allan.fit import FLAT, TERMS, expected_covariance, model_matrix
@@ -346,10 +346,14 @@ def _judge(result: _Result, found: DescribedRange) -> float:
     if not found.fits:
         widening = math.sqrt(max(1.0, found.fit.chi_square / max(1, found.fit.freedom)))
         result.warnings.append(
-            said(
+            counted(
+                "{name}: the fitted noise does not describe the deviations (χ² = {chi_square:.3g} with {freedom} "
+                "degree of freedom); uncertainties are widened {factor:.2g}-fold. Drift, vibration or a "
+                "periodic disturbance may be in the record.",
                 "{name}: the fitted noise does not describe the deviations (χ² = {chi_square:.3g} with {freedom} "
                 "degrees of freedom); uncertainties are widened {factor:.2g}-fold. Drift, vibration or a "
                 "periodic disturbance may be in the record.",
+                count=found.fit.freedom,
                 name=name,
                 chi_square=found.fit.chi_square,
                 freedom=found.fit.freedom,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
-from planrunner.base.said import Said, said
+from planrunner.base.said import Said, counted, said
 from planrunner.error_model.effects.interface import (
     Follows,
     FollowsSurroundings,
@@ -554,9 +554,12 @@ def _disagreement(request: EstimateRequest[ErrorModelParameters], made: ModelQua
         one.name for one, places in zip(made.common.amplitudes, made.common.members, strict=True) if len(places) > 1
     ]
     return [
-        said(
+        counted(
+            "{names}: the outputs give different values (χ² = {chi_square:.3g} with {freedom} degree of freedom), although "
+            "they have this in common: something else acts on them, or the model of an output is incomplete.",
             "{names}: the outputs give different values (χ² = {chi_square:.3g} with {freedom} degrees of freedom), although "
             "they have this in common: something else acts on them, or the model of an output is incomplete.",
+            count=freedom,
             names=tuple(names),
             chi_square=square,
             freedom=freedom,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.base.said import Said, said
+from planrunner.base.said import Said, counted, said
 from planrunner.estimators import least_squares, rank
 from planrunner.estimators.basis_judgement import no_flicker_declared
 from planrunner.estimators.derived import independent
@@ -631,10 +631,14 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[Said]:
         )
     for way, ramps in zip((said("offsets"), said("slopes")), fit.ramps, strict=False):
         found.append(
-            said(
+            counted(
+                "{name}: ramps in the same direction differ by {way} with a standard deviation of {deviation:.3g} {unit} "
+                "({freedom} degree of freedom; variance ratio F = {ratio:.3g} to noise, probability of a larger ratio by "
+                "chance {chance:.2g}). All uncertainties of the curve include this.",
                 "{name}: ramps in the same direction differ by {way} with a standard deviation of {deviation:.3g} {unit} "
                 "({freedom} degrees of freedom; variance ratio F = {ratio:.3g} to noise, probability of a larger ratio by "
                 "chance {chance:.2g}). All uncertainties of the curve include this.",
+                count=ramps.degrees_of_freedom,
                 name=name,
                 way=way,
                 deviation=ramps.size,
