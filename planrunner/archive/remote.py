@@ -416,7 +416,7 @@ def _write(files: AbstractFileSystem, path: str, data: bytes) -> None:
         write(path, data, mode="create")
         return
     folder, _, name = path.rpartition("/")
-    aside = f"{folder}/.{name}{ASIDE}"
+    aside = f"{folder}/.{name}{ASIDE}"  # the same name after an interruption, so that nothing is left
     write(aside, data)
     files.mv(aside, path)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from datetime import date
 from functools import partial
 from pathlib import Path
 
@@ -58,7 +59,9 @@ def run(args: argparse.Namespace) -> int:
         answers = results_of(partial(_answer, args), args.plans, workers)
     else:
         bench = None if args.bench is None else Path(args.bench)
-        found = results_of(partial(_answer_elsewhere, args), [(Path(plan), bench) for plan in args.plans], workers)
+        found = results_of(
+            partial(_answer_elsewhere, args, date.today()), [(Path(plan), bench) for plan in args.plans], workers
+        )
         answers = [one or _answer(args, plan) for plan, one in zip(args.plans, found, strict=True)]
     if args.json:
         print_json([finding.to_json() for answer in answers for finding in answer.findings])
@@ -78,12 +81,12 @@ class _Answer:
     summary: str
 
 
-def _answer_elsewhere(args: argparse.Namespace, files: tuple[Path, Path | None]) -> _Answer | None:
+def _answer_elsewhere(args: argparse.Namespace, today: date, files: tuple[Path, Path | None]) -> _Answer | None:
     """On a worker of a cluster: None if this computer does not decide it. files: the plan, and the bench that was given."""
     plan, _ = files
     if is_suite(plan):
         return None  # its plans are shared
-    checked = check_plan(plan, bench=args.bench)
+    checked = check_plan(plan, bench=args.bench, today=today)
     return _finished(args, checked) if checked.portable else None
 
 

@@ -79,9 +79,12 @@ class Checked:
 
     @property
     def portable(self) -> bool:
-        """Whether another computer would find the same: it has no signing key and perhaps other runs, and may lack files."""
+        """Whether another computer would find the same on this day: it has no signing key, perhaps other runs and another time, and may
+        lack files."""
         bench = self.bench
-        return self.ok and bench is not None and bench.signing is None and bench.check_standard is None
+        if bench is None or not self.ok:
+            return False
+        return bench.signing is None and bench.check_standard is None and bench.approvals is None
 
     def sound(self) -> Sound:
         """The plan with everything needed to run it. Raises `InputError` with the findings if there are errors."""

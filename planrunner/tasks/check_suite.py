@@ -6,7 +6,8 @@ import re
 import time
 from collections.abc import Mapping
 from dataclasses import field
-from datetime import datetime, tzinfo
+from datetime import date, datetime, tzinfo
+from functools import partial
 from pathlib import Path
 
 from planrunner.archive.space import recording_bytes
@@ -230,7 +231,9 @@ def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
     if workers.scheduler is None:
         answers = results_of(_look_at, items, workers)
     else:
-        found = results_of(_look_elsewhere, [(file, bench, Path(bench)) for file, bench in items], workers)
+        found = results_of(
+            partial(_look_elsewhere, date.today()), [(file, bench, Path(bench)) for file, bench in items], workers
+        )
         answers = [one or _look_at(item) for item, one in zip(items, found, strict=True)]
     for (pair, test), answer in zip(pairs.items(), answers, strict=True):
         checked.plans[pair] = answer
@@ -250,10 +253,10 @@ def _plan_of(test: PlannedTest) -> Mark:
     return test.mark if test.standard else test.plan.at("plan")
 
 
-def _look_elsewhere(given: tuple[Path, str, Path]) -> PlanOnBench | None:
+def _look_elsewhere(today: date, given: tuple[Path, str, Path]) -> PlanOnBench | None:
     """On a worker of a cluster: None if this computer does not decide it. given: the plan, and the bench, also as a path."""
     file, bench, _ = given
-    found = check_plan(file, bench)
+    found = check_plan(file, bench, today=today)
     return _seen(found) if found.portable else None
 
 

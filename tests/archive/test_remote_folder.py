@@ -14,6 +14,7 @@ import pytest
 
 from planrunner.archive import remote
 from planrunner.archive.remote import fetched, push_back, push_run
+from planrunner.archive.verifying import verify
 from planrunner.base.exclusive import COMMAND
 from planrunner.base.findings import InputError
 from planrunner.execution.stopping import StopRequest
@@ -87,6 +88,7 @@ def test_a_push_that_was_killed_while_it_wrote_a_file_is_completed(
     fetched(f"file://{archive}")
     assert push_run(made, f"file://{archive}").written == total - number % total
     assert contents(archive / made.name) == contents(made)
+    assert [one for one in verify(archive / made.name) if one.severity == "error"] == []
 
 
 def test_a_command_keeps_its_copy_until_it_ends(made: Path, archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -122,7 +122,7 @@ _STANDARD = "check_standard: {device: C, plan: c.yaml, coefficients: {drift.D_X_
 
 @pytest.fixture
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[object]:
-    """The answers of a cluster that sees the plans, but has no signing keys."""
+    """The answers of a cluster that sees the plans, but has no signing keys, and a clock that is never asked."""
     answers: list[object] = []
     monkeypatch.delenv("SSH_AUTH_SOCK", raising=False)
     monkeypatch.setenv("PLANRUNNER_STATE", str(tmp_path / "state"))
@@ -140,7 +140,8 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[object]:
     def computed(work: Callable[[Any], Any], items: Sequence[Any], *_: object) -> Iterator[Any]:
         work = pickle.loads(cloudpickle.dumps(work))
         for item in items:
-            with mock.patch.dict(os.environ, PLANRUNNER_STATE=str(tmp_path / "worker")):
+            keys = mock.patch.dict(os.environ, PLANRUNNER_STATE=str(tmp_path / "worker"))
+            with keys, mock.patch("planrunner.tasks.check.date", None):
                 answers.append(work(item))
             yield answers[-1]
 
