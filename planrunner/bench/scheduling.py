@@ -151,6 +151,7 @@ class _Planner:
         self.state = TableState(np.zeros(len(axes)))
         self._timed = True  # until a segment is left out, because the soak time of the sensor is unknown after it
         self._soaked: float | None = None
+        self._kept: float | None = None  # K, by the chamber
         self._mounted: Orientation | None = None
         self._surroundings: dict[str, Quantity | None] = {}
         self._warned: set[str] = set()
@@ -193,6 +194,9 @@ class _Planner:
             self.temperatures.check_soaked(item.label, start, soak, mark_of("soak") or marks["temperature"])
         self.time = start + (dwell or 0.0)
         rate = state.sample_rate
+        kept = self._kept
+        if not self.models.replays:
+            self._kept = next((one for one in (ramp_to, kelvin) if one is not None), kept)
         return Segment(
             index=index,
             label=item.label,
@@ -204,6 +208,7 @@ class _Planner:
             soak=soak,
             temperature=kelvin,
             ramp_to=ramp_to,
+            kept_temperature=kept,
             supply_voltage=None if state.supply_voltage is None else state.supply_voltage.value,
             ambient_pressure=None if state.ambient_pressure is None else state.ambient_pressure.value,
             sample_rate=rate.value if rate else None,

@@ -65,7 +65,7 @@ def scheduled(
     """A few samples of every segment that turns about one axis or rests; such segments only. rate: Hz; nominal_supply: V."""
     usable = [s for s in segments if s.attitude is not None and isinstance(s.motion, Rest | Spin | Rock)]
     since = np.arange(_SAMPLES) / rate
-    warm = [_celsius(segment.temperature) for segment in usable]
+    warm = [_celsius(segment.begins_at) for segment in usable]
     end = [w if s.ramp_to is None else _celsius(s.ramp_to) for w, s in zip(warm, usable, strict=True)]
     changes = np.sign(np.diff([*warm[:1], *end]))
     parts = []

@@ -82,7 +82,7 @@ class SegmentStates:
 def states_of(segments: Sequence[Segment], start: Array, seconds: Array, nominal_supply: float) -> SegmentStates:
     """Planned temperatures, supply voltages and pressures; reference values where none are planned. start, seconds: (n,), s, planned or
     recorded; nominal_supply: of the sensor, V."""
-    kelvin = [one.temperature for one in segments]
+    kelvin = [one.begins_at for one in segments]
     begin = np.array([REFERENCE_TEMPERATURE if one is None else one - ZERO_CELSIUS for one in kelvin])
     ends = [one.ramp_to for one in segments]
     end = np.array([own if to is None else to - ZERO_CELSIUS for own, to in zip(begin, ends, strict=True)])

@@ -35,7 +35,7 @@ class Temperature:
 def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> Temperature:
     """The smoothed thermometer reading, or the planned temperature."""
     if kelvin is None:
-        planned = item.segment.temperature
+        planned = item.segment.begins_at
         celsius = REFERENCE_TEMPERATURE if planned is None else planned - ZERO_CELSIUS
         target = celsius if item.segment.ramp_to is None else item.segment.ramp_to - ZERO_CELSIUS
         span = max(float(time[-1] - time[0]), 1e-9)

@@ -139,7 +139,9 @@ class Segment:
 
     attitude: shape (3, 3), rows are the sensor's x, y, z axes in site East-North-Up, so v_sensor = attitude @ v_site; at the start
         of the motion; None if the plan says `unknown`.
-    temperature, ramp_to: K. supply_voltage: V; ambient_pressure: Pa; None if the plan does not state them.
+    temperature, ramp_to: K; a ramp has no temperature. kept_temperature: K, at which the chamber keeps the sensor since an earlier segment;
+        None before the first, and on a bench that plays back a recording.
+    supply_voltage: V; ambient_pressure: Pa; None if the plan does not state them.
     soak, settle, dwell, transition, start: s; `dwell` is None for the length of the recording;
         `transition` is the planned time to get there (moves, spin-up, temperature), `start` the planned beginning of the dwell since
         the run began. sample_rate: Hz, None for the sensor's own.
@@ -160,6 +162,7 @@ class Segment:
     soak: float = 0.0
     temperature: float | None = None
     ramp_to: float | None = None
+    kept_temperature: float | None = None
     supply_voltage: float | None = None
     ambient_pressure: float | None = None
     sample_rate: float | None = None
@@ -172,6 +175,11 @@ class Segment:
     transition: float = 0.0
     start: float = 0.0
     marks: Mapping[str, Mark] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def begins_at(self) -> float | None:
+        """Temperature [K] at the beginning of the dwell: the stated one, or else the one that the chamber keeps; None where not known."""
+        return self.kept_temperature if self.temperature is None else self.temperature
 
     @property
     def rate(self) -> float:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from planrunner.base.findings import Finding
+from planrunner.error_model.segment_columns import states_of
 from planrunner.instruments.models import ChamberModel
 from planrunner.tasks.check import check_plan
 
@@ -86,3 +88,23 @@ def test_what_a_ramp_left_behind_counts(found: Callable[..., dict[str, list[Find
     ramp = "{label: ramp, temperature: {ramp_to: 60 degC}, dwell: 20 min}"
     assert "physics-soak" in found(ramp, "{label: hot, temperature: 60 degC}")
     assert "physics-soak" not in found(ramp, "{label: hot, temperature: 60 degC, soak: 1 h}")
+
+
+def test_a_segment_without_a_temperature_is_where_the_chamber_was_left(tmp_path: Path) -> None:
+    """60 degC, nothing, a ramp to -20 degC, nothing: the last change warms, and from the ramp on it cools."""
+    segments = [
+        "{label: a}",
+        "{label: b, temperature: 60 degC, soak: 1 h}",
+        "{label: c}",
+        "{label: d, temperature: {ramp_to: -20 degC}, dwell: 1 h}",
+        "{label: e}",
+    ]
+    path = tmp_path / "plan.yaml"
+    path.write_text(PLAN.format(segments="\n".join(f"  - {segment}" for segment in segments)), encoding="utf-8")
+    schedule = check_plan(path).schedule
+    assert schedule is not None
+    assert [one.begins_at for one in schedule.segments] == [None, *[pytest.approx(333.15)] * 3, pytest.approx(253.15)]
+    start, seconds = (np.array([getattr(one, key) for one in schedule.segments]) for key in ("start", "dwell"))
+    states = states_of(schedule.segments, start, seconds, 5.0)
+    assert states.celsius == pytest.approx([25, 60, 60, 20, -20])
+    assert states.last_change.tolist() == [0, 1, 1, -1, -1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -123,6 +124,26 @@ def test_what_is_added_is_found_back(plan: Path, effect: str, name: str) -> None
     assert name in (run / "bench.yaml").read_text(encoding="utf-8")
     found = diagnose_recorded(recorded_run(run), FEW).diagnosis
     assert found.verdict.effects == (name,)
+
+
+@pytest.mark.slow
+def test_hysteresis_is_found_in_segments_that_state_no_temperature(tmp_path: Path) -> None:
+    """The chamber stays at the temperature of the segment before. An estimate that took 25 degC there would see the opposite change."""
+    warm = [25, 60, None, 25, None, -20, None, 25, None]
+    states = ["" if one is None else f", temperature: {one} degC, soak: 2 h" for one in warm]
+    plan = tmp_path / "cycle.yaml"
+    plan.write_text(
+        "planrunner: 1\ntitle: A cycle\nbench: virtual_mems\nsensor: {kind: imu, outputs: [gyro_z]}\n"
+        "defaults: {orientation: {x: east, y: north, z: up}, dwell: 1 min}\nsegments:\n"
+        + "".join(f"  - {{label: S{number}{state}}}\n" for number, state in enumerate(states))
+        + "estimates:\n  fit:\n    estimator: error_model\n    drift: none\n    outputs: "
+        "{gyro_z: [gyro_bias, gyro_bias_temperature.c1, gyro_thermal_hysteresis]}\n",
+        encoding="utf-8",
+    )
+    run = _simulated(plan, "gyro_thermal_hysteresis=2 deg/s")
+    results = json.loads((run / "analyses" / "1" / "results.json").read_text(encoding="utf-8"))
+    (found,) = (one for one in results["estimates"][0]["coefficients"] if "hysteresis" in one["name"])
+    assert abs(found["value"] - 2.0) < 2.5 * found["standard_uncertainty"] < 0.1  # t of 6 degrees of freedom, 95 %
 
 
 @pytest.mark.slow
