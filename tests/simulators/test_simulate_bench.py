@@ -207,7 +207,7 @@ def test_the_command_line_takes_the_token_from_the_readiness_file(
     for more in ([], *(["--ready", str(tmp_path / f"{name}.json")] for name in ("missing", "none", "other", "pipe"))):
         assert main(["simulate-bench", bench, "--stop", *more]) == WRONG_INPUT
         assert "error[simulation-token]" in capsys.readouterr().err
-    assert ask(served["control"], {"ask": "state"})["faults"] == []
+    until(served["control"], lambda state: not state["faults"])
 
 
 def test_a_port_that_refuses_comes_back(served: dict[str, Any]) -> None:
