@@ -82,6 +82,15 @@ def made_here(run: GuardedFolder, first: str) -> bool:
     return hmac.compare_digest(mark.strip(), _mark(key, first).encode())
 
 
+def foreign(run: GuardedFolder, first: str) -> str:
+    """Why a run folder counts as made elsewhere, so that its bench file must not decide what is connected to or signed; empty if this user
+    made it on this computer."""
+    try:
+        return "" if made_here(run, first) else "you did not make this run folder on this computer"
+    except OriginUnknownError as error:
+        return f"planrunner cannot determine whether this run folder was made on this computer: {error}"
+
+
 def _mark(key: bytes, first: str) -> str:
     return hmac.new(key, _PURPOSE + first.encode(), "sha256").hexdigest()
 

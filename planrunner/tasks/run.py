@@ -14,7 +14,7 @@ from pathlib import Path
 from planrunner.archive.analyses import Basis, StoredAnalysis, add_analysis
 from planrunner.archive.formats import IntegrityError, from_bytes, to_bytes
 from planrunner.archive.lock import FolderLock
-from planrunner.archive.origin import OriginUnknownError, made_here
+from planrunner.archive.origin import foreign
 from planrunner.archive.provenance import computed_with
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.run_folder import RunWriter
@@ -295,12 +295,9 @@ def _stand_in(reader: RunReader, bench: str) -> Document:
 
 def _require_made_here(reader: RunReader, sound: Sound) -> None:
     """Raises `InputError` for a folder of unknown origin: its bench file decides which devices are connected and commanded."""
-    why = "you did not make this run folder on this computer"
-    try:
-        if made_here(reader.folder, reader.first):
-            return
-    except OriginUnknownError as error:
-        why = f"planrunner cannot determine whether this run folder was made on this computer: {error}"
+    why = foreign(reader.folder, reader.first)
+    if not why:
+        return
     known = addresses(sound.bench)
     if sound.bench.time_stamps is not None:
         known["time_stamps"] = sound.bench.time_stamps.url

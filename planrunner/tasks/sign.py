@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from planrunner.archive.formats import IntegrityError
-from planrunner.archive.origin import OriginUnknownError, made_here
+from planrunner.archive.origin import foreign
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.verifying import BENCH, Examined, examine, open_run
 from planrunner.base.findings import InputError, Mark
@@ -112,10 +112,5 @@ def _verified(folder: GuardedFolder) -> Examined:
 
 def _require_made_here(reader: RunReader) -> None:
     """Raises `BenchKeyError` for a run of unknown origin: its bench file must not decide which key signs it."""
-    why = "you did not make this run folder on this computer"
-    try:
-        if made_here(reader.folder, reader.first):
-            return
-    except OriginUnknownError as error:
-        why = f"planrunner cannot determine whether this run folder was made on this computer: {error}"
-    raise BenchKeyError(why)
+    if why := foreign(reader.folder, reader.first):
+        raise BenchKeyError(why)

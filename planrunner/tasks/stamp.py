@@ -6,7 +6,7 @@ from pathlib import Path
 
 from planrunner.archive import seal as seals
 from planrunner.archive.lock import FolderLock
-from planrunner.archive.origin import OriginUnknownError, made_here
+from planrunner.archive.origin import foreign
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.stamp_files import DIGITS, keep_stamp
 from planrunner.archive.storage import Storage, digest
@@ -96,10 +96,8 @@ def stamp_run(run: Path, url: str | None = None) -> str:
 
 def _require_origin(reader: RunReader, url: str) -> None:
     """The bench file of a stranger's folder must not choose what is connected to."""
-    try:
-        if made_here(reader.folder, reader.first):
-            return
-    except OriginUnknownError:
-        pass
-    message = f"you did not make this run folder on this computer; its bench file names the authority {url}"
+    why = foreign(reader.folder, reader.first)
+    if not why:
+        return
+    message = f"{why}; its bench file names the authority {url}"
     raise InputError.at(Mark(str(reader.path)), "run-not-made-here", message, "if you trust it, give it with --url")

@@ -2,154 +2,159 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Follows, Variant, per_axis, single
+from planrunner.error_model.effects.interface import Array, Follows, Variant, per_axis, single
 from planrunner.error_model.observed import Observed
 
 DEG = np.pi / 180
 G = 9.80665  # m/s²
-HPA = 100.0  # Pa
-
-_VOLTAGES = "two supply voltages, stated by `supply_voltage` of the segments or recorded in `supply_channel`"
-_PRESSURES = "two ambient pressures, stated by `ambient_pressure` of the segments or recorded in `pressure_channel`"
-_TURNS = "rates about the axis at "
-_FLIPS = "the axis up and down at "
-_REGULATE = "Regulate the supply more closely, or compensate with the measured voltage: {found}."
-_SEAL = "Seal the sensor, or compensate with the measured pressure: {found}."
 
 
-class GyroBiasSupply:
+class _Quantity(NamedTuple):
+    """What the errors follow. unit: of an excess over the nominal value, `size` in SI. name, acts, remedy, shown_by: for `About` and
+    `shown_by`."""
+
+    unit: str
+    size: float
+    name: str
+    acts: str
+    remedy: str
+    shown_by: str
+
+
+_QUANTITIES = {
+    Follows.SUPPLY: _Quantity(
+        "V",
+        1.0,
+        "supply voltage",
+        "the voltage that supplies the sensor",
+        "Regulate the supply more closely, or compensate with the measured voltage: {found}.",
+        "two supply voltages, stated by `supply_voltage` of the segments or recorded in `supply_channel`",
+    ),
+    Follows.PRESSURE: _Quantity(
+        "hPa",
+        100.0,
+        "ambient pressure",
+        "the pressure of the air about the sensor",
+        "Seal the sensor, or compensate with the measured pressure: {found}.",
+        "two ambient pressures, stated by `ambient_pressure` of the segments or recorded in `pressure_channel`",
+    ),
+}
+_BIAS = {"gyro": ("deg/s", DEG), "accel": ("ug", 1e-6 * G)}
+"""Unit of a bias, with its size in SI."""
+_NAMES = {"gyro": "gyro", "accel": "accelerometer"}
+
+
+def _about(kind: str, error: str, follows: Follows, because: str = "") -> About:
+    quantity, name = _QUANTITIES[follows], _NAMES[kind]
+    return About(
+        f"{name} {error} depends on the {quantity.name}",
+        f"The {error} of each {name} changes in proportion to {quantity.acts}{because}.",
+        Actor.SENSOR,
+        quantity.remedy,
+    )
+
+
+class _OfSurroundings:
+    """An error of each axis of a triad that follows a quantity. kind: of the triad; natural: usual change per V or hPa, a bias in the unit
+    of `_BIAS` or a relative change of the scale factor."""
+
+    stage, hypothesis = "sensor", False
+    kind: str
+    follows: Follows
+    natural: float
+
+    def _excess(self, observed: Observed) -> Array:
+        """(N,), V or Pa above the nominal supply of the sensor or the standard atmosphere of 1013.25 hPa."""
+        return observed.overvoltage if self.follows is Follows.SUPPLY else observed.overpressure
+
+
+class _Bias(_OfSurroundings):
+    """Bias + c·excess per axis."""
+
+    @property
+    def shown_by(self) -> str:
+        return _QUANTITIES[self.follows].shown_by
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        quantity = _QUANTITIES[self.follows]
+        unit, size = _BIAS[self.kind]
+        factor = size / quantity.size
+        name = f"{unit}/{quantity.unit}"
+        return single(per_axis(observed, self.kind, "c", name, factor, self.natural * factor, self._excess(observed)))
+
+
+class _ScaleFactor(_OfSurroundings):
+    """Scale factor × (1 + k·excess) per axis."""
+
+    @property
+    def shown_by(self) -> str:
+        needed = "rates about the axis at " if self.kind == "gyro" else "the axis up and down at "
+        return needed + _QUANTITIES[self.follows].shown_by
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        quantity = _QUANTITIES[self.follows]
+        stimulus = observed.omega if self.kind == "gyro" else observed.force
+        product = stimulus * self._excess(observed)[:, None]
+        name, natural = f"ppm/{quantity.unit}", self.natural / quantity.size
+        return single(per_axis(observed, self.kind, "k", name, 1e-6 / quantity.size, natural, product))
+
+
+class GyroBiasSupply(_Bias):
     """Bias + c·ΔV per axis, ΔV above the nominal supply voltage of the sensor."""
 
-    id, stage, hypothesis, follows = "gyro_bias_supply", "sensor", False, Follows.SUPPLY
-    about = About(
-        "gyro bias depends on the supply voltage",
-        "The bias of each gyro changes in proportion to the voltage that supplies the sensor.",
-        Actor.SENSOR,
-        _REGULATE,
-    )
-    shown_by = _VOLTAGES
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        return single(per_axis(observed, "gyro", "c", "deg/s/V", DEG, 1e-3 * DEG, observed.overvoltage))
+    id, kind, follows, natural = "gyro_bias_supply", "gyro", Follows.SUPPLY, 1e-3
+    about = _about(kind, "bias", follows)
 
 
-class GyroScaleSupply:
+class GyroScaleSupply(_ScaleFactor):
     """Scale factor × (1 + k·ΔV) per axis."""
 
-    id, stage, hypothesis, follows = "gyro_scale_supply", "sensor", False, Follows.SUPPLY
-    about = About(
-        "gyro scale factor depends on the supply voltage",
-        "The scale factor of each gyro changes in proportion to the voltage that supplies the sensor.",
-        Actor.SENSOR,
-        _REGULATE,
-    )
-    shown_by = _TURNS + _VOLTAGES
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        product = observed.omega * observed.overvoltage[:, None]
-        return single(per_axis(observed, "gyro", "k", "ppm/V", 1e-6, 1e-4, product))
+    id, kind, follows, natural = "gyro_scale_supply", "gyro", Follows.SUPPLY, 1e-4
+    about = _about(kind, "scale factor", follows)
 
 
-class AccelBiasSupply:
+class AccelBiasSupply(_Bias):
     """Bias + c·ΔV per axis."""
 
-    id, stage, hypothesis, follows = "accel_bias_supply", "sensor", False, Follows.SUPPLY
-    about = About(
-        "accelerometer bias depends on the supply voltage",
-        "The bias of each accelerometer changes in proportion to the voltage that supplies the sensor.",
-        Actor.SENSOR,
-        _REGULATE,
-    )
-    shown_by = _VOLTAGES
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        return single(per_axis(observed, "accel", "c", "ug/V", 1e-6 * G, 1e-4 * G, observed.overvoltage))
+    id, kind, follows, natural = "accel_bias_supply", "accel", Follows.SUPPLY, 100.0
+    about = _about(kind, "bias", follows)
 
 
-class AccelScaleSupply:
+class AccelScaleSupply(_ScaleFactor):
     """Scale factor × (1 + k·ΔV) per axis."""
 
-    id, stage, hypothesis, follows = "accel_scale_supply", "sensor", False, Follows.SUPPLY
-    about = About(
-        "accelerometer scale factor depends on the supply voltage",
-        "The scale factor of each accelerometer changes in proportion to the voltage that supplies the sensor.",
-        Actor.SENSOR,
-        _REGULATE,
-    )
-    shown_by = _FLIPS + _VOLTAGES
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        product = observed.force * observed.overvoltage[:, None]
-        return single(per_axis(observed, "accel", "k", "ppm/V", 1e-6, 1e-4, product))
+    id, kind, follows, natural = "accel_scale_supply", "accel", Follows.SUPPLY, 1e-4
+    about = _about(kind, "scale factor", follows)
 
 
-class GyroBiasPressure:
+class GyroBiasPressure(_Bias):
     """Bias + c·Δp per axis, Δp above the standard atmosphere of 1013.25 hPa."""
 
-    id, stage, hypothesis, follows = "gyro_bias_pressure", "sensor", False, Follows.PRESSURE
-    about = About(
-        "gyro bias depends on the ambient pressure",
-        "The bias of each gyro changes in proportion to the pressure of the air about the sensor.",
-        Actor.SENSOR,
-        _SEAL,
-    )
-    shown_by = _PRESSURES
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        magnitude = 1e-5 * DEG / HPA
-        return single(per_axis(observed, "gyro", "c", "deg/s/hPa", DEG / HPA, magnitude, observed.overpressure))
+    id, kind, follows, natural = "gyro_bias_pressure", "gyro", Follows.PRESSURE, 1e-5
+    about = _about(kind, "bias", follows)
 
 
-class GyroScalePressure:
+class GyroScalePressure(_ScaleFactor):
     """Scale factor × (1 + k·Δp) per axis."""
 
-    id, stage, hypothesis, follows = "gyro_scale_pressure", "sensor", False, Follows.PRESSURE
-    about = About(
-        "gyro scale factor depends on the ambient pressure",
-        "The scale factor of each gyro changes in proportion to the pressure of the air about the sensor, "
-        "for example because the air damps a vibrating structure.",
-        Actor.SENSOR,
-        _SEAL,
-    )
-    shown_by = _TURNS + _PRESSURES
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        product = observed.omega * observed.overpressure[:, None]
-        return single(per_axis(observed, "gyro", "k", "ppm/hPa", 1e-6 / HPA, 1e-6 / HPA, product))
+    id, kind, follows, natural = "gyro_scale_pressure", "gyro", Follows.PRESSURE, 1e-6
+    about = _about(kind, "scale factor", follows, ", for example because the air damps a vibrating structure")
 
 
-class AccelBiasPressure:
+class AccelBiasPressure(_Bias):
     """Bias + c·Δp per axis."""
 
-    id, stage, hypothesis, follows = "accel_bias_pressure", "sensor", False, Follows.PRESSURE
-    about = About(
-        "accelerometer bias depends on the ambient pressure",
-        "The bias of each accelerometer changes in proportion to the pressure of the air about the sensor.",
-        Actor.SENSOR,
-        _SEAL,
-    )
-    shown_by = _PRESSURES
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        magnitude = 1e-6 * G / HPA
-        return single(per_axis(observed, "accel", "c", "ug/hPa", 1e-6 * G / HPA, magnitude, observed.overpressure))
+    id, kind, follows, natural = "accel_bias_pressure", "accel", Follows.PRESSURE, 1.0
+    about = _about(kind, "bias", follows)
 
 
-class AccelScalePressure:
+class AccelScalePressure(_ScaleFactor):
     """Scale factor × (1 + k·Δp) per axis."""
 
-    id, stage, hypothesis, follows = "accel_scale_pressure", "sensor", False, Follows.PRESSURE
-    about = About(
-        "accelerometer scale factor depends on the ambient pressure",
-        "The scale factor of each accelerometer changes in proportion to the pressure of the air about the sensor.",
-        Actor.SENSOR,
-        _SEAL,
-    )
-    shown_by = _FLIPS + _PRESSURES
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        product = observed.force * observed.overpressure[:, None]
-        return single(per_axis(observed, "accel", "k", "ppm/hPa", 1e-6 / HPA, 1e-6 / HPA, product))
+    id, kind, follows, natural = "accel_scale_pressure", "accel", Follows.PRESSURE, 1e-6
+    about = _about(kind, "scale factor", follows)
