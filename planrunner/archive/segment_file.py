@@ -414,11 +414,6 @@ class SegmentData:
         return IntegrityError(f"{self.path}: not a recording of a segment: {what}; take the file from a backup")
 
 
-def read_part(folder: GuardedFolder, part: Part, channels: Sequence[str] | None = None) -> Iterator[Block]:
-    """The samples of one part in blocks of a row group; see `SegmentData`."""
-    yield from SegmentData(folder, part).blocks(channels)
-
-
 def rows_of(data: bytes) -> int:
     """Number of rows of a Parquet file according to its footer. Raises ValueError if it is not a Parquet file."""
     import pyarrow as pa

@@ -10,13 +10,10 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.plan.units import DIMENSIONS, Unit, unit
-
-Array = NDArray[np.float64]
 
 LARGEST_DEVIATION = 0.2
 """Deviation of a scale factor from one. Data sheets of uncalibrated MEMS sensors state tolerances of the sensitivity of up to 10 or 20

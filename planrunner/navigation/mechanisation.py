@@ -12,7 +12,6 @@ from planrunner.physics.earth import Site
 
 Array = NDArray[np.float64]
 
-VERTICAL = ("held", "damped", "free")
 LOOP_TIME = 100.0  # s; time constant of the damped vertical channel
 
 
@@ -51,8 +50,8 @@ class Navigator:
         last: Array | None = None,
     ):
         """quaternion: body to East-North-Up, scalar first (4,). velocity: (3,), m/s. position: latitude, longitude [rad], height [m].
-        vertical: one of `VERTICAL`; `held` keeps height and vertical velocity. gravity_factor: factor on normal gravity. every: steps
-        between knots. last: (6,), the increments before the first, for coning and sculling; zeros if None."""
+        vertical: `held`, `damped` or `free`; `held` keeps height and vertical velocity. gravity_factor: factor on normal gravity. every:
+        steps between knots. last: (6,), the increments before the first, for coning and sculling; zeros if None."""
         from planrunner.navigation import kernel
 
         self._kernel = kernel

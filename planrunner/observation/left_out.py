@@ -11,13 +11,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import Find, FindKind, RecordedSegment, Statistics
 from planrunner.archive.statistics import statistics_of
 from planrunner.instruments.interfaces import Block
 
-Array = NDArray[np.float64]
 FILLED = 64
 """Rows of a bad stretch that is filled on a straight line, at most; a longer one reads as missing."""
 

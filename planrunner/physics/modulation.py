@@ -59,8 +59,3 @@ def forced_velocity(
         drive = -1j * site.gravity * gyro + 1j * rate * accelerometer
         forced.append(complex(share * drive / (natural**2 - rate**2)))
     return forced[0], forced[1]
-
-
-def amplitude(forward: complex, backward: complex) -> float:
-    """The semi-major axis of the ellipse forward·exp(iωt) + backward·exp(−iωt)."""
-    return float(np.abs(forward) + np.abs(backward))

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from datetime import tzinfo
 from html import escape
 
-from planrunner.base.documents import Json, JsonObject
 from planrunner.night.civil_time import civil, shown_time
 from planrunner.night.expansion import PlannedTest
 from planrunner.night.suite import Suite
@@ -95,37 +94,6 @@ def _bar(slot: Slot, begins: float, ends: float, room: int) -> str:
     first = min(room - 1, int((slot.begins - begins) / span * room))
     last = max(first + 1, round((slot.ends - begins) / span * room))
     return "·" * first + ("▒" if slot.test is None else "█") * (last - first) + "·" * (room - last)
-
-
-def timetable_json(table: Timetable) -> JsonObject:
-    """Begin, predicted end, and the times of every test, for other programs. Instants as local times with offset."""
-    hours = table.forecast.hours
-    when: dict[int, JsonObject] = {}
-    for slot in table.forecast.slots:
-        if slot.test is not None:
-            when[slot.test] = {"begins": _iso(slot.begins, table.zone), "ends": _iso(slot.ends, table.zone)}
-    left = dict(table.forecast.left_out)
-    tests: list[Json] = [
-        {
-            "test": test.name,
-            "plan": str(test.file),
-            "device": test.device,
-            "bench": test.bench,
-            "parameters": dict(test.parameters),
-            "seconds": table.durations[test.index],
-            **when.get(test.index, {}),
-            **({"left_out": left[test.index]} if test.index in left else {}),
-        }
-        for test in table.tests
-    ]
-    return {
-        "suite": table.file,
-        "title": table.suite.title,
-        "begins": _iso(hours.begins, table.zone),
-        "ends": _iso(table.forecast.ends, table.zone),
-        "limit": _iso(hours.closes, table.zone) if math.isfinite(hours.closes) else None,
-        "tests": tests,
-    }
 
 
 def timetable_page(table: Timetable, warnings: Sequence[str]) -> str:
@@ -216,10 +184,6 @@ def _ticks(begins: float, ends: float, table: Timetable) -> Iterator[float]:
 
 def _short(name: str, most: int = 36) -> str:
     return name if len(name) <= most else name[: most - 1] + "…"
-
-
-def _iso(instant: float, zone: tzinfo | None) -> str:
-    return civil(instant, zone).isoformat(timespec="seconds")
 
 
 def _count(number: int, word: str, several: str = "") -> str:

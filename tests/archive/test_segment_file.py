@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal_state import name_parts
 from planrunner.archive.segment_file import Part, SegmentData, SegmentWriter, file_stem, safe_name
-from planrunner.archive.segment_file import read_part as read_part_of
 from planrunner.archive.storage import Storage
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Block, InstrumentError
@@ -26,7 +25,7 @@ UNITS = {"x": "deg/s", "y": "m/s^2"}
 
 
 def read_part(run: Path, part: Part, channels: list[str] | None = None) -> Iterator[Block]:
-    return read_part_of(GuardedFolder.open(run), part, channels)
+    return SegmentData(GuardedFolder.open(run), part).blocks(channels)
 
 
 def make_writer(run: Path, **options: Any) -> SegmentWriter:

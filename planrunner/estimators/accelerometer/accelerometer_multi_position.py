@@ -9,7 +9,6 @@ Which reference to use when:
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.estimators.accelerometer import by_magnitude, by_orientation
 from planrunner.estimators.accelerometer.by_magnitude import MagnitudeQuantities
@@ -27,10 +26,6 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Method, Words, by_expectation
 from planrunner.plan.selection import Detection
-
-Array = NDArray[np.float64]
-
-AXES = ("x", "y", "z")
 
 
 class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, AxesQuantities | MagnitudeQuantities]):

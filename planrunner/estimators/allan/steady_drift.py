@@ -10,13 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.allan.fit import NoiseFit, model_matrix
 from planrunner.estimators.allan.phase import Phase
 
-Array = NDArray[np.float64]
 _CHANCE = 1e-3  # probability of differences at least this large by noise alone
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment, in_time_order
 from planrunner.base.dataclass import dataclass
@@ -22,8 +21,6 @@ from planrunner.observation.refusals import ObservationError
 from planrunner.observation.samples import observed
 from planrunner.physics.earth import Site
 from planrunner.plan.units import unit
-
-Array = NDArray[np.float64]
 
 _LEAST = 1e-9  # of the largest value of an output: the least noise of a sample that weights allow
 

@@ -11,7 +11,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.error_model.effects.interface import ShapedOverSegments, shown_by
 from planrunner.error_model.segment_columns import EffectPart
@@ -20,8 +19,6 @@ from planrunner.estimators.error_model.outputs import ModelledOutput, Together, 
 from planrunner.estimators.interface import UnfitDataError
 from planrunner.estimators.least_squares import LinearFit
 from planrunner.observation.observations import Observations, within_segment_noise
-
-Array = NDArray[np.float64]
 
 _PRECISION = 1e-6  # of the shape's logarithm; the fit then adds a linear step
 _LEAST = 3.0  # standard uncertainties of an amplitude: of a smaller one the means do not show a shape

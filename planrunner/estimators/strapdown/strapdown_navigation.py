@@ -7,13 +7,8 @@ predictions in `design`. docs/navigation.md gives conventions and definitions.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, Foresight
 from planrunner.estimators.strapdown.navigating import StrapdownNavigationParameters, navigate
-
-Array = NDArray[np.float64]
 
 
 class StrapdownNavigation:

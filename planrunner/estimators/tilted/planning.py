@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.estimators.full_scale import beyond_full_scale
 from planrunner.estimators.interface import Design, DesignBlock, DesignRequest, EstimationError, Remark
@@ -24,8 +23,6 @@ from planrunner.estimators.tilted.rate_series import (
     split_series,
 )
 from planrunner.estimators.tilted.turning_rates import part_turns
-
-Array = NDArray[np.float64]
 
 FEEBLE = 0.1  # cosine (84.3 deg) below which an axis sees a tenth of the rate, and its angle counts ten times
 

@@ -40,8 +40,7 @@ class Posterior:
     coefficients alone. pairs: the weighed variant of sets of two and more deterministic effects. sets: the same with their effects.
     kinds: log evidence, relative to none, of what "unknown" could be. by_channel:
     log BF (K,) of each of those in one channel alone. levels: effects that only raise the noise level. lines:
-    tones. beside: probability of a tone or bursts beside an effect. dispersions: by channel, the ratio of the rest of the best set to the
-    noise, by which the evidence for its effects is reduced; 1 if the rest is noise."""
+    tones. beside: probability of a tone or bursts beside an effect."""
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
@@ -52,7 +51,6 @@ class Posterior:
     lines: tuple[Line, ...] = ()
     beside: float = 0.0
     sets: Mapping[str, EffectSet] = field(default_factory=dict, repr=False)
-    dispersions: Mapping[str, float] = field(default_factory=dict)
 
     def of_effects(self) -> dict[str, float]:
         """Probability of none, unknown and every set of effects, with or without something else besides; the likeliest first."""
@@ -61,10 +59,6 @@ class Posterior:
             key = without_unknown(name)
             found[key] = found.get(key, 0.0) + value
         return dict(sorted(found.items(), key=lambda item: -item[1]))
-
-
-def pair_key(first: str, second: str) -> str:
-    return key_of([first, second])
 
 
 def without_unknown(name: str) -> str:
@@ -105,14 +99,13 @@ def posterior(weighing: Weighing, effects: Sequence[Effect], candidates: Sequenc
         name: value + log_prior(name, count) + (0.0 if name in PRIORS else _beside(kinds))
         for name, value in found.items()
     }
-    ratios = np.ones(len(weighing.weights))
     if _shares(logs)["none"] < NAMEABLE:
         best = max((name for name in logs if name not in PRIORS), key=lambda name: logs[name], default="")
         chain = _chain(best, sets, candidates)
         if chain:
             named = _shared(logs)
-            if walk not in best.split("+"):
-                ratios = _dispersions(weighing, chain[-1][1])
+            walks = walk in best.split("+")
+            ratios = np.ones(len(weighing.weights)) if walks else _dispersions(weighing, chain[-1][1])
             if (ratios > 1).any():
                 wide = weighing.inflated(ratios.tolist())
                 again, _ = _of_effects(wide, [_again(wide, c) for c in candidates], noise, refit=False)
@@ -130,7 +123,6 @@ def posterior(weighing: Weighing, effects: Sequence[Effect], candidates: Sequenc
         kinds.lines,
         beside,
         sets,
-        {channel.name: float(r) for channel, r in zip(weighing.observed.channels, ratios, strict=True)},
     )
 
 

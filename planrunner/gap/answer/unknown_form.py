@@ -18,7 +18,6 @@ from planrunner.gap.answer.where import state_labels
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.patterns import Factor, Sort, sorts
 
-Array = NDArray[np.float64]
 SEEN = 3.0
 """Log Bayes factor from which a channel shows the pattern."""
 

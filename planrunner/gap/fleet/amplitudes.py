@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.error_model.effects.interface import Column, Effect, PerOrientation, Shaped
 from planrunner.error_model.effects.nominal import PARTS
@@ -18,7 +17,6 @@ from planrunner.error_model.observed import Observed, orientation_key
 from planrunner.gap.evidence.weighing import coefficients_of
 from planrunner.gap.hypotheses.candidates import Weighing
 
-Array = NDArray[np.float64]
 _DEPENDENT = 1e-8
 """Singular value, relative to the largest, of columns of unit length, below which a direction is not determined."""
 _UNDETERMINED = 1e-6

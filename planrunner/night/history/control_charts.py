@@ -56,11 +56,6 @@ class Chart:
     upper: Array
     alarms: NDArray[np.bool_]
 
-    @property
-    def first_alarm(self) -> int | None:
-        found = np.flatnonzero(self.alarms)
-        return int(found[0]) if len(found) else None
-
 
 @dataclass(frozen=True, slots=True)
 class ControlCharts:

@@ -15,7 +15,6 @@ from planrunner.estimators.limits import VerdictKind
 
 RunState = Literal["sealed", "open"]
 IndexedVerdict = VerdictKind | Literal["not analysed"]
-VERDICTS: tuple[IndexedVerdict, ...] = ("pass", "warned", "fail", "none", "not analysed")
 
 
 class CircumstanceKind(Enum):

@@ -12,7 +12,8 @@ from published_vectors import decoded, vectors_beside
 
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.sensors import kvh1775, stim300, vectornav, xsens
-from planrunner.instruments.wire.checksums import CRC8_FF
+from planrunner.instruments.wire.checksums import Checksum
+from planrunner.instruments.wire.codes import CRC
 
 
 @pytest.fixture
@@ -43,7 +44,7 @@ def test_stim300_with_everything_on(vectors: dict[str, Any]) -> None:
 
 def test_stim300_lines_of_utility_mode(vectors: dict[str, Any]) -> None:
     for text, check in vectors["stim300_crc8"]:
-        assert CRC8_FF.of(text.encode()) == check
+        assert Checksum(CRC, 8, 0x07, 0xFF).of(text.encode()) == check
 
 
 def test_kvh_format_a(vectors: dict[str, Any]) -> None:

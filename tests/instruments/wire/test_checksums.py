@@ -46,7 +46,7 @@ def by_hand(data: bytes, width: int, polynomial: int, initial: int) -> int:
 def test_every_length_as_bit_by_bit(length: int) -> None:
     data = np.random.default_rng(length).bytes(length)
     assert checksums.CRC32_MPEG2.of(data) == by_hand(data, 32, 0x04C11DB7, 0xFFFFFFFF)
-    assert checksums.CRC8_FF.of(data) == by_hand(data, 8, 0x07, 0xFF)
+    assert Checksum(CRC, 8, 0x07, 0xFF).of(data) == by_hand(data, 8, 0x07, 0xFF)
     assert Checksum(CRC, 24, 0x864CFB, 0xB704CE).of(data) == by_hand(data, 24, 0x864CFB, 0xB704CE)
     assert checksums.CRC32.of(data) == zlib.crc32(data)
     assert checksums.CRC16_XMODEM.of(data) == binascii.crc_hqx(data, 0)
@@ -71,7 +71,7 @@ def test_many_frames_at_once_with_zeros_appended() -> None:
 
 ALGORITHMS = [
     checksums.CRC32_MPEG2, checksums.CRC32, checksums.CRC16_XMODEM, checksums.CRC16_CCITT_FALSE,
-    checksums.CRC16_MODBUS, checksums.CRC8, checksums.CRC8_FF, Checksum(CRC, 24, 0x864CFB, 0xB704CE),
+    checksums.CRC16_MODBUS, checksums.CRC8, Checksum(CRC, 8, 0x07, 0xFF), Checksum(CRC, 24, 0x864CFB, 0xB704CE),
 ]  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
@@ -117,7 +118,7 @@ def test_a_small_lasting_shift_is_found_by_the_average_and_the_sums(tmp_path: Pa
     assert "within 1.1 ± 0.53 (Shewhart), and outside the limits of EWMA and CUSUM" in found.words()
     assert one.charts is not None
     z = 0.27 / (0.2 / (2 / math.sqrt(math.pi)))
-    assert one.charts.cusum_up.first_alarm == 14
+    assert np.flatnonzero(one.charts.cusum_up.alarms)[0] == 14
     before = one.charts.cusum_up.statistic[9]
     assert one.charts.cusum_up.statistic[10:15] == pytest.approx([before + (k + 1) * (z - 0.5) for k in range(5)])
 

@@ -57,7 +57,7 @@ def test_cusum_chart_of_the_nist_handbook() -> None:
     up, down = cusum(np.array(data), 325.0, np.full(20, sigma), 0.3175 / sigma, 4.1959 / sigma)
     assert up.statistic * sigma == pytest.approx(high, abs=0.011)
     assert -down.statistic * sigma == pytest.approx(low, abs=0.011)
-    assert up.first_alarm == 13 and up.alarms[13:].all() and not down.alarms.any()
+    assert np.flatnonzero(up.alarms)[0] == 13 and up.alarms[13:].all() and not down.alarms.any()
 
 
 # -- run lengths -------------------------------------------------------------------------------------------------------
