@@ -1,40 +1,30 @@
 """Chambers with the ASCII-2 protocol, such as those of Vötsch: one query returns all values, one command sets all values."""
 
-from planrunner.instruments.chamber_keys import ChamberKeys
-from planrunner.instruments.chambers.wired_chamber import WiredChamber
+from planrunner.instruments.chambers.wired_chamber import ChamberDriver, WiredChamberKeys
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.instruments.wire.links import LineAnswers, LinkKeys, LinkSettings, MessageLink
+from planrunner.instruments.wire.links import LineAnswers, LinkedCommands, LinkSettings, MessageLink
 from planrunner.plan.kinds import Number, key
 
 RUNNING = 1  # index of the bit that starts and stops the chamber
 
 
-class VotschParameters(LinkKeys, ChamberKeys):
+class VotschParameters(WiredChamberKeys):
     """A chamber with the ASCII-2 protocol."""
 
     station: int = key(Number(1, 99, integer=True), "Number of the chamber on the line.", 1, default=1)
 
 
-class Votsch:
+class Votsch(ChamberDriver):
     """A chamber with the ASCII-2 protocol, such as one of Vötsch."""
 
-    role = "chamber"
     Parameters = VotschParameters
 
     @classmethod
-    def model(cls, parameters):
-        return parameters.model()
-
-    @classmethod
-    def address(cls, parameters):
-        return parameters.address
-
-    @classmethod
-    def connect(cls, parameters, surroundings):
-        return WiredChamber.connect(VotschCommands(parameters), parameters)
+    def commands_of(cls, parameters):
+        return VotschCommands(parameters)
 
 
-class VotschCommands:
+class VotschCommands(LinkedCommands):
     """Commands of an ASCII-2 chamber; implements `AirCommands`."""
 
     def __init__(self, parameters):
@@ -68,12 +58,6 @@ class VotschCommands:
 
     def faults(self):
         return []  # the alarm bits differ from model to model
-
-    def remarks(self):
-        return self.link.remarks()
-
-    def close(self):
-        self.link.close()
 
     def _values(self):
         """Set point and measured value of each channel in turn, and the bits."""

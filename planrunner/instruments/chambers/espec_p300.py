@@ -8,11 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from planrunner.instruments.chamber_keys import ChamberKeys
-from planrunner.instruments.chambers.wired_chamber import WiredChamber
-from planrunner.instruments.interfaces import InstrumentError, Surroundings
-from planrunner.instruments.models import ChamberModel
-from planrunner.instruments.wire.links import LineAnswers, LinkKeys, LinkSettings, MessageLink
+from planrunner.instruments.chambers.wired_chamber import AirCommands, ChamberDriver, WiredChamberKeys
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.wire.links import LineAnswers, LinkedCommands, LinkSettings, MessageLink
 from planrunner.instruments.wire.replies import parsed
 from planrunner.plan.kinds import Number, key
 
@@ -25,7 +23,7 @@ REASONS = {
 }
 
 
-class EspecP300Parameters(LinkKeys, ChamberKeys):
+class EspecP300Parameters(WiredChamberKeys):
     """A chamber with an Espec P300 or SCP-220 controller."""
 
     station: int | None = key(
@@ -36,26 +34,17 @@ class EspecP300Parameters(LinkKeys, ChamberKeys):
     )
 
 
-class EspecP300:
+class EspecP300(ChamberDriver[EspecP300Parameters]):
     """A chamber with an Espec P300 or SCP-220 controller, over TCP or a serial line."""
 
-    role = "chamber"
     Parameters = EspecP300Parameters
 
     @classmethod
-    def model(cls, parameters: EspecP300Parameters) -> ChamberModel:
-        return parameters.model()
-
-    @classmethod
-    def address(cls, parameters: EspecP300Parameters) -> str:
-        return parameters.address
-
-    @classmethod
-    def connect(cls, parameters: EspecP300Parameters, surroundings: Surroundings) -> WiredChamber:
-        return WiredChamber.connect(EspecP300Commands(parameters), parameters)
+    def commands_of(cls, parameters: EspecP300Parameters) -> AirCommands:
+        return EspecP300Commands(parameters)
 
 
-class EspecP300Commands:
+class EspecP300Commands(LinkedCommands):
     """Commands of a P300; an `AirCommands`."""
 
     def __init__(self, parameters: EspecP300Parameters):
@@ -98,12 +87,6 @@ class EspecP300Commands:
                 f"{self.parameters.address} answers 'MON?' with '{said[:60]}', without a number of alarms"
             )
         return [] if int(alarms) == 0 else [f"alarms of the P300 (number, codes): {self._ask('ALARM?')[:60]}"]
-
-    def remarks(self) -> Sequence[str]:
-        return self.link.remarks()
-
-    def close(self) -> None:
-        self.link.close()
 
     def _do(self, command: str) -> None:
         said = self._ask(command, again=False)

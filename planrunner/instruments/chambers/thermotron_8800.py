@@ -8,11 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from planrunner.instruments.chamber_keys import ChamberKeys
-from planrunner.instruments.chambers.wired_chamber import WiredChamber
-from planrunner.instruments.interfaces import InstrumentError, Surroundings
-from planrunner.instruments.models import ChamberModel
-from planrunner.instruments.wire.links import LineAnswers, LinkKeys, LinkSettings, MessageLink
+from planrunner.instruments.chambers.wired_chamber import AirCommands, ChamberDriver, WiredChamberKeys
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.wire.links import LineAnswers, LinkedCommands, LinkSettings, MessageLink
 from planrunner.instruments.wire.replies import number, written
 from planrunner.plan.kinds import Number, key
 
@@ -35,32 +33,23 @@ ALARMS = {0: "low deviation", 1: "high deviation", 4: "low process", 5: "high pr
 """Bits of the alarm status."""
 
 
-class Thermotron8800Parameters(LinkKeys, ChamberKeys):
+class Thermotron8800Parameters(WiredChamberKeys):
     """A chamber with a Thermotron 8800 controller."""
 
     channel: int = key(Number(1, 4, integer=True), "Channel of the air temperature.", 1, default=1)
 
 
-class Thermotron8800:
+class Thermotron8800(ChamberDriver[Thermotron8800Parameters]):
     """A chamber with a Thermotron 8800 controller, over TCP."""
 
-    role = "chamber"
     Parameters = Thermotron8800Parameters
 
     @classmethod
-    def model(cls, parameters: Thermotron8800Parameters) -> ChamberModel:
-        return parameters.model()
-
-    @classmethod
-    def address(cls, parameters: Thermotron8800Parameters) -> str:
-        return parameters.address
-
-    @classmethod
-    def connect(cls, parameters: Thermotron8800Parameters, surroundings: Surroundings) -> WiredChamber:
-        return WiredChamber.connect(Thermotron8800Commands(parameters), parameters)
+    def commands_of(cls, parameters: Thermotron8800Parameters) -> AirCommands:
+        return Thermotron8800Commands(parameters)
 
 
-class Thermotron8800Commands:
+class Thermotron8800Commands(LinkedCommands):
     """Commands of an 8800; an `AirCommands`."""
 
     def __init__(self, parameters: Thermotron8800Parameters):
@@ -98,12 +87,6 @@ class Thermotron8800Commands:
             f"{what} alarm of channel {self.parameters.channel}" for bit, what in ALARMS.items() if status >> bit & 1
         ]
         return found
-
-    def remarks(self) -> Sequence[str]:
-        return self.link.remarks()
-
-    def close(self) -> None:
-        self.link.close()
 
     def _stop_code(self) -> int:
         return int(number(self.link, "SCOD?"))

@@ -8,45 +8,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from planrunner.instruments.chamber_keys import ChamberKeys
-from planrunner.instruments.chambers.wired_chamber import WiredChamber
-from planrunner.instruments.interfaces import InstrumentError, Surroundings
-from planrunner.instruments.models import ChamberModel
-from planrunner.instruments.wire.links import LinkKeys, LinkSettings, MessageLink
-from planrunner.instruments.wire.replies import number, written
+from planrunner.instruments.chambers.wired_chamber import AirCommands, ChamberDriver, WiredChamberKeys
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.wire.links import LinkedCommands, LinkSettings, MessageLink
+from planrunner.instruments.wire.replies import identification, number, written
 from planrunner.plan.kinds import Number, key
 
 PACE = 0.1
 """Time between two messages, s; other drivers also wait between writes."""
 
 
-class WatlowF4tParameters(LinkKeys, ChamberKeys):
+class WatlowF4tParameters(WiredChamberKeys):
     """A chamber with a Watlow F4T controller."""
 
     loop: int = key(Number(1, 4, integer=True), "Control loop of the air temperature.", 1, default=1)
     output: int = key(Number(1, 12, integer=True), "Output, or event, that switches conditioning on.", 1, default=1)
 
 
-class WatlowF4t:
+class WatlowF4t(ChamberDriver[WatlowF4tParameters]):
     """A chamber with a Watlow F4T controller, over SCPI."""
 
-    role = "chamber"
     Parameters = WatlowF4tParameters
 
     @classmethod
-    def model(cls, parameters: WatlowF4tParameters) -> ChamberModel:
-        return parameters.model()
-
-    @classmethod
-    def address(cls, parameters: WatlowF4tParameters) -> str:
-        return parameters.address
-
-    @classmethod
-    def connect(cls, parameters: WatlowF4tParameters, surroundings: Surroundings) -> WiredChamber:
-        return WiredChamber.connect(WatlowF4tCommands(parameters), parameters)
+    def commands_of(cls, parameters: WatlowF4tParameters) -> AirCommands:
+        return WatlowF4tCommands(parameters)
 
 
-class WatlowF4tCommands:
+class WatlowF4tCommands(LinkedCommands):
     """Commands of an F4T; an `AirCommands`."""
 
     def __init__(self, parameters: WatlowF4tParameters):
@@ -57,7 +46,7 @@ class WatlowF4tCommands:
     def identify(self) -> Mapping[str, str]:
         said = self.link.query("*IDN?")
         self.parameters.check_identity(said, "F4T")
-        return dict(zip(("manufacturer", "model", "serial", "firmware"), map(str.strip, said.split(",")), strict=False))
+        return identification(said)
 
     def prepare(self, ramp: float) -> None:
         self.link.write(":UNIT:TEMPERATURE C")
@@ -86,9 +75,3 @@ class WatlowF4tCommands:
     def faults(self) -> Sequence[str]:
         said = self.link.query(f"{self.loop}:ERROR?")
         return [] if said.upper() == "NONE" else [f"control loop {self.parameters.loop} of the F4T reports {said[:40]}"]
-
-    def remarks(self) -> Sequence[str]:
-        return self.link.remarks()
-
-    def close(self) -> None:
-        self.link.close()

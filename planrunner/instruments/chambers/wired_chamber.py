@@ -7,15 +7,24 @@ temperature, held, because a chamber that is switched off at −40 degC would ca
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 from planrunner.instruments.chamber_keys import ChamberKeys
-from planrunner.instruments.interfaces import Condition, InstrumentError, OwnLimits
+from planrunner.instruments.interfaces import Condition, InstrumentError, OwnLimits, Surroundings
+from planrunner.instruments.models import ChamberModel
+from planrunner.instruments.wire.links import LinkKeys
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import ZERO_CELSIUS
 
 MARGIN = 5.0
 """Margin, K, beyond the range in the bench file at which a chamber stops by itself, if it can."""
+
+
+class WiredChamberKeys(LinkKeys, ChamberKeys):
+    """Keys of a real chamber."""
+
+
+K = TypeVar("K", bound=WiredChamberKeys)
 
 
 class AirCommands(Protocol):
@@ -121,3 +130,26 @@ class WiredChamber:
     def _raise(self, faults: Sequence[str]) -> None:
         if faults:
             raise InstrumentError("the chamber: " + "; ".join(faults))
+
+
+class ChamberDriver(Generic[K]):
+    """The driver of a real chamber. K: the record of its keys. Derived drivers give `Parameters` and `commands_of`."""
+
+    role = "chamber"
+
+    @classmethod
+    def commands_of(cls, parameters: K) -> AirCommands:
+        """The commands of a chamber with these keys."""
+        raise NotImplementedError
+
+    @classmethod
+    def model(cls, parameters: K) -> ChamberModel:
+        return parameters.model()
+
+    @classmethod
+    def address(cls, parameters: K) -> str:
+        return parameters.address
+
+    @classmethod
+    def connect(cls, parameters: K, surroundings: Surroundings) -> WiredChamber:
+        return WiredChamber.connect(cls.commands_of(parameters), parameters)

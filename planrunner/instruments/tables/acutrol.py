@@ -14,22 +14,21 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from planrunner.instruments.interfaces import InstrumentError, Surroundings
-from planrunner.instruments.models import TableModel
-from planrunner.instruments.tables.axis_commands import AxisBounds, AxisState, Sine
-from planrunner.instruments.tables.axis_table import AxisTable
-from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.tables.axis_commands import AxisBounds, AxisCommands, AxisState, Sine
+from planrunner.instruments.tables.axis_table import LinkedTableKeys, TableDriver
+from planrunner.instruments.tables.wired_axes import counted
 from planrunner.instruments.wire.links import (
     LONGEST,
     Incoming,
     LineAnswers,
+    LinkedCommands,
     LinkFailure,
-    LinkKeys,
     LinkSettings,
     MessageLink,
     shown,
 )
-from planrunner.instruments.wire.replies import number, numbers, written
+from planrunner.instruments.wire.replies import identification, number, numbers, written
 
 HEADER = 8
 QUIET = 0.1
@@ -113,30 +112,21 @@ TRIP = 1.1
 MODES = {"p": "pos", "r": "rate", "s": "synt"}
 
 
-class AcutrolParameters(LinkKeys, WiredTableKeys):
+class AcutrolParameters(LinkedTableKeys):
     """A table with an ACUTROL controller."""
 
 
-class Acutrol:
+class Acutrol(TableDriver[AcutrolParameters]):
     """A table with an ACUTROL 3000 or ACT2000 controller, over GPIB or TCP."""
 
-    role = "table"
     Parameters = AcutrolParameters
 
     @classmethod
-    def model(cls, parameters: AcutrolParameters) -> TableModel:
-        return parameters.model()
-
-    @classmethod
-    def address(cls, parameters: AcutrolParameters) -> str:
-        return parameters.address
-
-    @classmethod
-    def connect(cls, parameters: AcutrolParameters, surroundings: Surroundings) -> AxisTable:
-        return AxisTable.connect(AcutrolCommands(parameters), parameters, surroundings)
+    def commands_of(cls, parameters: AcutrolParameters) -> AxisCommands:
+        return AcutrolCommands(parameters)
 
 
-class AcutrolCommands:
+class AcutrolCommands(LinkedCommands):
     """Commands of an ACUTROL; an `AxisCommands`."""
 
     rocks = True
@@ -153,7 +143,7 @@ class AcutrolCommands:
     def identify(self) -> Mapping[str, str]:
         said = self.link.query("*IDN?")
         self.parameters.check_identity(said, "ACUT")
-        return dict(zip(("manufacturer", "model", "serial", "firmware"), map(str.strip, said.split(",")), strict=False))
+        return identification(said)
 
     def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
         # Earlier status is irrelevant; a fault that persists is reported again at once.
@@ -255,12 +245,6 @@ class AcutrolCommands:
     def switch_off(self) -> None:
         self._modes = {}
         self.link.write(":int:open all")
-
-    def remarks(self) -> Sequence[str]:
-        return self.link.remarks()
-
-    def close(self) -> None:
-        self.link.close()
 
     def _do(self, *commands: str) -> None:
         """Send commands; raises `InstrumentError` if one was rejected."""

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from planrunner.instruments.interfaces import InstrumentError, Surroundings
-from planrunner.instruments.models import TableModel
-from planrunner.instruments.tables.axis_commands import AxisBounds, AxisState, Sine
-from planrunner.instruments.tables.axis_table import AxisTable
-from planrunner.instruments.tables.wired_axes import WiredTableKeys
-from planrunner.instruments.wire.links import Incoming, LinkFailure, LinkKeys, LinkSettings, MessageLink, shown
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.tables.axis_commands import AxisBounds, AxisCommands, AxisState, Sine
+from planrunner.instruments.tables.axis_table import LinkedTableKeys, TableDriver
+from planrunner.instruments.wire.links import Incoming, LinkedCommands, LinkFailure, LinkSettings, MessageLink, shown
 from planrunner.instruments.wire.replies import number, written
 
 PROMPT = b">"
@@ -40,32 +38,23 @@ class PromptedLines:
 TELLING = PromptedLines(telling=True)
 
 
-class AerosmithParameters(LinkKeys, WiredTableKeys):
+class AerosmithParameters(LinkedTableKeys):
     """A single-axis table of Ideal Aerosmith."""
 
 
-class Aerosmith:
+class Aerosmith(TableDriver[AerosmithParameters]):
     """A single-axis table of Ideal Aerosmith, over a serial line (experimental)."""
 
-    role = "table"
     Parameters = AerosmithParameters
 
     @classmethod
-    def model(cls, parameters: AerosmithParameters) -> TableModel:
-        return parameters.model()
-
-    @classmethod
-    def address(cls, parameters: AerosmithParameters) -> str:
-        return parameters.address
-
-    @classmethod
-    def connect(cls, parameters: AerosmithParameters, surroundings: Surroundings) -> AxisTable:
+    def commands_of(cls, parameters: AerosmithParameters) -> AxisCommands:
         if len(parameters.axes) != 1:
             raise InstrumentError(f"the bench file declares {len(parameters.axes)} axes for this single-axis table")
-        return AxisTable.connect(AerosmithCommands(parameters), parameters, surroundings)
+        return AerosmithCommands(parameters)
 
 
-class AerosmithCommands:
+class AerosmithCommands(LinkedCommands):
     """Commands of such a table; an `AxisCommands`."""
 
     rocks = True
@@ -123,12 +112,6 @@ class AerosmithCommands:
 
     def switch_off(self) -> None:
         """Whether it is at rest, with the servo on."""
-
-    def remarks(self) -> Sequence[str]:
-        return self.link.remarks()
-
-    def close(self) -> None:
-        self.link.close()
 
     def _do(self, command: str) -> None:
         if self.link.query(command, again=False) == "?":

@@ -9,13 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from planrunner.instruments.interfaces import Array, Clock, Condition, InstrumentError, OwnLimits, Surroundings
+from planrunner.instruments.models import TableModel
 from planrunner.instruments.tables.axis_commands import AxisBounds, AxisCommands, Sine
 from planrunner.instruments.tables.timed_motion import TimedMotion, turns_of
 from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
+from planrunner.instruments.wire.links import LinkKeys
 from planrunner.physics.kinematics import (
     TableAxis,
     Unreachable,
@@ -30,6 +33,13 @@ STOPPED = math.radians(0.1)
 """rad/s below which an axis may be switched off."""
 POLL = 0.05
 """Time between two queries of a table that is being stopped, s."""
+
+
+class LinkedTableKeys(LinkKeys, WiredTableKeys):
+    """Keys of a real table that is reached through a link."""
+
+
+K = TypeVar("K", bound=LinkedTableKeys)
 
 
 @dataclass(frozen=True, slots=True)
@@ -357,3 +367,26 @@ def _refuse(excess: Sequence[Excess], where: str = "") -> None:
     """Raises `InstrumentError`. where: beginning of the message."""
     if excess:
         raise InstrumentError(where + "; ".join(one.message for one in excess))
+
+
+class TableDriver(Generic[K]):
+    """The driver of a real table. K: the record of its keys. Derived drivers give `Parameters` and `commands_of`."""
+
+    role = "table"
+
+    @classmethod
+    def commands_of(cls, parameters: K) -> AxisCommands:
+        """The commands of a table with these keys."""
+        raise NotImplementedError
+
+    @classmethod
+    def model(cls, parameters: K) -> TableModel:
+        return parameters.model()
+
+    @classmethod
+    def address(cls, parameters: K) -> str:
+        return parameters.address
+
+    @classmethod
+    def connect(cls, parameters: K, surroundings: Surroundings) -> AxisTable:
+        return AxisTable.connect(cls.commands_of(parameters), parameters, surroundings)

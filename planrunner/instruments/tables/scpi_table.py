@@ -13,13 +13,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from planrunner.base.findings import Findings, closest
-from planrunner.instruments.interfaces import InstrumentError, Surroundings
+from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.models import TableModel
-from planrunner.instruments.tables.axis_commands import AxisBounds, AxisState, Sine
-from planrunner.instruments.tables.axis_table import AxisTable
-from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
-from planrunner.instruments.wire.links import LineAnswers, LinkKeys, LinkSettings, MessageLink
-from planrunner.instruments.wire.replies import number, written
+from planrunner.instruments.tables.axis_commands import AxisBounds, AxisCommands, AxisState, Sine
+from planrunner.instruments.tables.axis_table import LinkedTableKeys, TableDriver
+from planrunner.instruments.tables.wired_axes import counted
+from planrunner.instruments.wire.links import LineAnswers, LinkedCommands, LinkSettings, MessageLink
+from planrunner.instruments.wire.replies import identification, number, written
 from planrunner.plan.kinds import Choice, ListOf, Record, RecordOf, Schema, Text, key
 from planrunner.plan.source import Node, Scalar
 
@@ -117,7 +117,7 @@ class TableCommands(Record):
     rate: str = key(CommandTemplate(("axis",)), "Asks for the rate in deg/s.", "AXIS{axis}:RATE?")
 
 
-class ScpiTableParameters(LinkKeys, WiredTableKeys):
+class ScpiTableParameters(LinkedTableKeys):
     """A table whose commands are in the bench file."""
 
     ends: str = key(Choice(tuple(ENDS)), "Terminator of a message, in both directions.", "LF", default="LF")
@@ -128,10 +128,9 @@ class ScpiTableParameters(LinkKeys, WiredTableKeys):
     )
 
 
-class ScpiTable:
+class ScpiTable(TableDriver[ScpiTableParameters]):
     """A table with SCPI-like commands, declared in the bench file."""
 
-    role = "table"
     Parameters = ScpiTableParameters
 
     @classmethod
@@ -139,15 +138,11 @@ class ScpiTable:
         return replace(parameters.model(), rocks=parameters.commands.rock is not None)
 
     @classmethod
-    def address(cls, parameters: ScpiTableParameters) -> str:
-        return parameters.address
-
-    @classmethod
-    def connect(cls, parameters: ScpiTableParameters, surroundings: Surroundings) -> AxisTable:
-        return AxisTable.connect(ScpiTableCommands(parameters), parameters, surroundings)
+    def commands_of(cls, parameters: ScpiTableParameters) -> AxisCommands:
+        return ScpiTableCommands(parameters)
 
 
-class ScpiTableCommands:
+class ScpiTableCommands(LinkedCommands):
     """Commands of such a table; an `AxisCommands`."""
 
     def __init__(self, parameters: ScpiTableParameters):
@@ -161,7 +156,7 @@ class ScpiTableCommands:
     def identify(self) -> Mapping[str, str]:
         said = self.link.query(self.commands.identify)
         self.parameters.check_identity(said, "")
-        return dict(zip(("manufacturer", "model", "serial", "firmware"), map(str.strip, said.split(",")), strict=False))
+        return identification(said)
 
     def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
         values = {"rate": bounds.rate, "acceleration": bounds.acceleration, "tracking_error": bounds.tracking_error}
@@ -204,12 +199,6 @@ class ScpiTableCommands:
         commands = [filled(template, axis) for axis in self.axes for template in self.commands.switch_off]
         if commands:
             self.link.write(*commands)
-
-    def remarks(self) -> Sequence[str]:
-        return self.link.remarks()
-
-    def close(self) -> None:
-        self.link.close()
 
     def _do(self, commands: Sequence[str]) -> None:
         error = self._error(commands)

@@ -320,6 +320,18 @@ class MessageLink:
         return text
 
 
+class LinkedCommands:
+    """Base of the commands of a controller that is reached through one link."""
+
+    link: MessageLink
+
+    def remarks(self) -> Sequence[str]:
+        return self.link.remarks()
+
+    def close(self) -> None:
+        self.link.close()
+
+
 def shown(data: bytes | bytearray) -> str:
     """Bytes for a message."""
     cut = bytes(data[:60])

@@ -38,6 +38,11 @@ def parsed(reply: str, request: str, count: int, address: str) -> list[float]:
     return found
 
 
+def identification(said: str) -> dict[str, str]:
+    """The four fields of an answer to `*IDN?` (IEEE 488.2, 10.14), or as many as it has."""
+    return dict(zip(("manufacturer", "model", "serial", "firmware"), map(str.strip, said.split(",")), strict=False))
+
+
 def written(value: float) -> str:
     """A number as instruments read it: no exponent, at most six decimals, no trailing zeros."""
     text = f"{value:.6f}".rstrip("0").rstrip(".")
