@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from io import FileIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 from planrunner.archive import formats
@@ -118,6 +119,7 @@ class RunWriter:
         identity: str | None = None,
         approvals: bytes | None = None,
         check_standard: JsonObject | None = None,
+        parameters: Mapping[str, str] = MappingProxyType({}),
     ) -> RunWriter:
         """A new run folder in `root`, which is created if absent.
 
@@ -125,7 +127,8 @@ class RunWriter:
         is killed, chooses it.
 
         info: JSON data given with the run (device serial, operator, ambient …). approvals: content of approvals.json, if the bench requires
-        approvals. check_standard: state of the check standard of the bench, if it has one. If the folder has a log, the run is entered as
+        approvals. check_standard: state of the check standard of the bench, if it has one. parameters: values that were given for
+        parameters of the plan. If the folder has a log, the run is entered as
         begun. Raises `InputError` when it cannot be written, and `IntegrityError` for a log that was changed.
         """
         storage = storage or Storage(durability)
@@ -141,6 +144,7 @@ class RunWriter:
             "versions": versions(),
             "info": dict(info),
             **({} if check_standard is None else {"check_standard": check_standard}),
+            **({"parameters": dict(parameters)} if parameters else {}),
         }
         try:
             log = RunLog.of(root, storage)

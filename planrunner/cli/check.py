@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from datetime import date
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ from planrunner.cli.operator import add_attendance
 from planrunner.cli.printing import columns, print_findings, print_json
 from planrunner.cli.progress import reading_progress
 from planrunner.cli.suites import add_suite_arguments, checked_suite, require_usable, suite_summary
+from planrunner.plan.parameters import parameters_of
 from planrunner.reporting.budgets import shown_unit
 from planrunner.reporting.printable import printable
 from planrunner.reporting.words import duration
@@ -35,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="folder that contains the recordings to play back: check the recording and try the estimates on it",
     )
+    add_parameter(parser)
     add_workers(
         parser, "processes that share several plans (default: as many as pay, at most one per processor; 1 with --data)"
     )
@@ -55,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
     # Recordings are read one after the other, with progress, and none has to share the memory.
     workers = ALONE if args.data is not None else workers_of(args, None)
     require_usable(args)
+    parameters_of(args.parameter)
     if workers.scheduler is None:
         answers = results_of(partial(_answer, args), args.plans, workers)
     else:
@@ -86,7 +90,7 @@ def _answer_elsewhere(args: argparse.Namespace, today: date, files: tuple[Path, 
     plan, _ = files
     if is_suite(plan):
         return None  # its plans are shared
-    checked = check_plan(plan, bench=args.bench, today=today)
+    checked = check_plan(plan, bench=args.bench, today=today, parameters=parameters_of(args.parameter))
     return _finished(args, checked) if checked.portable else None
 
 
@@ -94,7 +98,7 @@ def _answer(args: argparse.Namespace, plan: str) -> _Answer:
     if is_suite(Path(plan)):
         suite = checked_suite(args, Path(plan))
         return _Answer(tuple(suite.findings), suite.ok, "" if args.json else suite_summary(suite))
-    return _finished(args, check_plan(Path(plan), bench=args.bench))
+    return _finished(args, check_plan(Path(plan), bench=args.bench, parameters=parameters_of(args.parameter)))
 
 
 def _finished(args: argparse.Namespace, checked: Checked) -> _Answer:
@@ -103,7 +107,7 @@ def _finished(args: argparse.Namespace, checked: Checked) -> _Answer:
     if checked.bench is not None and checked.bench.check_standard is not None:
         from planrunner.tasks.check_standard import check_before_run
 
-        check_before_run(checked.bench, Path(checked.file).stem, args.runs, checked.findings)
+        check_before_run(checked.bench, checked.name, args.runs, checked.findings)
     if args.data is not None and checked.models is not None and checked.models.replays:
         from planrunner.tasks.check_recording import check_recording
 
@@ -113,9 +117,19 @@ def _finished(args: argparse.Namespace, checked: Checked) -> _Answer:
     return _Answer(tuple(checked.findings), checked.ok, said)
 
 
-def sound_plan(plan: str, bench: str | None) -> Sound:
+def add_parameter(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--parameter",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="replace the value that has this name as its anchor (&NAME) in the plan",
+    )
+
+
+def sound_plan(plan: str, bench: str | None, parameters: Sequence[str] = ()) -> Sound:
     """A plan that passes its checks, its warnings printed. Raises `InputError` with the errors."""
-    sound = check_plan(Path(plan), bench=bench).sound()
+    sound = check_plan(Path(plan), bench=bench, parameters=parameters_of(parameters)).sound()
     print_findings(sound.findings)
     return sound
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from planrunner.base.documents import Json
 from planrunner.base.findings import COMMAND_LINE, InputError
-from planrunner.cli.check import sound_plan
+from planrunner.cli.check import add_parameter, sound_plan
 from planrunner.cli.operator import add_live_page, operator_of
 from planrunner.cli.outcome import finish, tell
 from planrunner.cli.printing import print_findings
@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="run information that the plan asks for"
     )
+    add_parameter(parser)
     parser.add_argument("--info", metavar="FILE", type=Path, help="run information as a YAML file of `name: value`")
     parser.add_argument("--data", metavar="DIR", type=Path, help="folder that contains the recordings to play back")
     parser.add_argument("--seed", type=seed, help="seed of a simulated bench (default: the bench's own)")
@@ -84,7 +85,7 @@ def identity(text: str) -> str:
 
 
 def run(args: argparse.Namespace) -> int:
-    sound = sound_plan(args.plan, args.bench)
+    sound = sound_plan(args.plan, args.bench, args.parameter)
     info = gather(sound.plan, args.set, args.info)
     admission = _admission(args, sound, info)
     from planrunner.execution.stopping import StopRequest
@@ -124,6 +125,6 @@ def _admission(args: argparse.Namespace, sound: Sound, info: Mapping[str, Json])
     from planrunner.tasks.check_standard import Override, admit
 
     with reading_progress(args.quiet) as notice:
-        found = admit(sound.bench, Path(sound.file).stem, info, args.runs, Override(by, why) if why else None, notice)
+        found = admit(sound.bench, sound.name, info, args.runs, Override(by, why) if why else None, notice)
     print_findings(found.findings)
     return found

@@ -52,6 +52,9 @@ def require_usable(args: argparse.Namespace) -> None:
         )
     if args.at is not None and not suites:
         raise InputError.at(COMMAND_LINE, "command-usage", "--at applies to a suite", "leave it out")
+    if suites and args.parameter:
+        message = "a suite gives the parameters of its plans itself"
+        raise InputError.at(COMMAND_LINE, "command-usage", message, "leave --parameter out, or change the suite")
     if suites and args.bench is not None:
         message = "a suite names its benches itself"
         raise InputError.at(COMMAND_LINE, "command-usage", message, "leave --bench out, or change the suite")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import date
@@ -9,20 +10,28 @@ from fnmatch import fnmatchcase
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
+from typing import TypeVar
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark, closest
 from planrunner.night.suite import KnownFailure, Suite, SuiteDevice, SuitePlan
+from planrunner.plan.parameters import Given
 from planrunner.plan.run_information import DEVICE
 
 MOST_TESTS = 1000
+_Value = TypeVar("_Value")
+
+
+Measurement = tuple[Path, str, tuple[tuple[str, str], ...]]
+"""A plan file, a bench, and the values for parameters of the plan."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedTest:
     """One test of a night: one run of a plan.
 
-    name: unique, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1`. entry: name of the plan in the suite. information: all run
+    name: unique, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1,dwell=2 min`. entry: name of the plan in the suite. matrix: its
+    run information from the matrix. parameters: its values for parameters of the plan. information: all run
     information that the suite gives for it, asked for by the plan or not. after, needs: indices of the tests that must have ended, and of
     those that must have passed. mark: its place in the suite.
     standard: whether it measures the check standard of its bench.
@@ -35,13 +44,28 @@ class PlannedTest:
     file: Path
     bench: str
     device: str | None
-    parameters: Mapping[str, str]
+    matrix: Mapping[str, str]
+    parameters: Mapping[str, Given]
     information: Mapping[str, str]
     seed: int | None
     mark: Mark
     after: tuple[int, ...] = ()
     needs: tuple[int, ...] = ()
     standard: bool = False
+
+    @property
+    def values(self) -> dict[str, str]:
+        """What distinguishes it from the other tests of its plan with its device on its bench."""
+        return {**self.matrix, **self.parameter_values}
+
+    @property
+    def parameter_values(self) -> dict[str, str]:
+        return {name: given.value for name, given in self.parameters.items()}
+
+    @property
+    def measurement(self) -> Measurement:
+        """What is checked once for all tests that share it."""
+        return self.file, self.bench, tuple(self.parameter_values.items())
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +95,15 @@ def expand_suite(
     found = [_of_standard(suite, index, bench, standards[bench]) for index, bench in enumerate(standards)]
     first = {test.bench: test.index for test in found}
     for entry, plan in suite.plans.items():
-        tests = list(_tests_of(entry, suite, folder, len(found)))
-        if len(found) + len(tests) > MOST_TESTS:
-            hint = "use fewer values in the matrix, or divide the suite"
-            log.error("suite-size", plan.origin.mark, f"the suite has more than {MOST_TESTS} tests", hint)
+        # The combinations are counted before they are made: there may be very many.
+        combinations = math.prod(map(len, (*plan.matrix.values(), *plan.parameters.values())))
+        tests = [] if combinations > MOST_TESTS else list(_tests_of(entry, suite, folder, len(found)))
+        if max(combinations, len(found) + len(tests)) > MOST_TESTS:
+            largest = "parameters" if plan.parameters else "matrix"
+            at = plan.at(largest) if combinations > 1 else plan.origin.mark
+            what = f"'{entry}' has {combinations} combinations of values; " if combinations > 1 else ""
+            hint = "use fewer values in `matrix` and `parameters`, or divide the suite"
+            log.error("suite-size", at, f"{what}the suite has more than {MOST_TESTS} tests", hint)
             return ()
         if not tests:
             message = f"'{entry}' has no test: none of its devices is mounted on one of its benches"
@@ -102,16 +131,37 @@ def _of_standard(suite: Suite, index: int, bench: str, about: StandardFirst) -> 
     information = {**suite.set, **dict.fromkeys(DEVICE, about.device)}
     name = f"{CHECK_STANDARD}/{about.device}/{bench}"
     return PlannedTest(
-        index, name, CHECK_STANDARD, plan, about.file, bench, about.device, {}, information, None, mark, standard=True
+        index,
+        name,
+        CHECK_STANDARD,
+        plan,
+        about.file,
+        bench,
+        about.device,
+        {},
+        {},
+        information,
+        None,
+        mark,
+        standard=True,
     )
 
 
 def _tests_of(entry: str, suite: Suite, folder: Path, first: int) -> Iterator[PlannedTest]:
     plan = suite.plans[entry]
     devices: Sequence[str | None] = plan.devices or tuple(suite.devices) or (None,)
-    combinations = [
-        dict(zip(plan.matrix, values, strict=True)) for values in product(*(plan.matrix[name] for name in plan.matrix))
-    ]
+    matrices = list(_combinations(plan.matrix))
+    variants = list(
+        _combinations(
+            {
+                name: [
+                    Given(value, plan.at(f"parameters.{name}[{place}]" if len(values) > 1 else f"parameters.{name}"))
+                    for place, value in enumerate(values)
+                ]
+                for name, values in plan.parameters.items()
+            }
+        )
+    )
     index = first
     for device in devices:
         about = None if device is None else suite.devices[device]
@@ -119,11 +169,12 @@ def _tests_of(entry: str, suite: Suite, folder: Path, first: int) -> Iterator[Pl
         for bench in plan.benches or tuple(suite.benches):
             if bench not in mounted:
                 continue
-            for parameters in combinations:
+            for matrix, parameters in product(matrices, variants):
                 words = [entry, *([] if device is None else [device]), bench]
-                if parameters:
-                    words.append(",".join(f"{name}={value}" for name, value in parameters.items()))
-                given = {**suite.set, **({} if about is None else about.set), **plan.set, **parameters}
+                if matrix or parameters:
+                    shown = {**matrix, **{name: given.value for name, given in parameters.items()}}
+                    words.append(",".join(f"{name}={value}" for name, value in shown.items()))
+                information = {**suite.set, **({} if about is None else about.set), **plan.set, **matrix}
                 yield PlannedTest(
                     index,
                     "/".join(words),
@@ -132,12 +183,18 @@ def _tests_of(entry: str, suite: Suite, folder: Path, first: int) -> Iterator[Pl
                     folder / plan.plan,
                     bench,
                     device,
+                    matrix,
                     parameters,
-                    given,
+                    information,
                     None if about is None else about.seed,
                     plan.origin.mark,
                 )
                 index += 1
+
+
+def _combinations(choices: Mapping[str, Sequence[_Value]]) -> Iterator[dict[str, _Value]]:
+    for values in product(*choices.values()):
+        yield dict(zip(choices, values, strict=True))
 
 
 def _waited_for(
@@ -166,9 +223,27 @@ def _check_names(suite: Suite, log: Findings) -> None:
             for name, hint in _unknown(plan.devices, suite.devices, "devices"):
                 log.error("suite-unknown-device", plan.at("devices"), f"the suite has no device '{name}'", hint)
     for plan in suite.plans.values():
+        _check_values(plan, log)
         for key, names in (("after", plan.after), ("needs", plan.needs)):
             for name, hint in _unknown(names, suite.plans, "plans"):
                 log.error("suite-unknown-plan", plan.at(key), f"the suite has no plan '{name}'", hint)
+
+
+def _check_values(plan: SuitePlan, log: Findings) -> None:
+    """A value that is given twice, or a name in `matrix` and `parameters`, would give two tests the same name."""
+    for key, choices in (("matrix", plan.matrix), ("parameters", plan.parameters)):
+        for name, values in choices.items():
+            for place, value in enumerate(values):
+                if value in values[:place]:
+                    message = f"the value '{value[:60]}' of '{name}' is given twice"
+                    log.error("suite-duplicate", plan.at(f"{key}.{name}[{place}]"), message, "keep one of them")
+    for name in plan.parameters:
+        if name in plan.matrix:
+            message = f"'{name}' is both in `matrix` and in `parameters`"
+            hint = (
+                "`matrix` gives run information, `parameters` gives values of the plan: rename the anchor in the plan"
+            )
+            log.error("suite-duplicate", plan.at(f"parameters.{name}"), message, hint)
 
 
 def _unknown(names: Sequence[str], known: Collection[str], key: str) -> Iterator[tuple[str, str]]:

@@ -10,6 +10,8 @@ from planrunner.bench.calibration import LINE
 from planrunner.plan import source
 from planrunner.plan.kinds import Boolean, Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
 from planrunner.plan.model import NAME, PERSON
+from planrunner.plan.parameters import NAME as PARAMETER
+from planrunner.plan.parameters import VALUE
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 HEADER = "planrunner_suite"
@@ -120,7 +122,7 @@ class SuiteDevice(Record):
 
 
 class SuitePlan(Record):
-    """A plan of the night. It runs once for each device, bench and combination of `matrix`."""
+    """A plan of the night. It runs once for each device, bench, and combination of `matrix` and `parameters`."""
 
     plan: str = key(
         Text(_PATH, "a plan file"), "The plan, relative to the suite.", "../flexure_gyro_eight_position.yaml"
@@ -144,6 +146,13 @@ class SuitePlan(Record):
         MapOf(ListOf(Text(LINE, "a text on one line"), minimum=1, maximum=100), pattern=NAME),
         "Run information with several values: the plan runs once for each combination.",
         {"fixture": ["FX-1", "FX-2"]},
+        default_factory=dict,
+    )
+    parameters: dict[str, tuple[str, ...]] = key(
+        MapOf(ListOf(Text(VALUE, "a value"), single=True, minimum=1, maximum=100), pattern=PARAMETER),
+        "Values for parameters of the plan (its values with an anchor, such as `dwell: &dwell 2 min`): the plan runs once for each "
+        "combination.",
+        {"dwell": ["1 min", "5 min"]},
         default_factory=dict,
     )
     after: tuple[str, ...] = key(

@@ -243,6 +243,14 @@ def _origin(node: source.Mapping, broken: frozenset[str], meant: Mapping[str, tu
             marks.update({f"{name.text}[{index}]": entry.mark for index, entry in enumerate(item.items)})
         elif isinstance(item, source.Mapping):
             marks.update({f"{name.text}.{entry.text}": _used(entry, value) for entry, value in item.entries})
+            marks.update(
+                {
+                    f"{name.text}.{entry.text}[{index}]": one.mark
+                    for entry, value in item.entries
+                    if isinstance(value, source.Sequence)
+                    for index, one in enumerate(value.items)
+                }
+            )
     return Origin(node.mark, marks, broken, meant)
 
 

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from datetime import date, datetime, time
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from planrunner.base.dataclass import dataclass
-from planrunner.base.findings import Findings, InputError, Mark, closest
+from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
 from planrunner.bench.calibration import check_validity
 from planrunner.bench.model import Bench, BenchModels, bench_of, benches_for, models, read_bench
 from planrunner.bench.scheduling import build_schedule
@@ -28,6 +29,7 @@ from planrunner.plan import source
 from planrunner.plan.expand import StatedSegment, expand
 from planrunner.plan.meaning import check_channels, check_meaning
 from planrunner.plan.model import EstimateSpec, Limit, Plan, parse_plan
+from planrunner.plan.parameters import Given, variant_name, with_parameters
 from planrunner.plan.quantity import parse_symmetric
 from planrunner.plan.schedule import Schedule
 from planrunner.plan.units import unit
@@ -46,11 +48,12 @@ HOPELESS = 1e6
 
 @dataclass(slots=True)
 class Checked:
-    """A plan as far as it could be read and checked. plan_bytes, bench_bytes: the exact bytes read. approvals: those that the bench
-    requires, if the plan has them."""
+    """A plan as far as it could be read and checked. plan_bytes, bench_bytes: the exact bytes read, with the values that were given for
+    parameters. approvals: those that the bench requires, if the plan has them."""
 
     file: str
     findings: Findings
+    parameters: Mapping[str, str] = field(default_factory=dict)
     plan: Plan | None = None
     bench: Bench | None = None
     models: BenchModels | None = None
@@ -60,6 +63,11 @@ class Checked:
     plan_bytes: bytes = b""
     bench_bytes: bytes = b""
     approvals: KeptApprovals | None = None
+
+    @property
+    def name(self) -> str:
+        """The name under which its runs are kept."""
+        return variant_name(Path(self.file).stem, self.parameters)
 
     @property
     def setup(self) -> Setup:
@@ -100,6 +108,7 @@ class Checked:
         return Sound(
             self.file,
             self.findings,
+            self.parameters,
             self.plan,
             self.bench,
             self.models,
@@ -115,11 +124,12 @@ class Checked:
 
 @dataclass(frozen=True, slots=True)
 class Sound:
-    """A plan that passed its checks (warnings may remain in `findings`). approvals: those that the bench requires; a plan without them does
-    not run on such a bench."""
+    """A plan that passed its checks (warnings may remain in `findings`). parameters: values that were given for parameters. approvals:
+    those that the bench requires; a plan without them does not run on such a bench."""
 
     file: str
     findings: Findings
+    parameters: Mapping[str, str]
     plan: Plan
     bench: Bench
     models: BenchModels
@@ -131,6 +141,11 @@ class Sound:
     bench_bytes: bytes
     approvals: KeptApprovals | None = None
 
+    @property
+    def name(self) -> str:
+        """The name under which its runs are kept."""
+        return variant_name(Path(self.file).stem, self.parameters)
+
 
 @dataclass(frozen=True, slots=True)
 class Document:
@@ -141,26 +156,52 @@ class Document:
 
 
 def check_plan(
-    plan_file: Path | Document, bench: str | Path | Document | None = None, today: date | None = None
+    plan_file: Path | Document,
+    bench: str | Path | Document | None = None,
+    today: date | None = None,
+    parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Checked:
     """All checks of a plan before it runs. Never raises because of the content of the files.
 
     plan_file: path of the plan, or the plan itself; its bench is then sought relative to the shown name. Approvals are sought beside a
     path only: without it, a plan for a bench that requires approvals passes, but does not run. bench: replaces the plan's bench:
     a shipped name or a file relative to the working folder, exactly this path, or the bench itself. today: the day on which calibrations
-    must be valid, by default the current day.
+    must be valid, by default the current day. parameters: values for parameters of the plan; what is wrong with such a value is found where
+    it was given.
     """
-    checked = Checked(plan_file.shown if isinstance(plan_file, Document) else str(plan_file), Findings())
+    file = plan_file.shown if isinstance(plan_file, Document) else str(plan_file)
+    checked = Checked(file, Findings(), {name: given.value for name, given in parameters.items()})
+    places: Mapping[str, Mark] = {}
     try:
         checked.plan_bytes = plan_file.data if isinstance(plan_file, Document) else source.read_bytes(plan_file)
         text = source.decode(checked.plan_bytes, checked.file)
+        if parameters:
+            varied = with_parameters(text, file, parameters)
+            text, places, checked.plan_bytes = varied.text, varied.places, varied.text.encode()
     except InputError as error:
         checked.findings = Findings(list(error.findings))
         return checked
     plan, checked.findings = parse_plan(text, checked.file)
-    if plan is None:
-        return checked
-    checked.plan = plan
+    if plan is not None:
+        checked.plan = plan
+        _check_meaning(checked, plan, plan_file, bench, today)
+    if places:
+        checked.findings = Findings([_where_given(finding, parameters, places) for finding in checked.findings.items])
+    return checked
+
+
+def _where_given(finding: Finding, parameters: Mapping[str, Given], places: Mapping[str, Mark]) -> Finding:
+    """A finding about the value of a parameter, at the place where the value was given."""
+    for name, place in places.items():
+        if place.covers(finding.mark):
+            given = parameters[name]
+            return replace(finding, mark=given.mark, message=f"{name} = {given.value}: {finding.message}")
+    return finding
+
+
+def _check_meaning(
+    checked: Checked, plan: Plan, plan_file: Path | Document, bench: str | Path | Document | None, today: date | None
+) -> None:
     log = checked.findings
     stated = expand(plan, log)
     reports = report_names()
@@ -180,7 +221,6 @@ def check_plan(
             _check_signing(checked.bench, log, key_needed=isinstance(plan_file, Path))
             if isinstance(plan_file, Path):
                 _check_approvals(checked, plan_file, plan, checked.bench, today)
-    return checked
 
 
 def _check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from datetime import date, datetime, tzinfo
 from functools import partial
 from pathlib import Path
@@ -17,10 +17,11 @@ from planrunner.base.workers import Workers, results_of
 from planrunner.bench.attendance import check_unattended
 from planrunner.bench.model import NAME, Bench, locate, read_bench, runs_on_virtual_clock
 from planrunner.night.civil_time import civil, zone_of
-from planrunner.night.expansion import PlannedTest, StandardFirst, check_known_failures, expand_suite
+from planrunner.night.expansion import Measurement, PlannedTest, StandardFirst, check_known_failures, expand_suite
 from planrunner.night.suite import HEADER, Suite, SuiteDevice, read_suite
 from planrunner.night.timetable import NightForecast, foresee, night_hours
 from planrunner.plan import source
+from planrunner.plan.parameters import Given, variant_name
 from planrunner.plan.run_information import DEVICE
 from planrunner.tasks.check import Checked, Document, check_plan
 
@@ -48,7 +49,7 @@ class CheckedSuite:
     suite: Suite | None = None
     zone: tzinfo | None = None
     tests: tuple[PlannedTest, ...] = ()
-    plans: dict[tuple[Path, str], PlanOnBench] = field(default_factory=dict)
+    plans: dict[Measurement, PlanOnBench] = field(default_factory=dict)
     forecast: NightForecast | None = None
     virtual: bool = False
 
@@ -59,16 +60,16 @@ class CheckedSuite:
     @property
     def durations(self) -> tuple[float | None, ...]:
         """Planned seconds of each test."""
-        return tuple(self.plans[test.file, test.bench].seconds for test in self.tests)
+        return tuple(self.plans[test.measurement].seconds for test in self.tests)
 
     def sound(self) -> SoundSuite:
         """The suite with everything that a night needs. Raises `InputError` with the findings if there are errors."""
         if self.findings.errors or self.suite is None or self.forecast is None:
             raise InputError(self.findings)
-        asks = tuple(dict(self.plans[test.file, test.bench].asks) for test in self.tests)
+        asks = tuple(dict(self.plans[test.measurement].asks) for test in self.tests)
         return SoundSuite(
             self.file, self.findings, self.data, self.suite, self.zone, self.tests, self.durations, asks,
-            self.forecast, self.virtual, sum(self.plans[test.file, test.bench].size for test in self.tests),
+            self.forecast, self.virtual, sum(self.plans[test.measurement].size for test in self.tests),
         )  # fmt: skip
 
 
@@ -207,9 +208,13 @@ def _check_standards(
     for name, (bench, _) in rules.items():
         rule, own = bench.check_standard, [test for test in checked.tests if test.bench == name]
         assert rule is not None
-        measured = [test for test in own if rule.measured_by(test.file.stem, test.information)]
+        measured = [
+            test
+            for test in own
+            if rule.measured_by(variant_name(test.file.stem, test.parameter_values), test.information)
+        ]
         for test in measured:
-            pair = checked.plans[test.file, test.bench]
+            pair = checked.plans[test.measurement]
             if pair.ok and not dict(pair.asks).keys() & {*DEVICE}:
                 message = f"the plan of the check standard does not record {DEVICE[0]}"
                 log.error(
@@ -224,28 +229,42 @@ def _check_standards(
 
 
 def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
-    """Checks every plan on every bench that it runs on, each pair once."""
+    """Checks every plan on every bench that it runs on with every combination of its parameters, each once."""
     log = checked.findings
-    pairs = {(test.file, test.bench): test for test in checked.tests}
-    items = [(file, bench_file(suite, checked.file, bench)) for file, bench in pairs]
+    first: dict[Measurement, PlannedTest] = {}
+    for test in checked.tests:
+        first.setdefault(test.measurement, test)
+    items: list[_Item] = [
+        (test.file, bench_file(suite, checked.file, test.bench), test.parameters) for test in first.values()
+    ]
     if workers.scheduler is None:
         answers = results_of(_look_at, items, workers)
     else:
         found = results_of(
-            partial(_look_elsewhere, date.today()), [(file, bench, Path(bench)) for file, bench in items], workers
+            partial(_look_elsewhere, date.today()), [(item, item[0], Path(item[1])) for item in items], workers
         )
         answers = [one or _look_at(item) for item, one in zip(items, found, strict=True)]
-    for (pair, test), answer in zip(pairs.items(), answers, strict=True):
-        checked.plans[pair] = answer
-        for finding in answer.findings:
+    checked.plans.update(zip(first, answers, strict=True))
+    everywhere: dict[tuple[Path, str], set[Finding]] = {}
+    for (file, bench, _), answer in checked.plans.items():
+        everywhere.setdefault((file, bench), set(answer.findings)).intersection_update(answer.findings)
+    for measurement, test in first.items():
+        for finding in checked.plans[measurement].findings:
             if finding.code in ("file-missing", "meaning-unknown-bench", "file-directory"):
                 of_bench = finding.mark.file != str(test.file)
                 at = suite.benches[test.bench].at("bench") if of_bench else _plan_of(test)
                 log.error(finding.code, at, f"{finding.mark.file}: {finding.message}", finding.hint)
             elif finding.severity != "note":
-                log.extend([finding])
+                always = finding in everywhere[test.file, test.bench] or finding.mark.file == checked.file
+                log.extend([finding if always else _of_variant(finding, test)])
     used = {test.bench for test in checked.tests}
-    checked.virtual = all(answer.virtual for (_, bench), answer in checked.plans.items() if bench in used)
+    checked.virtual = all(answer.virtual for (_, bench, _), answer in checked.plans.items() if bench in used)
+
+
+def _of_variant(finding: Finding, test: PlannedTest) -> Finding:
+    """A finding in a plan that it has with some values of its parameters only."""
+    values = ", ".join(f"{name} = {value}" for name, value in test.parameter_values.items())
+    return replace(finding, message=f"{finding.message} (with {values})")
 
 
 def _plan_of(test: PlannedTest) -> Mark:
@@ -253,16 +272,20 @@ def _plan_of(test: PlannedTest) -> Mark:
     return test.mark if test.standard else test.plan.at("plan")
 
 
-def _look_elsewhere(today: date, given: tuple[Path, str, Path]) -> PlanOnBench | None:
-    """On a worker of a cluster: None if this computer does not decide it. given: the plan, and the bench, also as a path."""
-    file, bench, _ = given
-    found = check_plan(file, bench, today=today)
+_Item = tuple[Path, str, Mapping[str, Given]]
+"""A plan, a bench, and values for parameters of the plan."""
+
+
+def _look_elsewhere(today: date, given: tuple[_Item, Path, Path]) -> PlanOnBench | None:
+    """On a worker of a cluster: None if this computer does not decide it. given: the item, and its plan and bench as paths."""
+    file, bench, parameters = given[0]
+    found = check_plan(file, bench, today=today, parameters=parameters)
     return _seen(found) if found.portable else None
 
 
-def _look_at(pair: tuple[Path, str]) -> PlanOnBench:
-    file, bench = pair
-    return _seen(check_plan(file, bench))
+def _look_at(item: _Item) -> PlanOnBench:
+    file, bench, parameters = item
+    return _seen(check_plan(file, bench, parameters=parameters))
 
 
 def _seen(found: Checked) -> PlanOnBench:
@@ -288,9 +311,9 @@ def _check_information(checked: CheckedSuite, suite: Suite) -> None:
     log = checked.findings
     asked: set[str] = set()
     for test in checked.tests:
-        asks = dict(checked.plans[test.file, test.bench].asks)
+        asks = dict(checked.plans[test.measurement].asks)
         asked.update(asks)
-        if not checked.plans[test.file, test.bench].ok:
+        if not checked.plans[test.measurement].ok:
             continue
         for name, required in asks.items():
             if required and name not in test.information:
@@ -320,7 +343,7 @@ def _check_information(checked: CheckedSuite, suite: Suite) -> None:
 
 def _check_devices(checked: CheckedSuite, suite: Suite) -> None:
     """Nobody moves a device from one real bench to another at night."""
-    real = {bench for (_, bench), answer in checked.plans.items() if answer.ok and not answer.virtual}
+    real = {bench for (_, bench, _), answer in checked.plans.items() if answer.ok and not answer.virtual}
     for name, device in suite.devices.items():
         places = sorted({test.bench for test in checked.tests if test.device == name} & real)
         if len(places) > 1:

@@ -204,7 +204,7 @@ def _created(nights: GuardedFolder, digest: str, sound: SoundSuite, options: Nig
                 "plan": str(test.file),
                 "device": test.device,
                 "bench": test.bench,
-                "parameters": dict(test.parameters),
+                "parameters": test.values,
                 "seconds": seconds,
                 "foreseen": times,
                 "foreseen_obstacle": foreseen.get(test.index, ""),
@@ -537,6 +537,7 @@ class _Night:
         given = [
             word for name, value in test.information.items() if name in asks for word in ("--set", f"{name}={value}")
         ]
+        given += [word for name, value in test.parameter_values.items() for word in ("--parameter", f"{name}={value}")]
         seed = [] if test.seed is None else ["--seed", str(test.seed)]
         override = self._sound.suite.benches[test.bench].override_check_standard
         if override is not None and not test.standard:

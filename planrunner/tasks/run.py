@@ -144,8 +144,7 @@ def start(
     """
     kept = _approved(sound, runs)
     operator = _attended(sound, operator)
-    name = Path(sound.file).stem
-    admission = admission or admit(sound.bench, name, info, runs)
+    admission = admission or admit(sound.bench, sound.name, info, runs)
     seed = sound.bench.seed if seed is None else seed
     require_space(runs, recording_bytes(sound.schedule, sound.sensor.sample_rate, len(sound.sensor.outputs) + 1))
 
@@ -153,7 +152,7 @@ def start(
         files = sound.plan_bytes, sound.bench_bytes
         return RunWriter.create(
             runs,
-            name,
+            sound.name,
             *files,
             info,
             durability,
@@ -161,6 +160,7 @@ def start(
             identity=identity,
             approvals=kept,
             check_standard=admission.record,
+            parameters=sound.parameters,
         )
 
     return _carry_out(sound, data_root, seed, create, stop, progress, operator)

@@ -36,6 +36,9 @@ devices:
 plans: {x: {plan: p.yaml}, y: {plan: p.yaml, after: x}}
 """
 
+PARAMETERS = "plans: {x: {plan: p.yaml, devices: D1, set: {operator: n}, parameters: {dwell: [1 min, 3 min]}}}\n"
+ROOT = Path(__file__).resolve().parents[2]
+
 
 def written(folder: Path) -> None:
     (folder / "p.yaml").write_text(PLAN, encoding="utf-8")
@@ -90,3 +93,35 @@ def test_a_bench_that_vanishes_stops_itself_alone(tmp_path: Path) -> None:
     states = {test["test"]: test["state"] for test in json.loads(file.read_text(encoding="utf-8"))["tests"]}
     assert sorted(states.values()) == ["fault", "not_run", "passed", "passed"]
     assert "SIGKILL" in (file.parent / "summary.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_a_night_over_parameters_keeps_the_runs_of_each_combination_apart(tmp_path: Path) -> None:
+    """Two dwells: two plans in each run folder, in the record, in JUnit, in the index and in the history of the device."""
+    plan = (ROOT / "plans" / "flexure_gyro_eight_position.yaml").read_text(encoding="utf-8")
+    (tmp_path / "p.yaml").write_text(plan.replace("dwell: 2 min", "dwell: &dwell 2 min"), encoding="utf-8")
+    suite = SUITE.partition("plans:")[0] + PARAMETERS
+    (tmp_path / "night.yaml").write_text(suite, encoding="utf-8")
+    done = planrunner("night", "night.yaml", "--runs", "runs", "--json", "--quiet", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr + done.stdout
+    record = json.loads(done.stdout)
+    assert [test["test"] for test in record["tests"]] == ["x/D1/a/dwell=1 min", "x/D1/a/dwell=3 min"]
+    assert [test["parameters"] for test in record["tests"]] == [{"dwell": "1 min"}, {"dwell": "3 min"}]
+    runs = {test["parameters"]["dwell"]: tmp_path / "runs" / test["attempts"][-1]["run"] for test in record["tests"]}
+    for dwell, run in runs.items():
+        assert f"dwell: &dwell {dwell}}}" in (run / "plan.yaml").read_text(encoding="utf-8")
+    (night,) = (tmp_path / "runs" / "nights").glob("2*")
+    junit = (night / "junit.xml").read_text(encoding="utf-8")
+    assert 'name="x/D1/a/dwell=1 min"' in junit and 'name="x/D1/a/dwell=3 min"' in junit
+    listed = planrunner("runs", "runs", "--json", cwd=tmp_path)
+    assert {run["plan"] for run in json.loads(listed.stdout)["runs"]} == {"p (dwell=1 min)", "p (dwell=3 min)"}
+    for dwell in runs:
+        history = planrunner("history", "D1", f"drift.D_X_F (dwell={dwell})", "--json", cwd=tmp_path)
+        assert [point["folder"] for point in json.loads(history.stdout)["points"]] == [runs[dwell].name]
+    compared = planrunner("compare", *runs.values(), "--json", cwd=tmp_path)  # the user asks for it: one coefficient
+    assert "drift.D_X_F" in {one["quantity"] for one in json.loads(compared.stdout)["coefficients"]}
+    verified = planrunner("verify", "runs", "--all", cwd=tmp_path)
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+    # a run with another value for a parameter is continued and evaluated with this value
+    again = planrunner("estimate", runs["3 min"], "--json", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr

@@ -33,7 +33,8 @@ FULL = {
     "benches": {"a": {"bench": "virtual", "warm_up": "30 min", "stays_warm": "1 h", "window": {"from": "20:00", "to": "23:00"}}},
     "devices": {"FG-1": {"benches": ["a"], "set": {"device_serial": "FG-1"}, "seed": 3}},
     "plans": {
-        "one": {"plan": "p.yaml", "matrix": {"fixture": ["x", "y"]}, "retries": 2, "retry_on": ["limit"], "retry_after": "1 min"},
+        "one": {"plan": "p.yaml", "matrix": {"fixture": ["x", "y"]}, "parameters": {"dwell": ["1 min", 2]},
+            "retries": 2, "retry_on": ["limit"], "retry_after": "1 min"},
         "two": {"plan": "p.yaml", "after": "one", "needs": ["one"], "warm": False, "on_limit": "stop_bench", "interrupted": "retake"},
     },
     "known_failures": [{"tests": "one/*", "until": "2026-12-31", "reason": "r", "of": ["fault"]}],
@@ -42,6 +43,7 @@ FULL = {
         {"email": ["a@example.org"], "from": "b@example.org"},
     ],
 }  # fmt: skip
+MANY = [str(number) for number in range(100)]
 VALUES: tuple[Any, ...] = (None, True, 0, -1, 3, 2.5, "", "x", "25:00", "22:00", "5 min",
     "-5 min", "5 kg", [], ["a"], {}, {"a": 1})  # fmt: skip
 
@@ -129,6 +131,24 @@ def test_plans_devices_benches_and_matrix_are_multiplied() -> None:
     assert tests[0].file == Path("lab/x/one.yaml")
 
 
+def test_parameters_are_multiplied_with_the_matrix_and_are_no_information() -> None:
+    names, log, tests = expanded(
+        benches={"a": {"bench": "virtual"}},
+        plans={
+            "one": {
+                "plan": "p.yaml",
+                "matrix": {"m": ["u", "v"]},
+                "parameters": {"dwell": ["1 min", "2 min"], "r": "x"},
+            }
+        },
+    )
+    assert not log.errors
+    assert names == [f"one/a/m={m},dwell={dwell} min,r=x" for m in "uv" for dwell in (1, 2)]
+    assert [test.information for test in tests] == [{"m": "u"}, {"m": "u"}, {"m": "v"}, {"m": "v"}]
+    assert [test.values for test in tests][1] == {"m": "u", "dwell": "2 min", "r": "x"}
+    assert len({test.measurement for test in tests}) == 2  # the matrix changes nothing that is checked
+
+
 def test_information_of_the_matrix_wins_over_plan_device_and_suite() -> None:
     _, _, (test,) = expanded(
         set={"w": "suite", "x": "suite", "y": "suite", "z": "suite"},
@@ -164,7 +184,12 @@ def test_a_test_waits_for_the_same_device_on_the_same_bench_where_there_is_one()
         ({"plans": {"x": {"plan": "p", "benches": "c"}}}, "suite-unknown-bench", "no bench 'c'"),
         ({"plans": {"x": {"plan": "p", "devices": "D"}}}, "suite-unknown-device", "no device 'D'"),
         ({"plans": {"x": {"plan": "p", "after": "x"}}}, "suite-cycle", "x → x"),
-        ({"plans": {"x": {"plan": "p", "matrix": {"m": ["v"] * 100, "n": ["v"] * 11}}}}, "suite-size", "1000"),
+        ({"plans": {"x": {"plan": "p", "matrix": {"m": MANY, "n": MANY[:11]}}}}, "suite-size", "'x' has 1100 combinations"),
+        ({"plans": {"x": {"plan": "p", "matrix": {"m": MANY[:40]}, "parameters": {"n": MANY[:30]}}}}, "suite-size", "1200 combinations"),
+        ({"plans": {"x": {"plan": "p", "parameters": {f"p{n}": MANY for n in range(30)}}}}, "suite-size", f"{100**30} combinations"),
+        ({"plans": {"x": {"plan": "p", "matrix": {"m": ["v", "w", "v"]}}}}, "suite-duplicate", "'v' of 'm' is given twice"),
+        ({"plans": {"x": {"plan": "p", "parameters": {"m": ["v", "w", "v"]}}}}, "suite-duplicate", "'v' of 'm' is given twice"),
+        ({"plans": {"x": {"plan": "p", "matrix": {"m": ["v"]}, "parameters": {"m": "w"}}}}, "suite-duplicate", "both in `matrix` and"),
         ({"benches": {}, "plans": {"x": {"plan": "p"}}}, "suite-no-bench", "no bench"),
         (
             {"devices": {"D": {"benches": "a"}}, "plans": {"x": {"plan": "p", "benches": "b"}}},

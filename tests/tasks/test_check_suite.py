@@ -37,7 +37,7 @@ def test_the_shipped_suite_is_sound_and_needs_half_a_night() -> None:
     assert [str(item) for item in checked.findings] == []
     assert checked.virtual and checked.forecast is not None
     # 30 min of warm-up, then three calibrations one after the other on each bench
-    (drift,) = {checked.plans[test.file, test.bench].seconds for test in checked.tests if test.entry == "drift"}
+    (drift,) = {checked.plans[test.measurement].seconds for test in checked.tests if test.entry == "drift"}
     assert drift is not None
     assert checked.forecast.ends - checked.forecast.hours.begins == pytest.approx(1800 + 3 * drift)
 
@@ -91,6 +91,44 @@ plans: {good: {plan: p.yaml, set: {device_serial: D}, matrix: {fixtre: [a, b]}}}
     found = {item.code: item for item in check_suite(written(tmp_path, suite, p=PLAN)).findings}
     assert found["run-info-unknown"].severity == "error" and "fixtre" in found["run-info-unknown"].message
     assert found["suite-information-unused"].severity == "warning"
+
+
+def test_each_combination_of_parameters_is_checked_and_its_mistakes_are_at_its_values(tmp_path: Path) -> None:
+    """The plan itself is correct. Of six combinations, those with a wrong unit fail at their value in the suite; a dwell of 0 s too."""
+    suite = """\
+set: {device_serial: D}
+benches: {a: {bench: virtual}}
+plans:
+  good:
+    plan: p.yaml
+    parameters:
+      dwell: [5 min, 5 kg, 20 min]
+      second: [down, upwards]
+  unknown: {plan: p.yaml, parameters: {dwel: 1 min}}
+  single: {plan: p.yaml, parameters: {dwell: 0 s}}
+  same: {plan: p.yaml, parameters: {second: up}}
+"""
+    varied = PLAN.replace("dwell: 10", "dwell: &dwell 10").replace("{x: down", "{x: &second down")
+    file = written(tmp_path, suite, p=varied)
+    done = planrunner("check", file, "--json", cwd=tmp_path)
+    assert done.returncode == 2
+    found = {
+        (Path(item["file"]).name, item["line"], item["column"]): item["message"]
+        for item in json.loads(done.stdout)
+        if item["severity"] == "error"
+    }
+    assert set(found) == {("night.yaml", 9, 22), ("night.yaml", 10, 22), ("night.yaml", 11, 46), ("night.yaml", 12, 46)}
+    assert (
+        found["night.yaml", 9, 22].startswith("dwell = 5 kg: ") and "second = upwards: " in found["night.yaml", 10, 22]
+    )
+    assert "no parameter 'dwel'" in found["night.yaml", 11, 46] and found["night.yaml", 12, 46].startswith(
+        "dwell = 0 s: "
+    )
+    sound = written(tmp_path, suite.replace(", 5 kg", "").replace(", upwards", "").partition("  unknown")[0])
+    checked = check_suite(sound)
+    assert checked.ok
+    short, long = checked.durations
+    assert short is not None and long is not None and long - short == pytest.approx(2 * 15 * 60)
 
 
 @pytest.mark.parametrize(

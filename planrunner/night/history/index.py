@@ -10,12 +10,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache, partial
 from pathlib import Path
 from types import TracebackType
-from typing import cast
+from typing import TypeVar, cast
 
 from planrunner.archive.finding_runs import find_runs
 from planrunner.archive.schema_check import FIRST_YEAR, LAST_YEAR
@@ -38,6 +38,9 @@ from planrunner.night.history.rows import (
     RunRow,
     RunState,
 )
+from planrunner.plan.parameters import variant_name
+
+_Row = TypeVar("_Row", CoefficientRow, LimitRow)
 
 FORMAT = 1
 """Version of the tables; an index of another version is made again."""
@@ -194,8 +197,8 @@ class Index:
                     continue
                 ((number,),) = database.query(upsert, (self._name, one.fingerprint, *_run_values(one.run)))
                 ids.append((number,))
-                coefficients += [(number, *_values(row)) for row in one.coefficients]
-                limits += [(number, *_values(row)) for row in one.limits]
+                coefficients += [(number, *_values(_apart(row, one.parameters))) for row in one.coefficients]
+                limits += [(number, *_values(_apart(row, one.parameters))) for row in one.limits]
             for table in ("coefficients", "limits"):
                 database.write_many(f"DELETE FROM {table} WHERE run_id = ?", ids)
             database.write_many(
@@ -394,6 +397,12 @@ def _values(row: CoefficientRow | LimitRow) -> SqlRow:
         value = value.value if isinstance(value, CoefficientRole) else value
         found.append(None if isinstance(value, float) and math.isnan(value) else value)
     return tuple(found)
+
+
+def _apart(row: _Row, parameters: Mapping[str, str]) -> _Row:
+    """A row of a run with its own values for parameters of the plan. Its history is not that of other values, so its quantity has another
+    name."""
+    return replace(row, quantity=variant_name(row.quantity, parameters)) if parameters else row
 
 
 def _run_values(run: RunRow) -> SqlRow:

@@ -118,7 +118,7 @@ def _indexed(place: str, mark: str, reader: RunReader) -> IndexedRun:
         LimitRow(one.quantity, one.requirement, one.verdict, one.unit, one.lower, one.upper, one.probability)
         for one in results.limits
     )
-    return IndexedRun(place, mark, run, coefficients, limits)
+    return IndexedRun(place, mark, run, coefficients, limits, parameters=reader.run.get("parameters", {}))
 
 
 def _results(analysis: StoredAnalysis) -> Results:

@@ -124,7 +124,7 @@ class FaultRow:
 @dataclass(frozen=True, slots=True)
 class IndexedRun:
     """A run folder as it was read: the run with its coefficients and limits, or the fault. fingerprint: of the folder; empty if it must be
-    read again the next time."""
+    read again the next time. parameters: values that were given for parameters of its plan."""
 
     folder: str
     fingerprint: str
@@ -132,6 +132,7 @@ class IndexedRun:
     coefficients: tuple[CoefficientRow, ...] = ()
     limits: tuple[LimitRow, ...] = ()
     fault: str = ""
+    parameters: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
