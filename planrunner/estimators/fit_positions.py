@@ -14,7 +14,7 @@ from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.stated_errors import site_errors, table_errors
 from planrunner.observation.correlated_errors import Array, functionals_of
 from planrunner.observation.drift import drift_of
-from planrunner.observation.flicker import flicker_errors
+from planrunner.observation.flicker import flicker_errors, unstated_flicker
 from planrunner.observation.observations import Observations
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
@@ -73,7 +73,18 @@ def fit_positions(
     )
     drift = drift_of(parameters.drift, parameters.temperature_channel, observations, recorded, request.segments)
     basis = parameters.uncertainty
-    return fit_outputs(matrix, observations, magnitudes, model.names, basis, pooled, effects=effects, drift=drift)
+    unstated = unstated_flicker(observations, request.setup.inputs, parameters.drift_span.value)
+    return fit_outputs(
+        matrix,
+        observations,
+        magnitudes,
+        model.names,
+        basis,
+        pooled,
+        effects=effects,
+        drift=drift,
+        unstated=unstated,
+    )
 
 
 def site_influences(

@@ -45,7 +45,8 @@ class OutputsFit:
     are known beforehand; pooled_freedom: its degrees of freedom. drift: the courses that are fitted together with the terms, q columns;
     `fits` and the degrees of freedom are those of all P = p + q columns. all_gains: (m, P, n), their coefficients from observations.
     all_cofactors: by basis, (m, P, m, P), covariance of their coefficients before the variance factors. within: number of observations at
-    the end that are no means of segments (`Observations`).
+    the end that are no means of segments (`Observations`). unstated: effects about whose size nothing is stated, per unit; they are not in
+    the fit. names: (p,), of the terms.
     """
 
     outputs: tuple[str, ...]
@@ -65,6 +66,8 @@ class OutputsFit:
     pooled_freedom: float = 0.0
     drift: FittedDrift = NOTHING_FITTED
     within: int = 0
+    unstated: tuple[CorrelatedError, ...] = ()
+    names: tuple[str, ...] = ()
 
     @property
     def columns(self) -> Array:
@@ -174,6 +177,7 @@ def fit_outputs(
     equal: bool = False,
     effects: Sequence[CorrelatedError] = (),
     drift: DriftCourses = NO_DRIFT,
+    unstated: Sequence[CorrelatedError] = (),
 ) -> OutputsFit:
     """Fit every observed channel by the same terms. Raises `EstimationError`.
 
@@ -181,6 +185,7 @@ def fit_outputs(
     noise differs between segments or there are effects, and both together do not explain the residuals. Otherwise the segment with the
     least noise would dominate the fit although its error is as large as the others'. Outputs can be pooled only if their noise is known and
     needs no such part. equal: give all segments the same weight. drift: courses that are fitted too, or only if the data show them.
+    unstated: as in `OutputsFit`.
     """
     m = len(observations.channels)
     noises = [within_segment_noise(observations, k) for k in range(m)]
@@ -225,6 +230,8 @@ def fit_outputs(
         weighting.pooled_freedom(found, observations.correlation) if pooled else 0.0,
         drifting,
         observations.within,
+        tuple(unstated),
+        tuple(names),
     )
 
 

@@ -43,7 +43,7 @@ from planrunner.estimators.stated_errors import common_rate, rate_errors
 from planrunner.estimators.tilted.rate_lines import asymmetry, line_through
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.drift import drift, drift_of, thermometer
-from planrunner.observation.flicker import drift_span, flicker_errors
+from planrunner.observation.flicker import drift_span, flicker_errors, unstated_flicker
 from planrunner.observation.observations import Observations, observe
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity
@@ -150,7 +150,17 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
             parameters.drift, parameters.temperature_channel, observations, request.segments, request.segments
         )
         basis = parameters.uncertainty
-        fit = fit_outputs(matrix, observations, magnitudes, TERMS, basis, equal=equal, effects=effects, drift=drift)
+        fit = fit_outputs(
+            matrix,
+            observations,
+            magnitudes,
+            TERMS,
+            basis,
+            equal=equal,
+            effects=effects,
+            drift=drift,
+            unstated=unstated_flicker(observations, request.setup.inputs, parameters.drift_span.value),
+        )
         require_basis(fit, parameters.uncertainty, request.name)
         return _found(request, observations, rates, fit)
 

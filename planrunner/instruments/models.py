@@ -99,13 +99,14 @@ class NoiseModel:
 
     white: random-walk coefficient N [unit·√s]: the mean over T seconds has variance N²/T. bias_instability: flicker floor [unit];
     resolution: one count [unit]. counted: the remainder of a count is carried to the next sample, so only the two ends of a mean are
-    rounded.
+    rounded. states_flicker: whether the bench file gives a bias instability, which may be zero.
     """
 
     white: float = 0.0
     bias_instability: float = 0.0
     resolution: float = 0.0
     counted: bool = False
+    states_flicker: bool = False
 
     def dithers(self, variance: float | Array) -> NDArray[np.bool_]:
         """Whether the rounding of samples to counts averages out in a mean: noise of this variance [unit²] between the samples dithers it,

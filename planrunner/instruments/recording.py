@@ -69,7 +69,12 @@ class RecordingPlayer(PlaysBack):
                 name,
                 channel.unit,
                 channel.amount("full_scale", math.inf),
-                NoiseModel(channel.white(rate), channel.amount("bias_instability"), channel.amount("resolution")),
+                NoiseModel(
+                    channel.white(rate),
+                    channel.amount("bias_instability"),
+                    channel.amount("resolution"),
+                    states_flicker=channel.bias_instability is not None,
+                ),
             )
             for name, channel in parameters.channels.items()
         )

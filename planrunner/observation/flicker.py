@@ -8,7 +8,7 @@ t′|/π, whose double integrals over segments are known in closed form.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.observations import Observations
 from planrunner.plan.kinds import QuantityOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
-from planrunner.uncertainty.influences import Aspect, Inputs
+from planrunner.uncertainty.influences import Aspect, InputQuantity, Inputs
 from planrunner.uncertainty.monte_carlo import square_root
 
 Array = NDArray[np.float64]
@@ -43,11 +43,30 @@ def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> t
     stated = {
         k: quantity for k, name in enumerate(outputs) if (quantity := inputs.of_output(Aspect.BIAS_INSTABILITY, name))
     }
+    return _effects(observations, stated, span)
+
+
+def _effects(
+    observations: Observations, stated: Mapping[int, InputQuantity], span: float
+) -> tuple[CorrelatedError, ...]:
+    """Flicker of the outputs with these indices."""
     if not stated:
         return ()
     root = square_root(mean_covariance(observations.start, observations.end, span))
     seen = scatter_within(observations.batches, observations.courses or ())
     return tuple(CorrelatedError(quantity, {k: root}, within={k: seen}) for k, quantity in stated.items())
+
+
+def unstated_flicker(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
+    """Flicker with B = 1, in the unit of the output, of each output for which the bench file gives no bias instability. None for expected
+    observations, which contain only what is declared. span: s."""
+    outputs = [] if observations.expected else [*enumerate(observations.channels)]
+    silent = {
+        k: InputQuantity(Aspect.BIAS_INSTABILITY.of(name), 0.0, observations.units[k], 1.0)
+        for k, name in outputs
+        if name in inputs.without_flicker
+    }
+    return _effects(observations, silent, span)
 
 
 def mean_covariance(start: Array, end: Array, span: float) -> Array:

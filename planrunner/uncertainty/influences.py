@@ -111,9 +111,11 @@ class Budget:
 class Inputs:
     """Stated quantities by name, such as `latitude`, `gravity`, `azimuth`, `table position`, `table rate`, `table orthogonality`,
     `temperature`, `fixture angle x`, `fixture azimuth x`, `resolution gyro_x`, `bias instability gyro_x` (whose uncertainty is the
-    coefficient B itself). A quantity is absent if no uncertainty was stated."""
+    coefficient B itself). A quantity is absent if no uncertainty was stated. without_flicker: outputs for which the bench file gives no
+    bias instability, not even zero."""
 
     quantities: Mapping[str, InputQuantity] = field(default_factory=dict)
+    without_flicker: frozenset[str] = frozenset()
 
     def get(self, name: str) -> InputQuantity | None:
         return self.quantities.get(name)

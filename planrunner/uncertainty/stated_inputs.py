@@ -37,7 +37,9 @@ def stated_inputs(bench: Bench, models: BenchModels, mounting: Mapping[str, Moun
             found += _chamber(models.chamber, source, day)
         elif role == "sensor" and models.sensor is not None:
             found += _outputs(models.sensor, source, day)
-    return Inputs({item.name: item for item in found if item.standard_uncertainty > 0})
+    outputs = () if models.sensor is None else models.sensor.outputs
+    silent = frozenset(output.name for output in outputs if not (output.constant or output.noise.states_flicker))
+    return Inputs({item.name: item for item in found if item.standard_uncertainty > 0}, silent)
 
 
 def check_backed(bench: Bench, models: BenchModels, log: Findings) -> None:

@@ -73,6 +73,8 @@ def known(campaign: Campaign, world: World) -> Sound:
         size / campaign.declared for size in (world.flicker * campaign.mean, world.count * campaign.white)
     )
     bench = campaign.bench.format(tilt=world.tilt / ARCSEC, rate=world.rate * 1e6, flicker=flicker, count=count)
+    if world.silent:
+        bench = "".join(line for line in bench.splitlines(keepends=True) if "bias_instability" not in line)
     return check_plan(
         Document(campaign.plan.encode(), "world.yaml"), Document(bench.encode(), "world.bench.yaml")
     ).sound()

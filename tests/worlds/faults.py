@@ -40,7 +40,8 @@ class Recorded:
 class World:
     """stated: what the bench file says of it, by the name of the blank in a campaign's bench; `flicker` is in units of `Recorded.mean`.
     celsius: temperature of the sensor at a share of the test, which a thermometer records. warns: the model is wrong in a way that cannot
-    be mended, so that a warning is what is asked for, not coverage. cause: words of a warning that names what is wrong."""
+    be mended, so that a warning is what is asked for, not coverage. cause: words of a warning that names what is wrong. silent: the bench
+    file gives no flicker at all, not even that there is none."""
 
     fault: Fault | None = None
     tilt: float = 0.0  # rad, standard uncertainty of an orientation about each axis
@@ -50,6 +51,7 @@ class World:
     celsius: Callable[[Array], Array] | None = None
     warns: bool = False
     cause: str = ""
+    silent: bool = False
 
 
 def flicker(made: Recorded, draw: np.random.Generator, size: float) -> Array:
@@ -188,8 +190,9 @@ def _reversed(made: Recorded, draw: np.random.Generator) -> Array:
 
 WORLDS: Mapping[str, World] = {
     "white noise": World(),
+    "white noise, flicker not declared": World(silent=True),
     "flicker, declared": World(_flicker(1.0), flicker=1.0),
-    "flicker, not declared": World(_flicker(1.0), warns=True, cause="bias_instability"),
+    "flicker, not declared": World(_flicker(1.0), warns=True, cause="bias_instability", silent=True),
     "linear drift": World(_ramp, cause="drift"),
     "warming up": World(_warming, cause="drift"),
     "temperature drift, recorded": World(_following, celsius=_laboratory),

@@ -40,7 +40,7 @@ from planrunner.estimators.method import Quantities, Words
 from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.drift import DriftCourses, drift_of
-from planrunner.observation.flicker import flicker_errors
+from planrunner.observation.flicker import flicker_errors, unstated_flicker
 from planrunner.observation.observations import Observations, observe, recorded_times
 from planrunner.observation.still_detection import detection_limits, longest_span, still_spans
 from planrunner.plan.schedule import Rest, Segment
@@ -210,6 +210,7 @@ def _weighted(
         basis,
         effects=effects,
         drift=_along_poses(drift, poses, directions),
+        unstated=[_along(one, directions) for one in unstated_flicker(poses, request.setup.inputs, span)],
     )
 
 

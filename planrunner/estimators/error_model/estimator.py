@@ -63,7 +63,7 @@ from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_errors import site_errors, table_errors
 from planrunner.observation.correlated_errors import CorrelatedError, functionals_of
 from planrunner.observation.drift import DriftCourse, DriftCourses, drift_of
-from planrunner.observation.flicker import flicker_errors
+from planrunner.observation.flicker import flicker_errors, unstated_flicker
 from planrunner.observation.observations import SIGNIFICANCE, Observations, observe, recorded_times
 from planrunner.plan.schedule import RecordedMotion, Segment
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, unit
@@ -366,6 +366,7 @@ def _fitted(
     responses = _stacked(abouts)
     inputs = request.setup.inputs
     flicker = flicker_errors(together, inputs, parameters.drift_span.value)
+    unstated = unstated_flicker(together, inputs, parameters.drift_span.value)
     acting = table_errors(group.model, group.segments, request.site, request.setup, responses)
     drift = replace(
         drift_of(parameters.drift, parameters.temperature_channel, together, recorded, request.segments),
@@ -382,7 +383,10 @@ def _fitted(
         )
         courses = [course for course in drift.courses if not _modelled(course, drift, one)]
         own = replace(drift, courses=tuple(replace(c, columns=_padded(c.columns, contrasts)) for c in courses))
-        fit = fit_outputs(_matrix(one), left, one.columns.magnitudes, one.names, basis, effects=effects, drift=own)
+        silent = [_extended(error, contrasts, own=True) for error in _of_output(unstated, k)]
+        fit = fit_outputs(
+            _matrix(one), left, one.columns.magnitudes, one.names, basis, effects=effects, drift=own, unstated=silent
+        )
         require_basis(fit, basis, f"{request.name}, {one.name}")
         found.append(FittedOutput(one, whole, fit, tuple(_extended(e, contrasts) for e in _of_output(site, k))))
     return found

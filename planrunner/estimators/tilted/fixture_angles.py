@@ -52,7 +52,7 @@ from planrunner.estimators.tilted.fixture_gains import (
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes
 from planrunner.estimators.tilted.turning_rates import recorded_seconds
 from planrunner.observation.drift import drift, drift_of, thermometer
-from planrunner.observation.flicker import SPAN, flicker_errors
+from planrunner.observation.flicker import SPAN, flicker_errors, unstated_flicker
 from planrunner.observation.observations import Observations, observe
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, Text, key
 from planrunner.plan.units import unit
@@ -152,7 +152,8 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
                 parameters.drift, parameters.temperature_channel, observations, request.segments, request.segments
             )
             drift = replace(courses, fits=len(axes.outputs))
-            fit = fit_outputs(*asked, parameters.uncertainty, effects=effects, drift=drift)
+            unstated = unstated_flicker(observations, request.setup.inputs, SPAN.value)
+            fit = fit_outputs(*asked, parameters.uncertainty, effects=effects, drift=drift, unstated=unstated)
             require_basis(fit, parameters.uncertainty, request.name)
             fits.append((observations, fit))
         found = _derived(request, model, axes, fits)

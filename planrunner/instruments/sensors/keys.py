@@ -138,5 +138,6 @@ def _output(name: str, text: str, resolution: float, parameters: SerialSensorPar
     def amount(quantity: Quantity | None, otherwise: float) -> float:
         return otherwise if quantity is None else quantity.value / factor
 
-    noise = NoiseModel(amount(walk, 0.0), amount(known.bias_instability, 0.0), resolution)
+    flicker = known.bias_instability
+    noise = NoiseModel(amount(walk, 0.0), amount(flicker, 0.0), resolution, states_flicker=flicker is not None)
     return OutputModel(name, text, amount(known.full_scale, math.inf), noise)

@@ -89,11 +89,11 @@ class VirtualFlexureGyroParameters(Record):
         "0.9 pulse/sqrt(s)",
         default=parse_quantity("0 pulse/sqrt(s)"),
     )
-    bias_instability: Quantity = key(
+    bias_instability: Quantity | None = key(
         QuantityLike("pulse/s", "not negative"),
         "Coefficient B of IEEE Std 952; the flat part of the Allan deviation is 0.664·B.",
         "0.025 pulse/s",
-        default=parse_quantity("0 pulse/s"),
+        default=None,
     )
     resolution: Quantity = key(
         QuantityLike("pulse/s", "not negative"),
@@ -119,6 +119,11 @@ class VirtualFlexureGyroParameters(Record):
     )
 
 
+def _flicker(parameters: VirtualFlexureGyroParameters) -> float:
+    """B [pulse/s]; none is simulated if the bench file gives none."""
+    return parameters.bias_instability.value if parameters.bias_instability is not None else 0.0
+
+
 class VirtualFlexureGyro:
     """A simulated flexure gyro on the virtual table."""
 
@@ -128,13 +133,14 @@ class VirtualFlexureGyro:
     def __init__(self, parameters: VirtualFlexureGyroParameters, world: World):
         self.parameters = parameters
         self.world = world
-        self.flicker = {name: Flicker(parameters.bias_instability.value) for name in OUTPUTS}
+        self.flicker = {name: Flicker(_flicker(parameters)) for name in OUTPUTS}
         world.lags = replace(world.lags, sensor=parameters.thermal_lag.value)
 
     @classmethod
     def model(cls, parameters: VirtualFlexureGyroParameters) -> SensorModel:
         p = parameters
-        noise = NoiseModel(p.white_noise.value, p.bias_instability.value, p.resolution.value)
+        stated = p.bias_instability is not None
+        noise = NoiseModel(p.white_noise.value, _flicker(p), p.resolution.value, states_flicker=stated)
         rate = p.sample_rate.value
         thermometer = NoiseModel(p.thermometer_noise.value / math.sqrt(rate))
         torquers = tuple(OutputModel(name, "pulse/s", p.full_scale.value, noise) for name in OUTPUTS)

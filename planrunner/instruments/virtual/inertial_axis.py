@@ -69,12 +69,17 @@ class InertialAxis:
     full_scale: float
     white: float
     bias_instability: float
+    states_flicker: bool
     walk: float
 
     def output(self, rate: float) -> OutputModel:
         """Its declared properties, sampled at `rate` [Hz]."""
         noise = NoiseModel(
-            self.white * self.nominal, self.bias_instability * self.nominal, self.step_of_sample(rate), self.counted
+            self.white * self.nominal,
+            self.bias_instability * self.nominal,
+            self.step_of_sample(rate),
+            self.counted,
+            self.states_flicker,
         )
         senses: Senses = "angular rate" if self.turns else "acceleration"
         return OutputModel(self.name, self.unit, self.full_scale * self.nominal, noise, senses=senses)
@@ -187,6 +192,7 @@ def _axis(output: str, name: str, group: Gyros | Accelerometers, axis: Any) -> I
         full_scale=number("full_scale", math.inf),
         white=number("angle_random_walk" if turns else "velocity_random_walk"),
         bias_instability=number("bias_instability"),
+        states_flicker=stated("bias_instability") is not None,
         walk=number("rate_random_walk" if turns else "acceleration_random_walk"),
     )
 
