@@ -175,6 +175,7 @@ KEPT = {
     "none",
 }
 KEPT |= {
+    "bias_instability",
     "gyro_uncertainty",
     "accelerometer_uncertainty",
     "rate_uncertainty",
