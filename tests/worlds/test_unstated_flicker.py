@@ -37,7 +37,7 @@ def test_a_bench_that_says_nothing_of_flicker_is_warned_of(estimator: str, world
 def observations(means: Array, seconds: float, gap: float, sigma: float) -> Observations:
     """Means (n,) with the standard uncertainty `sigma` of segments that follow each other."""
     n = len(means)
-    start = np.arange(n) * (seconds + gap)
+    start: Array = np.arange(float(n)) * (seconds + gap)
     return Observations(
         ("gyro",),
         ("deg/h",),
@@ -113,8 +113,8 @@ def test_no_test_of_the_data_could_name_this_flicker_instead() -> None:
     """Even the best one finds it in about a third (eight positions, six coefficients, two outputs) and half (ten rates) of the runs if it
     may be wrong in a twentieth of the runs with white noise."""
     rates = np.array([300.0, -300.0, 200.0, -200.0, 100.0, -100.0, 50.0, -50.0, 20.0, -20.0])
-    line = best_power(46.0 * np.arange(10), 36.0, np.stack([np.ones(10), rates], axis=1), 1, 0.05)
+    line = best_power(np.linspace(0.0, 414.0, 10), 36.0, np.stack([np.ones(10), rates], axis=1), 1, 0.05)
     others = np.random.default_rng(1).standard_normal((8, 5))
-    eight = best_power(165.0 * np.arange(8), 120.0, np.column_stack([np.ones(8), others]), 2, 0.05)
+    eight = best_power(np.linspace(0.0, 1155.0, 8), 120.0, np.column_stack([np.ones(8), others]), 2, 0.05)
     assert 0.2 < eight < 0.5
     assert 0.4 < line < 0.65
