@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--simulation",
         metavar="BENCH",
-        help="the virtual bench that simulates the plan (default: that of the recording)",
+        help="the virtual bench that simulates the plan (default: that of the recording; for a file, the recorded motion is simulated)",
     )
     parser.add_argument("--rounds", metavar="N", type=_rounds, help="the largest number of rounds (default: 6)")
     parser.add_argument("--write-bench", metavar="FILE", type=Path, help="write the bench with all effects found")
@@ -68,7 +68,8 @@ def run(args: argparse.Namespace) -> int:
             write_file(args.write_bench, closed.bench)
             print(args.write_bench, file=out)
         else:
-            print(f"No effect was entered: {args.write_bench} is not written.", file=out)
+            why = "No bench simulated the recording" if closed.stated else "No effect was entered"
+            print(f"{why}: {args.write_bench} is not written.", file=out)
     return exit_codes.DONE
 
 

@@ -75,6 +75,10 @@ class Addition:
     def id(self) -> str:
         return self.effect.id
 
+    def in_si(self, name: str) -> float:
+        """A parameter in SI units."""
+        return self.values[name] * unit(self.units[name]).factor
+
 
 def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mark) -> Addition:
     """An effect with its stated parameters. stated: parameter → value with its unit; the empty name means the only parameter, or all

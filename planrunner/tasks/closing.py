@@ -1,17 +1,21 @@
 """Closing the gap: the effects that a diagnosis finds are entered into the simulation, the plan is simulated again, and the recording is
-compared with the simulations without and with them.
+compared with the simulations without and with them. A recording that is played back is simulated at its recorded motion, without a bench.
 
 `close` repeats this: effects found are subtracted from the recording, which is diagnosed again, until nothing is left that has a name.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.base import plugins
 from planrunner.base.findings import InputError, Mark
@@ -25,12 +29,14 @@ from planrunner.tasks.named_effects import Stated, as_planned, simulated_by, sta
 from planrunner.tasks.simulate import additions_to, with_effects
 
 if TYPE_CHECKING:
+    from planrunner.error_model.added import Addition
     from planrunner.error_model.effects.interface import Effect
     from planrunner.error_model.observed import Observed
     from planrunner.execution.stopping import StopRequest
     from planrunner.gap.answer.comparison import GapComparison
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
 
+Array = NDArray[np.float64]
 ROUNDS = 6
 """Most rounds of `close`."""
 SMALLEST = 0.01
@@ -60,7 +66,7 @@ class ClosingRound:
 @dataclass(frozen=True)
 class Closed:
     """first: diagnosis of the recording; last: of what is left. bench: text of the bench with all effects entered; empty if there are
-    none."""
+    none, or if no bench simulated the plan."""
 
     first: Diagnosed
     rounds: tuple[ClosingRound, ...]
@@ -73,28 +79,72 @@ class Closed:
 def comparison(
     made: Diagnosed, stop: StopRequest, simulation: str | None = None, stated: Stated | None = None
 ) -> GapComparison:
-    """Compare the recording of a diagnosis with two simulations of its plan, without and with effects. simulation: the virtual bench, by
-    name or file; by default that of the recording. stated: the effects, as in the diagnosis; by default those of the verdict.
+    """Compare the recording of a diagnosis with two simulations, without and with effects. simulation: the virtual bench that simulates the
+    plan, by name or file; by default that of the recording. A bench that plays recordings simulates nothing: the simulations are then
+    computed for the recorded motion. stated: the effects, as in the diagnosis; by default those of the verdict.
 
     The noise of both simulations is independent of that of the recording. Raises `InputError` if the bench cannot simulate the plan.
     """
     from planrunner.gap.answer.comparison import compare
     from planrunner.observation.refusals import ObservationError
 
-    base, grounds = _base(made.recorded, simulation), made.diagnosis.grounds
+    grounds, mark = made.diagnosis.grounds, Mark(made.recorded.where)
     stated = stated_effects(made) if stated is None else stated
-    stated = as_planned(stated, grounds.weighing.observed, base.schedule.segments)
-    absent = _absent(grounds.nominal, stated)
-    mark = Mark(made.recorded.where)
     try:
-        with TemporaryDirectory(prefix="planrunner-") as folder:
-            before, after = (
-                _simulated(_with(base, effects, mark), Path(folder), seed, grounds.nominal, stop)
-                for effects, seed in ((absent, 1), ([*absent, *stated], 2))
-            )
+        if computed_from_recording(made.recorded, simulation):
+            before, after = _computed(made, stated)
+        else:
+            before, after = _run_twice(made, stated, simulation, stop)
         return compare(grounds.weighing, grounds.nominal, before, after)
     except ObservationError as error:
         raise InputError.at(mark, "gap-compare", str(error), error.hint) from None
+
+
+def computed_from_recording(recorded: Recorded, simulation: str | None) -> bool:
+    """Whether simulations are computed for the recorded motion, because the bench plays recordings and none other is named."""
+    return simulation is None and recorded.sound.models.replays
+
+
+def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: StopRequest) -> tuple[Observed, Observed]:
+    """The samples of the plan, run on the virtual bench without and with effects."""
+    base, grounds = _base(made.recorded, simulation), made.diagnosis.grounds
+    stated = as_planned(stated, grounds.weighing.observed, base.schedule.segments)
+    absent, mark = _absent(grounds.nominal, stated), Mark(made.recorded.where)
+    with TemporaryDirectory(prefix="planrunner-") as folder:
+        before, after = (
+            _simulated(_with(base, effects, mark), Path(folder), seed, grounds.nominal, stop)
+            for effects, seed in ((absent, 1), ([*absent, *stated], 2))
+        )
+    return before, after
+
+
+def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
+    """The samples of the nominal simulation at the recorded motion, without and with effects, each with white noise of its own. Its level
+    is that of the recording, but the declared one in the simulation without an effect that acts on it."""
+    from planrunner.error_model.effects.interface import ActsOnNoise
+
+    weighing = made.diagnosis.grounds.weighing
+    seen, fitted = weighing.declared, weighing.fitted()
+    additions = _additions(made, stated)
+    declared = np.array([channel.white for channel in seen.channels]) * math.sqrt(seen.sample_rate)
+    noisier = any(isinstance(one.effect, ActsOnNoise) and one.effect.noise == "white" for one in additions)
+    level = np.where(noisier & (declared > 0), declared, weighing.white)
+    draw = np.random.default_rng(_OTHER_SEED)
+    before = fitted + level * draw.standard_normal(fitted.shape)
+    after = _plus(made, fitted, additions) + weighing.white * draw.standard_normal(fitted.shape)
+    for one in additions:
+        if isinstance(one.effect, ActsOnNoise) and one.effect.noise == "random walk":
+            after += _walk(seen, one.in_si("density"), draw)
+    return replace(seen, values=before), replace(seen, values=after)
+
+
+def _walk(observed: Observed, density: float, draw: np.random.Generator) -> Array:
+    """A random walk (N, K) of each gyro. density: rad/s/√s."""
+    steps = np.sqrt(np.diff(observed.time, prepend=observed.time[0]).clip(0.0))
+    walk = np.zeros((len(steps), len(observed.channels)))
+    gyros = observed.of_kind("gyro")
+    walk[:, gyros] = np.cumsum(density * steps[:, None] * draw.standard_normal((len(steps), len(gyros))), axis=0)
+    return walk
 
 
 def close(
@@ -108,7 +158,8 @@ def close(
     """Diagnose, enter the effects found, simulate and compare, until nothing is left that has a name. Raises `InputError`."""
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
 
-    base = _base(recorded, simulation)
+    computed = computed_from_recording(recorded, simulation)
+    base = None if computed else _base(recorded, simulation)
     first = made = diagnose_recorded(recorded, options, notice=notice)
     grounds = first.diagnosis.grounds
     options = options or DiagnosisOptions(nominal=grounds.nominal)
@@ -141,9 +192,10 @@ def close(
             ending = Ending.NOISE
             break
         made = diagnosed_again(first, _without(first, entered), options)
-    observed = grounds.weighing.observed
-    planned = as_planned(entered, observed, base.schedule.segments)
-    text = _with(base, planned, Mark(recorded.where)).bench_bytes.decode() if planned else ""
+    text = ""
+    if entered and base is not None:
+        planned = as_planned(entered, grounds.weighing.observed, base.schedule.segments)
+        text = _with(base, planned, Mark(recorded.where)).bench_bytes.decode()
     return Closed(first, tuple(done), made, entered, text, ending)
 
 
@@ -170,13 +222,34 @@ def _sum(first: str | None, second: str) -> str:
 
 def _without(made: Diagnosed, stated: Stated) -> Observed:
     """The samples of a diagnosis minus the effects, computed for the recorded motion."""
-    from planrunner.error_model.added import added, addition
-
     weighing = made.diagnosis.grounds.weighing
     fitted = weighing.fitted()
-    observed = replace(weighing.declared, fitted=fitted)
-    additions = [addition(name, values, observed, Mark(made.recorded.where)) for name, values in stated]
-    return replace(weighing.declared, values=observed.values - (added(observed, fitted, additions, 0) - fitted))
+    change = _plus(made, fitted, _additions(made, stated)) - fitted
+    return replace(weighing.declared, values=weighing.observed.values - change)
+
+
+def _additions(made: Diagnosed, stated: Stated) -> list[Addition]:
+    """The effects with all their parameters. What every simulated world contains is missing from a nominal simulation without it, so its
+    whole share counts."""
+    from planrunner.error_model.added import SHARE, addition
+    from planrunner.error_model.effects.interface import InEveryWorld
+
+    grounds = made.diagnosis.grounds
+    observed = replace(grounds.weighing.declared, fitted=grounds.weighing.fitted())
+    found = []
+    for name, values in stated:
+        one = addition(name, values, observed, Mark(made.recorded.where))
+        if isinstance(one.effect, InEveryWorld) and name not in grounds.nominal:
+            one = replace(one, values={**one.values, SHARE: one.values.get(SHARE, 1.0) + 1.0})
+        found.append(one)
+    return found
+
+
+def _plus(made: Diagnosed, fitted: Array, additions: Sequence[Addition]) -> Array:
+    """The output of the nominal simulation (N, K), SI, with effects."""
+    from planrunner.error_model.added import added
+
+    return added(replace(made.diagnosis.grounds.weighing.declared, fitted=fitted), fitted, additions, 0)
 
 
 def _loaded(name: str) -> Effect:

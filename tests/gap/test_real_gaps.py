@@ -15,8 +15,10 @@ import pyarrow.parquet
 import pytest
 
 from planrunner.estimators.accelerometer.gravity_magnitude import fit_magnitude
+from planrunner.execution.stopping import StopRequest
 from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
 from planrunner.gap.hypotheses.candidates import FULL
+from planrunner.tasks.closing import Ending, close
 from planrunner.tasks.diagnose import diagnose_recorded, recorded_file
 
 PLANS = Path(__file__).parents[2] / "plans"
@@ -56,6 +58,16 @@ def test_scale_and_misalignment_of_a_sensor_tumbled_by_hand(data_root: Path, uni
     for pair, expected in zip(("xy", "xz", "yz"), fit[6:], strict=True):
         value, u = gamma[f"gamma_{pair}"]
         assert np.radians(value / 3600) == pytest.approx(expected, abs=3 * np.radians(u / 3600))
+
+
+def test_simulations_with_what_was_found_agree_with_a_tumble_by_hand(data_root: Path) -> None:
+    """No bench can simulate the unknown poses of a hand: the simulations are computed for them."""
+    recorded = recorded_file(PLANS / "mpu9150_imu0.yaml", None, data_root / "mikoff_mpu9150" / "imu0.parquet")
+    closed = close(recorded, StopRequest())
+    assert closed.ending is Ending.NOTHING_LEFT
+    assert {name for name, _ in closed.stated} == {"accel_misalignment", "accel_scale_factor"}
+    assert closed.rounds[0].comparison.before_sigma > 5
+    assert closed.rounds[-1].comparison.after_sigma == pytest.approx(1.0, abs=0.3)
 
 
 def test_a_whole_nominal_model_leaves_no_gap_in_a_sensor_tumbled_by_hand(data_root: Path) -> None:
