@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Protocol, dataclass_transform
 
@@ -61,19 +62,50 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, slots=True)
 class Origin:
     """Places of the keys of a record in its file. Empty for records made in code.
 
-    keys: `report` is the place where the value of that key begins, `report[1]` that of the second entry of its list, `limits.x` that of the
-    value of `x` in its mapping. broken: keys with values that could not be read completely. meant: absent key → unknown keys that may be
-    misspellings of it.
+    broken: keys with values that could not be read completely. meant: absent key → unknown keys that may be misspellings of it.
     """
 
-    mark: Mark = field(default_factory=lambda: Mark("<code>"))
-    keys: Mapping[str, Mark] = field(default_factory=dict)
-    broken: frozenset[str] = frozenset()
-    meant: Mapping[str, tuple[Mark, ...]] = field(default_factory=dict)
+    def __init__(
+        self,
+        node: source.Mapping | None = None,
+        broken: frozenset[str] = frozenset(),
+        meant: Mapping[str, tuple[Mark, ...]] = MappingProxyType({}),
+    ):
+        self._node = node
+        self.broken = broken
+        self.meant = meant
+
+    def __getstate__(self) -> dict[str, object]:
+        """Without the nodes, whose marks of the parser cannot be pickled."""
+        return {"_node": None, "broken": self.broken, "meant": dict(self.meant), "mark": self.mark, "keys": self.keys}
+
+    @cached_property
+    def mark(self) -> Mark:
+        return Mark("<code>") if self._node is None else self._node.mark
+
+    @cached_property
+    def keys(self) -> Mapping[str, Mark]:
+        """`report` is the place where the value of that key begins, `report[1]` that of the second entry of its list, `limits.x` that of
+        the value of `x` in its mapping."""
+        marks: dict[str, Mark] = {}
+        for name, item in self._node.entries if self._node else ():
+            marks[name.text] = _used(name, item)
+            if isinstance(item, source.Sequence):
+                marks.update({f"{name.text}[{index}]": entry.mark for index, entry in enumerate(item.items)})
+            elif isinstance(item, source.Mapping):
+                marks.update({f"{name.text}.{entry.text}": _used(entry, value) for entry, value in item.entries})
+                marks.update(
+                    {
+                        f"{name.text}.{entry.text}[{index}]": one.mark
+                        for entry, value in item.entries
+                        if isinstance(value, source.Sequence)
+                        for index, one in enumerate(value.items)
+                    }
+                )
+        return marks
 
     def parts(self, key: str) -> tuple[Mark, ...]:
         """The places that determine the value of a key: where it is written, or the unknown keys that may be misspellings of it."""
@@ -180,7 +212,7 @@ def read_keys(
                 log.error("form-missing-key", node.mark, f"the key '{name_}' is missing", hint)
         if is_required(item_) and item_.name not in values and item_.metadata["fallback"] is not None:
             values[item_.name] = item_.metadata["fallback"]
-    return values, _origin(node, frozenset(broken), meant)
+    return values, Origin(node, frozenset(broken), meant)
 
 
 def _meant(
@@ -235,28 +267,9 @@ def inline(example: Any) -> str:
     return f'"{text}"' if isinstance(example, str) and (", " in text or text[:1] in "*&!%@`#") else text
 
 
-def _origin(node: source.Mapping, broken: frozenset[str], meant: Mapping[str, tuple[Mark, ...]]) -> Origin:
-    marks: dict[str, Mark] = {}
-    for name, item in node.entries:
-        marks[name.text] = _used(name, item)
-        if isinstance(item, source.Sequence):
-            marks.update({f"{name.text}[{index}]": entry.mark for index, entry in enumerate(item.items)})
-        elif isinstance(item, source.Mapping):
-            marks.update({f"{name.text}.{entry.text}": _used(entry, value) for entry, value in item.entries})
-            marks.update(
-                {
-                    f"{name.text}.{entry.text}[{index}]": one.mark
-                    for entry, value in item.entries
-                    if isinstance(value, source.Sequence)
-                    for index, one in enumerate(value.items)
-                }
-            )
-    return Origin(node.mark, marks, broken, meant)
-
-
 def _used(key: source.Scalar, value: source.Node) -> Mark:
     """Where a value stands. That of an alias stands before its key, where the anchor is: here the key's place."""
-    return key.mark if value.mark.line < key.mark.line else value.mark
+    return key.mark if value.precedes(key) else value.mark
 
 
 @dataclass(frozen=True, slots=True)

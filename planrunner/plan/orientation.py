@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.base.findings import Findings, Mark, closest
+from planrunner.base.findings import Findings, closest
 from planrunner.plan.directions import DIRECTIONS, Direction, perpendicular, word_of
 from planrunner.plan.quantity import PLAIN, QuantityError, anchored, parse_quantity
-from planrunner.plan.source import Mapping, Node, Scalar, Sequence
+from planrunner.plan.source import Mapping, Node, Scalar, Sequence, Written
 
 Matrix = NDArray[np.float64]
 
@@ -180,9 +180,9 @@ _TURNED = ("from", "rotate")
 @lru_cache(maxsize=1024)
 def _sound(words: tuple[tuple[str, object], ...]) -> Orientation | None:
     """The orientation that these words give; None if something is wrong with them."""
-    nowhere = Mark("")
-    entries = [(Scalar(nowhere, key, key), Scalar(nowhere, str(word), str(word))) for key, word in words]
-    return _read_words(Mapping(nowhere, tuple(entries)), Findings())
+    nowhere = Written("")
+    entries = [(Scalar(key, key, nowhere), Scalar(str(word), str(word), nowhere)) for key, word in words]
+    return _read_words(Mapping(tuple(entries), nowhere), Findings())
 
 
 def _read_words(node: Mapping, log: Findings) -> Orientation | None:

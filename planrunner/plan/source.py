@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeGuard
+from typing import Protocol, TypeGuard
 
 import yaml
 
@@ -45,24 +45,94 @@ _SPECIAL = {
 
 
 @dataclass(frozen=True, slots=True)
-class Scalar:
+class Written:
+    """A text as it was written. file: its name in findings."""
+
+    file: str
+    text: str | None = None
+
+
+class Position(Protocol):
+    """A place in a text as the parser marks it. Lines and columns count from 0."""
+
+    @property
+    def line(self) -> int: ...
+
+    @property
+    def column(self) -> int: ...
+
+
+class _Placed:
+    """A part of a text. begin, end: None for a part that was never written.
+
+    Its `mark` is made when somebody asks for it: a plan has hundreds of nodes, and few of them are named in a finding.
+    """
+
+    __slots__ = ("_begin", "_end", "_written")
+
+    def __init__(self, written: Written, begin: Position | None = None, end: Position | None = None):
+        self._written = written
+        self._begin = begin
+        self._end = end
+
+    @property
+    def mark(self) -> Mark:
+        written, begin, end = self._written, self._begin, self._end
+        if begin is None or end is None:
+            return Mark(written.file)
+        return Mark(written.file, begin.line + 1, begin.column + 1, (end.line + 1, end.column + 1), written.text)
+
+    def precedes(self, other: Node) -> bool:
+        """Whether it begins on an earlier line than another part of the same text."""
+        return self._begin is not None and other._begin is not None and self._begin.line < other._begin.line
+
+
+class Scalar(_Placed):
     """A scalar: `text` as written, `value` by YAML 1.2 core meaning (a quoted scalar is always a string)."""
 
-    mark: Mark
-    text: str
-    value: str | int | float | bool | None
+    __slots__ = ("text", "value")
+
+    def __init__(
+        self,
+        text: str,
+        value: str | int | float | bool | None,
+        written: Written,
+        begin: Position | None = None,
+        end: Position | None = None,
+    ):
+        self.text = text
+        self.value = value
+        self._written = written
+        self._begin = begin
+        self._end = end
 
 
-@dataclass(frozen=True, slots=True)
-class Sequence:
-    mark: Mark
-    items: tuple[Node, ...]
+class Sequence(_Placed):
+    __slots__ = ("items",)
+
+    def __init__(
+        self,
+        items: tuple[Node, ...],
+        written: Written,
+        begin: Position | None = None,
+        end: Position | None = None,
+    ):
+        self.items = items
+        super().__init__(written, begin, end)
 
 
-@dataclass(frozen=True, slots=True)
-class Mapping:
-    mark: Mark
-    entries: tuple[tuple[Scalar, Node], ...]
+class Mapping(_Placed):
+    __slots__ = ("entries",)
+
+    def __init__(
+        self,
+        entries: tuple[tuple[Scalar, Node], ...],
+        written: Written,
+        begin: Position | None = None,
+        end: Position | None = None,
+    ):
+        self.entries = entries
+        super().__init__(written, begin, end)
 
     def get(self, key: str) -> Node | None:
         return next((node for name, node in self.entries if name.text == key), None)
@@ -125,7 +195,7 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
     """
     if forbidden := _forbidden(text):
         raise _not_allowed(forbidden[0], _mark_at(text, forbidden.start(), file))
-    builder = _Builder(file, text)
+    builder = _Builder(Written(file, text))
     try:
         loader = _Loader(text)
         try:
@@ -217,8 +287,7 @@ class _Open:
     """A sequence or mapping that is not complete yet. around: the nodes before it in what it stands in; before: number of all nodes before
     it, with aliases written out."""
 
-    mark: Mark
-    anchor: str | None
+    start: yaml.CollectionStartEvent
     around: list[Node]
     before: int
 
@@ -226,10 +295,9 @@ class _Open:
 class _Builder:
     """Builds nodes from parser events on an explicit stack."""
 
-    def __init__(self, file: str, text: str):
-        self.file = file
-        self.text = text
+    def __init__(self, written: Written):
         self.findings = Findings()
+        self._written = written
         self._stack: list[_Open] = []
         self._items: list[Node] = []  # of the innermost open sequence or mapping; outside, the root
         self._anchors: dict[str, tuple[Node, int]] = {}
@@ -249,53 +317,53 @@ class _Builder:
             elif isinstance(event, yaml.CollectionEndEvent):
                 done, items = self._stack.pop(), self._items
                 self._items = done.around
-                whole = self._mark(event, done.mark)
+                begin, end = done.start.start_mark, event.end_mark
                 node = (
-                    self._mapping(whole, items)
+                    Mapping(self._entries(items), self._written, begin, end)
                     if isinstance(event, yaml.MappingEndEvent)
-                    else Sequence(whole, tuple(items))
+                    else Sequence(tuple(items), self._written, begin, end)
                 )
-                self._put(node, done.anchor, 1, self._written_out - done.before)
+                self._put(node, done.start.anchor, 1, self._written_out - done.before)
             elif isinstance(event, yaml.CollectionStartEvent):
-                mark = self._mark(event)
-                self._reject_tag(event, mark)
+                if event.tag:
+                    self._reject_tag(event)
                 if len(self._stack) >= MAX_DEPTH:
-                    raise InputError.at(
-                        mark, "limit-depth", f"nested more than {MAX_DEPTH} levels deep", "flatten the structure"
-                    )
-                self._stack.append(_Open(mark, event.anchor, self._items, self._written_out))
+                    message = f"nested more than {MAX_DEPTH} levels deep"
+                    raise InputError.at(self._mark(event), "limit-depth", message, "flatten the structure")
+                self._stack.append(_Open(event, self._items, self._written_out))
                 self._items = []
             elif isinstance(event, yaml.AliasEvent):
                 self._alias(str(event.anchor), self._mark(event))
             elif isinstance(event, yaml.DocumentStartEvent):
                 self._documents += 1
                 if self._documents > 1:
-                    mark = self._mark(event)
                     raise InputError.at(
-                        mark, "form-documents", "a second document begins here", "write one document per file"
+                        self._mark(event),
+                        "form-documents",
+                        "a second document begins here",
+                        "write one document per file",
                     )
 
     def _scalar(self, event: yaml.ScalarEvent) -> Scalar:
-        mark, text, style = self._mark(event), event.value, event.style
-        if event.tag:
-            self._reject_tag(event, mark)
+        text, style, tag = event.value, event.style, event.tag
+        if tag:
+            self._reject_tag(event)
         if len(text) > MAX_SCALAR:
-            raise InputError.at(mark, "limit-text", f"a text longer than {MAX_SCALAR} characters", "shorten it")
+            message = f"a text longer than {MAX_SCALAR} characters"
+            raise InputError.at(self._mark(event), "limit-text", message, "shorten it")
         # The text itself has none (see `parse`), but an escape may stand for one.
         if style == '"' and (forbidden := _forbidden(text)):
-            raise _not_allowed(forbidden[0], mark)
-        return Scalar(mark, text, text if style or event.tag == "!" else _resolve(text))
+            raise _not_allowed(forbidden[0], self._mark(event))
+        value = text if style or tag == "!" else _resolve(text)
+        return Scalar(text, value, self._written, event.start_mark, event.end_mark)
 
-    def _mark(self, event: yaml.Event, opened: Mark | None = None) -> Mark:
-        """Where an event stands; with `opened`, from there to the end of the event."""
-        start, end = event.start_mark, event.end_mark
-        assert start is not None and end is not None  # the parser marks every event
-        line, column = (start.line + 1, start.column + 1) if opened is None else (opened.line, opened.column)
-        return Mark(self.file, line, column, (end.line + 1, end.column + 1), self.text)
+    def _mark(self, event: yaml.Event) -> Mark:
+        return _Placed(self._written, event.start_mark, event.end_mark).mark
 
-    def _reject_tag(self, event: yaml.ScalarEvent | yaml.CollectionStartEvent, mark: Mark) -> None:
+    def _reject_tag(self, event: yaml.ScalarEvent | yaml.CollectionStartEvent) -> None:
         if event.tag and event.tag != "!":
-            raise InputError.at(mark, "syntax-tag", f"the tag {event.tag[:60]} is not allowed", "remove the tag")
+            message = f"the tag {event.tag[:60]} is not allowed"
+            raise InputError.at(self._mark(event), "syntax-tag", message, "remove the tag")
 
     def _alias(self, anchor: str, mark: Mark) -> None:
         if anchor not in self._anchors:
@@ -322,10 +390,11 @@ class _Builder:
             self._anchors[anchor] = node, size + inside
         self._items.append(node)
 
-    def _mapping(self, mark: Mark, items: list[Node]) -> Mapping:
+    def _entries(self, items: list[Node]) -> tuple[tuple[Scalar, Node], ...]:
+        """Those of a mapping, from its keys and values in turn."""
         pairs = tuple(zip(items[::2], items[1::2], strict=True))
         if _sound(pairs):
-            return Mapping(mark, pairs)
+            return pairs
         entries: list[tuple[Scalar, Node]] = []
         first: dict[str, Mark] = {}
         for key, value in pairs:
@@ -350,7 +419,7 @@ class _Builder:
                 continue
             first[key.text] = key.mark
             entries.append((key, value))
-        return Mapping(mark, tuple(entries))
+        return tuple(entries)
 
 
 def _sound(pairs: tuple[tuple[Node, Node], ...]) -> TypeGuard[tuple[tuple[Scalar, Node], ...]]:
