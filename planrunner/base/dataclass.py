@@ -119,7 +119,7 @@ def _write(made: Any, name: str, function: Any) -> None:
 
 def _initialiser(made: Any, found: tuple[dataclasses.Field[Any], ...], frozen: bool) -> Any:
     """`__init__`, the one function that is compiled: once for all records of the same form, whose fields then get their names."""
-    names: dict[str, object] = {"absent": dataclasses.MISSING, "put": object.__setattr__}
+    names: dict[str, object] = {"absent": dataclasses.MISSING}
     slots = {
         item.name: own for item in found if isinstance(own := getattr(made, item.name, None), MemberDescriptorType)
     }
@@ -151,7 +151,9 @@ def _initialiser(made: Any, found: tuple[dataclasses.Field[Any], ...], frozen: b
             names[f"set_{place}"] = slots[item.name].__set__
             lines.append(f"set_{place}(self, {value})")
         else:
-            lines.append(f"put(self, '{own}', {value})" if frozen else f"self.{own} = {value}")
+            lines.append(f"put['{own}'] = {value}" if frozen else f"self.{own} = {value}")
+    if any(line.startswith("put[") for line in lines):
+        lines.insert(0, "put = self.__dict__")
     if hasattr(made, "__post_init__"):
         lines.append("self.__post_init__()")
     parameters = ", ".join(["self", *plain, *(["*", *by_name] if by_name else [])])

@@ -15,7 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from functools import cache
-from typing import Generic, Protocol, TypeVar, runtime_checkable
+from typing import Generic, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,8 +135,8 @@ def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
     design = estimator.design(request) or Design(())
     if any(remark.error for remark in design.remarks):
         return design
-    if isinstance(estimator, ForeseesResults):  # it may refuse the segments
-        seen = estimator.foresee(request)
+    if _foresees(type(estimator)):
+        seen = cast(ForeseesResults[P], estimator).foresee(request)  # it may refuse the segments
         return replace(design, foresight=lambda: seen)
 
     @cache
@@ -147,6 +147,12 @@ def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
             return Foresight()
 
     return replace(design, foresight=foresight)
+
+
+@cache
+def _foresees(estimator: type) -> bool:
+    """Looks once for each class: a protocol looks at every attribute."""
+    return issubclass(estimator, ForeseesResults)
 
 
 def by_expectation(estimator: Estimator[P], request: DesignRequest[P]) -> Foresight:

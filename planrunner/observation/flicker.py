@@ -141,8 +141,10 @@ def scatter_within(batches: NDArray[np.int64], courses: Sequence[Array] = ()) ->
     b = np.maximum(batches, 2).astype(float)
     plain = np.where(batches > 1, np.log(b) / (np.pi * (b - 1)), 0.0)
     for row, course in enumerate(courses):
+        if not len(course):
+            continue
         count, freedom = course.shape[1], course.shape[1] - 1 - float(np.sum(course**2))
-        if len(course) and freedom > 0:
+        if freedom > 0:
             edges = np.arange(count + 1.0)
             kernel = -_mean_logarithm(edges[:-1], edges[1:]) / np.pi
             left = np.eye(count) - 1 / count - course.T @ course

@@ -11,7 +11,7 @@ same way. The `read` method of a kind returns None if it has added a finding.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import field
 from functools import cached_property
 from types import MappingProxyType
@@ -192,7 +192,7 @@ def read_keys(
     elsewhere."""
     values: JsonObject = {}
     broken: set[str] = set()
-    known, given = [*fields, *passed], {name.text for name, _ in node.entries}
+    known, given = dict.fromkeys((*fields, *passed)), {name.text for name, _ in node.entries}
     missing = [name for name, item in fields.items() if name not in given and is_required(item)]
     meant, hints = _meant(node, known, missing)
     for name, item in node.entries:
@@ -216,7 +216,7 @@ def read_keys(
 
 
 def _meant(
-    node: source.Mapping, known: Sequence[str], missing: Sequence[str]
+    node: source.Mapping, known: Collection[str], missing: Sequence[str]
 ) -> tuple[dict[str, tuple[Mark, ...]], dict[str, str]]:
     """Absent key → unknown keys that may be misspellings of it; and the message for each unknown key.
 

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from planrunner.base.findings import Findings, Mark, closest, elsewhere
 from planrunner.plan.expand import StatedSegment
-from planrunner.plan.kinds import CHANNEL, ListOf, MapOf, Record, keys_of
+from planrunner.plan.kinds import CHANNEL, Kind, ListOf, MapOf, Record, keys_of
 from planrunner.plan.model import DiagnosisSpec, EstimateSpec, Limit, Plan
 from planrunner.plan.selection import Detection, Labels
 
@@ -193,13 +193,30 @@ def channels_of(parameters: Record) -> tuple[str, ...]:
 
 def _named(parameters: Record) -> Iterator[tuple[str, str, str]]:
     """Key, place in the file and channel."""
-    for key, item in keys_of(type(parameters)).items():
-        kind, value = item.metadata["kind"], getattr(parameters, item.name)
-        if isinstance(kind, ListOf) and kind.item == CHANNEL:
+    for key, name, kind in _naming(type(parameters)):
+        value = getattr(parameters, name)
+        if isinstance(kind, ListOf):
             for k, channel in enumerate(value):
                 yield key, f"{key}[{k}]", channel
-        elif isinstance(kind, MapOf) and kind.of_channels:
+        elif isinstance(kind, MapOf):
             for channel in value:
                 yield key, f"{key}.{channel}", channel
-        elif kind == CHANNEL and value is not None:
+        elif value is not None:
             yield key, key, value
+
+
+def _naming(parameters: type[Record]) -> tuple[tuple[str, str, Kind], ...]:
+    """The keys whose values name channels, with their names in the record and their kinds."""
+    if parameters not in _NAMING:
+        kinds = [(key, item.name, item.metadata["kind"]) for key, item in keys_of(parameters).items()]
+        _NAMING[parameters] = tuple(
+            (key, name, kind)
+            for key, name, kind in kinds
+            if kind == CHANNEL
+            or (isinstance(kind, ListOf) and kind.item == CHANNEL)
+            or (isinstance(kind, MapOf) and kind.of_channels)
+        )
+    return _NAMING[parameters]
+
+
+_NAMING: dict[type[Record], tuple[tuple[str, str, Kind], ...]] = {}
