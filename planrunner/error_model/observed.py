@@ -244,6 +244,15 @@ class Observed:
         return np.where((self.rate != 0) | (self.acceleration != 0), each, 0.0)
 
     @cached_property
+    def rocked(self) -> list[slice]:
+        """The samples of every segment in which the table rocks."""
+        return [
+            part
+            for part, motion in zip(self.segments(), self.motions, strict=True)
+            if isinstance(motion, Rock) and self.acceleration[part].any()
+        ]
+
+    @cached_property
     def owner(self) -> NDArray[np.int64]:
         """The segment of every sample, (N,)."""
         return np.repeat(np.arange(len(self)), np.diff(self.bounds))
@@ -328,6 +337,16 @@ class Observed:
             return self.fitted
         felt = {"gyro": self.omega, "accel": self.force}
         return np.column_stack([self.seen(index, felt[channel.kind]) for index, channel in enumerate(self.channels)])
+
+    @cached_property
+    def gyro_output(self) -> Array:
+        """`nominal_output` of the gyros alone, (N, G)."""
+        return np.ascontiguousarray(self.nominal_output[:, self.of_kind("gyro")])
+
+    @cached_property
+    def largest_gyro_output(self) -> Array:
+        """The largest magnitude of `gyro_output` of any gyro in each segment, (S,)."""
+        return np.array([np.abs(self.gyro_output[part]).max(initial=0.0) for part in self.segments()])
 
     def seen(self, index: int, vector: Array) -> Array:
         """Component along a channel's input axis, (N,), of a vector in sensor axes, (N, 3)."""

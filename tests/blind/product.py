@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,11 @@ from planrunner.archive.statistics import statistics_of
 from planrunner.base.findings import Findings
 from planrunner.bench.model import BenchModels
 from planrunner.bench.scheduling import build_schedule
-from planrunner.error_model.effects.interface import Variant
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import FoldChoice, predictions
 from planrunner.gap.answer.diagnosis import Diagnosis
 from planrunner.gap.answer.diagnosis import diagnose as diagnosed
+from planrunner.gap.answer.sets import Member, together
 from planrunner.gap.fleet.attribution import Contribution, Estimates, Source, attribute
 from planrunner.gap.hypotheses.forms import shape_alone, whole_forms
 from planrunner.instruments.interfaces import Block
@@ -202,9 +201,7 @@ def _told(answer: Diagnosis, effects: Sequence[str]) -> list[FoldChoice]:
         return []
     if len(known) > 1:
         pair = answer.posterior.pairs.get("+".join(one.id for one in known))
-        columns = [one.best.variant.columns for one in known]
-        apart = Variant(tuple(chain(*columns)), widths=tuple(map(len, columns)))
-        return [FoldChoice(pair or weighing.weigh([apart])[0], 1.0)]
+        return [FoldChoice(pair or together(weighing, [Member.best(one) for one in known]), 1.0)]
     shaped = shape_alone(known[0])
     exact = whole_forms(weighing, shaped) if shaped is not None else []
     return [FoldChoice(weighed, share, bool(exact)) for weighed, share in exact or known[0].likely_forms()]

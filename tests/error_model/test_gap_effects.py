@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planrunner.base import plugins
-from planrunner.error_model.effects.gyro_output import lagged
+from planrunner.error_model.effects.gyro_output import lagging
 from planrunner.error_model.effects.interface import Column, Explained
 from planrunner.error_model.effects.surroundings import TimeLatency
 from planrunner.error_model.observed import Observed
@@ -271,7 +271,7 @@ def test_a_lag_of_a_sine_is_the_textbook_response(observed: Observed) -> None:
         return complex(np.mean(signal[late] * np.exp(-1j * pulse * since[late])))
 
     tau = 0.03
-    ratio = phasor(lagged(observed, tau)[part, axis]) / phasor(observed.omega[part, axis])
+    ratio = phasor((observed.omega + lagging(observed, tau))[part, axis]) / phasor(observed.omega[part, axis])
     assert ratio == pytest.approx(1 / (1 + 1j * pulse * tau), rel=3e-3)
     delayed = observed.omega[part, axis] + TimeLatency().at(observed, 0.01).columns[0].parts[axis][part]
     ratio = phasor(delayed) / phasor(observed.omega[part, axis])

@@ -38,18 +38,18 @@ class GyroBandwidth(Shaped):
         return np.geomspace(5e-4, 0.2, 14) if observed.unsteady.any() else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        change = lagged(observed, value) - observed.omega
-        parts = on_rate(observed, change)
-        return Variant((whole(parts, observed.unsteady),), value)
+        return Variant((whole(on_rate(observed, lagging(observed, value)), observed.unsteady),), value)
 
 
-def lagged(observed: Observed, tau: float) -> Array:
-    """The nominal rate (N, 3) behind a first-order lag. While the table rocks: (ω − τ·dω/dt)/(1 + (pτ)²), with p the angular frequency, for
-    steady harmonic motion."""
-    pulse = observed.pulsation
-    change = -(tau * observed.acceleration + (pulse * tau) ** 2 * observed.rate) / (1 + (pulse * tau) ** 2)
-    rocked = np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis
-    return np.asarray(observed.omega + rocked + observed.turn_lagged(tau))
+def lagging(observed: Observed, tau: float) -> Array:
+    """The change (N, 3) of the nominal rate behind a first-order lag; zero in segments with a constant rate. While the table rocks, the rate
+    is then (ω − τ·dω/dt)/(1 + (pτ)²), with p the angular frequency, for steady harmonic motion."""
+    change = observed.turn_lagged(tau)
+    for rows in observed.rocked:
+        squared = (observed.pulsation[rows] * tau) ** 2
+        slower = -(tau * observed.acceleration[rows] + squared * observed.rate[rows]) / (1 + squared)
+        change[rows] += slower[:, None] * observed.table_axis[rows]
+    return change
 
 
 class GyroDeadZone(Shaped):
@@ -87,20 +87,11 @@ class GyroSaturation(Shaped):
     def grid(self, observed: Observed) -> Array:
         if not observed.of_kind("gyro") or not observed.turn.any():
             return np.empty(0)
-        largest = float(np.abs(observed.nominal_output[:, observed.of_kind("gyro")]).max())
-        return largest / DEG * (1 - np.geomspace(0.6, 1e-7, 32))
+        return float(observed.largest_gyro_output.max()) / DEG * (1 - np.geomspace(0.6, 1e-7, 32))
 
     def at(self, observed: Observed, value: float) -> Variant:
-        return self._clipped(observed, value, _largest(observed))
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        grid = self.grid(observed)
-        largest = _largest(observed) if len(grid) else np.empty(0)
-        return [self._clipped(observed, float(value), largest) for value in grid]
-
-    @staticmethod
-    def _clipped(observed: Observed, value: float, largest: Array) -> Variant:
-        return _changed(observed, lambda y: np.clip(y, -value * DEG, value * DEG), value, largest > value * DEG)
+        limit = value * DEG
+        return _changed(observed, lambda y: np.clip(y, -limit, limit), value, observed.largest_gyro_output > limit)
 
 
 class GyroFoldOver(Shaped):
@@ -123,26 +114,19 @@ class GyroFoldOver(Shaped):
 
     def at(self, observed: Observed, value: float) -> Variant:
         limit = value * DEG
-        beyond = _largest(observed) > limit
+        beyond = observed.largest_gyro_output > limit
         return _changed(observed, lambda y: y - 2 * limit * np.floor((y + limit) / (2 * limit)), value, beyond)
-
-
-def _largest(observed: Observed) -> Array:
-    """The largest nominal output of any gyro in each segment, (S,)."""
-    whole = np.abs(observed.nominal_output[:, observed.of_kind("gyro")]).max(axis=1)
-    return np.maximum.reduceat(whole, observed.bounds[:-1])
 
 
 def _changed(
     observed: Observed, output: Callable[[Array], Array], shape: float, acting: NDArray[np.bool_] | None
 ) -> Variant:
     """The change caused by a function of the gyros' nominal output. acting: (S,), the segments where it is not zero; None for all."""
-    nominal, gyros = observed.nominal_output, observed.of_kind("gyro")
-    change = np.zeros((len(nominal), len(gyros)))
-    for part in [slice(None)] if acting is None else [observed.segments()[index] for index in np.flatnonzero(acting)]:
-        here = nominal[part, gyros]
-        change[part] = output(here) - here
-    parts = {index: change[:, place] for place, index in enumerate(gyros)}
+    nominal = observed.gyro_output
+    change = np.zeros_like(nominal)
+    for part in [part for index, part in enumerate(observed.segments()) if acting is None or acting[index]]:
+        np.subtract(output(nominal[part]), nominal[part], out=change[part])
+    parts = {index: change[:, place] for place, index in enumerate(observed.of_kind("gyro"))}
     return Variant((whole(parts, acting),), shape)
 
 

@@ -251,7 +251,8 @@ def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
     gyros = observed.of_kind("gyro")
     if observed.response is None:
         return {index: observed.seen(index, omega) for index in gyros}
-    return {index: omega @ observed.response[index] for index in gyros}
+    shown = omega @ observed.response[gyros].T
+    return {index: shown[:, place] for place, index in enumerate(gyros)}
 
 
 def whole(parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None) -> Column:

@@ -98,8 +98,8 @@ _LARGEST_ARM = 1.0
 
 
 class LeverArm:
-    """Accelerometers off the axis of rotation: ω×(ω×r) + α×r, r in sensor axes, ω and α the table's; or, if other accelerometers show the
-    motion, off those."""
+    """Accelerometers off the axis of rotation: ω×(ω×r) + α×r = ω·(ω·r) − ω²·r + α×r, r in sensor axes, ω and α the table's; or, if other
+    accelerometers show the motion, off those."""
 
     id, stage = "lever_arm", "stimulus"
     about = About(
@@ -116,8 +116,10 @@ class LeverArm:
             return []
         largest = np.inf if observed.moved.any() else _LARGEST_ARM
         columns = []
-        for name, arm in zip("xyz", np.eye(3), strict=True):
-            felt = np.cross(turn, np.cross(turn, arm)) + np.cross(spin_up, arm)
+        squared = np.einsum("ni,ni->n", turn, turn)
+        for axis, (name, arm) in enumerate(zip("xyz", np.eye(3), strict=True)):
+            felt = turn * turn[:, [axis]] + spin_up @ np.cross(np.eye(3), arm)
+            felt[:, axis] -= squared
             parts = on_stimulus(observed, None, felt)
             columns.append(Column(f"r_{name}", "mm", 1e-3, 1e-2, parts, axis=None, largest=largest))
         return single(columns)
@@ -159,9 +161,10 @@ class TimeLatency(Shaped):
 
     def at(self, observed: Observed, value: float) -> Variant:
         """While the table rocks, harmonic motion of pulsation p: ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd."""
-        pulse = observed.pulsation
-        earlier = value * np.sinc(pulse * value / np.pi)  # sin(pd)/p
-        change = observed.rate * (np.cos(pulse * value) - 1) - observed.acceleration * earlier
-        turned = np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis + observed.turn_before(value)
-        parts = on_rate(observed, turned)
-        return Variant((whole(parts, observed.unsteady),), value)
+        turned = observed.turn_before(value)
+        for rows in observed.rocked:
+            phase = observed.pulsation[rows] * value
+            earlier = value * np.sinc(phase / np.pi)  # sin(pd)/p
+            change = observed.rate[rows] * (np.cos(phase) - 1) - observed.acceleration[rows] * earlier
+            turned[rows] += change[:, None] * observed.table_axis[rows]
+        return Variant((whole(on_rate(observed, turned), observed.unsteady),), value)

@@ -93,7 +93,8 @@ class TablePositionError:
         which = np.array([distinct.index(key) for key in keys])
         columns = []
         for i, axis in enumerate(np.eye(3)):
-            parts = on_stimulus(observed, -np.cross(axis, observed.omega), -np.cross(axis, observed.force))
+            turned = np.cross(np.eye(3), axis)
+            parts = on_stimulus(observed, observed.omega @ turned, observed.force @ turned)
             for number in range(len(distinct)):
                 name = f"orientation_{number + 1}_{'xyz'[i]}"
                 columns.append(Column(name, "arcsec", ARCSEC, 20 * ARCSEC, parts, which == number, axis=i))

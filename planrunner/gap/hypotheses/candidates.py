@@ -44,7 +44,7 @@ DITHERED = 0.5  # noise, in counts, below which rounding makes the noise depend 
 
 @dataclass(frozen=True)
 class Weighed:
-    """A variant, whitened. gram (G, p, p), score (G, p) over settings; trace: energy of its columns after projection at the first
+    """A variant, whitened; its columns have no samples. gram (G, p, p), score (G, p) over settings; trace: energy of its columns after projection at the first
     setting, kept: ratio of this energy to that before projection. by_channel: whitened, projected columns (M, p) at the first setting; raw:
     before that, in magnitudes. held: physics fixes the only amplitude to 1; the shape alone is free."""
 
@@ -264,14 +264,19 @@ class Weighing:
         terms = self.base + log_bayes + self.log_prior[int(walking)]
         return float(np.logaddexp.reduce(terms))
 
+    def projected(self, variants: Sequence[Variant]) -> tuple[list[Variant], list[Array]]:
+        """Variants without their samples, and by channel the coefficients (M, P) of all their columns. The samples of the forms of all
+        effects together would need many times the memory of the recording."""
+        raw = coefficients_of(self.observed, self.spectrum, [c for variant in variants for c in variant.columns])
+        return [_without_samples(variant) for variant in variants], raw
+
     def weigh(self, variants: Sequence[Variant], raw: Sequence[Array] | None = None) -> list[Weighed]:
-        """Variants whitened and weighed under every setting. raw: by channel, the coefficients (M, P) of all their columns, where they are
-        known."""
+        """Variants whitened and weighed under every setting. raw: as `projected` gives them, where they are known."""
+        if raw is None:
+            variants, raw = self.projected(variants)
         columns = [column for variant in variants for column in variant.columns]
         widths = [len(variant.columns) for variant in variants]
         bounds = np.concatenate(([0], np.cumsum(widths))).astype(int)
-        if raw is None:
-            raw = coefficients_of(self.observed, self.spectrum, columns)
         sizes = {"gyro": self.shape[0], "accel": self.shape[1]}
         grams = [{kind: np.zeros((n, p, p)) for kind, n in sizes.items()} for p in widths]
         scores = {kind: np.zeros((n, len(columns))) for kind, n in sizes.items()}
@@ -326,6 +331,13 @@ class Weighing:
         trace = float(np.trace(gram[0]))
         blocks = tuple(block[:, part] for block in first), tuple(block[:, part] for block in raw)
         return Weighed(variant, gram, score, trace, trace / max(before, 1e-300), *blocks)
+
+
+def _without_samples(variant: Variant) -> Variant:
+    """The variant with empty signatures, which state only the channels on which its columns act."""
+    nothing = np.empty(0)
+    columns = (replace(column, parts=dict.fromkeys(column.parts, nothing)) for column in variant.columns)
+    return replace(variant, columns=tuple(columns))
 
 
 def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:

@@ -28,8 +28,11 @@ _SETTLING, _GAINED = 8, 1.0  # maximum number of refits; gain in nats that justi
 
 def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candidate]:
     """Effects weighed: their shapes on each effect's grid, refined where the evidence is sharp."""
-    forms = [effect.variants(weighing.observed) for effect in effects]
-    weighed = iter(weighing.weigh([variant for form in forms for variant in form]))
+    if not effects:
+        return []
+    forms, blocks = zip(*(weighing.projected(effect.variants(weighing.observed)) for effect in effects), strict=True)
+    raw = [np.hstack(channel) for channel in zip(*blocks, strict=True)]
+    weighed = iter(weighing.weigh([variant for form in forms for variant in form], raw))
     return [
         _candidate(weighing, effect, [next(weighed) for _ in form]) for effect, form in zip(effects, forms, strict=True)
     ]
@@ -128,6 +131,7 @@ def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Ob
 
 _STEPS = 20
 _ROUNDS = 15
+_SAME = 0.05  # standard deviations by which two shapes may differ and count as the same
 _DROP = 0.5  # nats below the best: one standard deviation
 _TOLD = 1.0  # nats that an effect of any shape must explain beyond none
 _SPAN, _FORMS = 4.0, 17  # standard deviations either way, and values among them
@@ -142,14 +146,16 @@ def shape_alone(candidate: Candidate) -> Shaped | None:
 
 
 def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float]]:
-    """Forms about the most probable shape, in even steps of its logarithm, and their probabilities; none if the search does not
-    converge, or converges to no effect because the data require the opposite."""
-    seen, found = weighing.observed, np.nan
+    """Forms about the most probable shape, in even steps of its logarithm, and their probabilities; none if the search alternates between
+    two shapes or does not converge, or converges to no effect because the data require the opposite."""
+    seen, found, before = weighing.observed, np.nan, np.nan
     for _ in range(_STEPS):
-        shape, sigma = _most_probable(weighing, effect, seen)
-        if abs(np.log(shape / found)) < 0.05 * sigma:
+        shape, sigma = _most_probable(weighing, effect, seen, found)
+        if abs(np.log(shape / found)) < _SAME * sigma:
             break
-        found = shape
+        if abs(np.log(shape / before)) < _SAME * sigma:
+            return []
+        found, before = shape, found
         (best,) = weighing.weigh([effect.at(seen, shape)])
         seen = weighing.seen([raw[:, 0] for raw in best.raw])
     else:
@@ -168,13 +174,16 @@ def _evidence(weighing: Weighing, form: Weighed) -> float:
     return weighing.evidence(form.score[:, 0] - 0.5 * form.gram[:, 0, 0])
 
 
-def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed) -> tuple[float, float]:
+def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed, near: float) -> tuple[float, float]:
     """The most probable shape and the standard deviation of its logarithm: on the grid, beyond it where the best is at its edge, then
     between the best and its neighbours until those are within a standard deviation. A shape that the data barely constrain is reported
-    up to the edge of the grid."""
+    up to the edge of the grid. near: a shape near which the search begins, NaN if none is known."""
     known: dict[float, float] = {}
     new = np.log(effect.grid(seen))
     widest = float(np.ptp(new)) / (2 * _SPAN)
+    if np.isfinite(near):
+        first = int(np.clip(np.searchsorted(new, np.log(near)), 2, len(new) - 2)) - 2
+        new = new[first : first + 4]
     for _ in range(_ROUNDS):
         weighed = weighing.weigh([effect.at(seen, float(np.exp(value))) for value in new])
         known |= {float(value): _evidence(weighing, item) for value, item in zip(new, weighed, strict=True)}
