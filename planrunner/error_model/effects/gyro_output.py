@@ -42,8 +42,8 @@ class GyroBandwidth(Shaped):
 
 
 def lagging(observed: Observed, tau: float) -> Array:
-    """The change (N, 3) of the nominal rate behind a first-order lag; zero in segments with a constant rate. While the table rocks, the rate
-    is then (ω − τ·dω/dt)/(1 + (pτ)²), with p the angular frequency, for steady harmonic motion."""
+    """The change (N, 3) of the nominal rate behind a first-order lag; zero in segments with a constant rate. While the table rocks, the
+    rate is then (ω − τ·dω/dt)/(1 + (pτ)²), with p the angular frequency, for steady harmonic motion."""
     change = observed.turn_lagged(tau)
     for rows in observed.rocked:
         squared = (observed.pulsation[rows] * tau) ** 2

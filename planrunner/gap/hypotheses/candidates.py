@@ -44,9 +44,9 @@ DITHERED = 0.5  # noise, in counts, below which rounding makes the noise depend 
 
 @dataclass(frozen=True)
 class Weighed:
-    """A variant, whitened; its columns have no samples. gram (G, p, p), score (G, p) over settings; trace: energy of its columns after projection at the first
-    setting, kept: ratio of this energy to that before projection. by_channel: whitened, projected columns (M, p) at the first setting; raw:
-    before that, in magnitudes. held: physics fixes the only amplitude to 1; the shape alone is free."""
+    """A variant, whitened; its columns have no samples. gram (G, p, p), score (G, p) over settings; trace: energy of its columns after
+    projection at the first setting, kept: ratio of this energy to that before projection. by_channel: whitened, projected columns (M, p) at
+    the first setting; raw: before that, in magnitudes. held: physics fixes the only amplitude to 1; the shape alone is free."""
 
     variant: Variant
     gram: Array = field(repr=False)
