@@ -281,7 +281,7 @@ def _require_plain(name: str, url: str) -> None:
 
 
 def _refused(url: str, what: str) -> InputError:
-    hint = "planrunner did not write this: restore the archive from a backup"
+    hint = "planrunner never writes such an archive: restore it from a backup"
     return InputError.at(Mark(url), "remote-refused", what, hint)
 
 
@@ -341,7 +341,7 @@ def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
             included = included or place.startswith(f"{including}/")
     if not included:
         message = f"{including} is no longer in {run}, and was not written to the archive"
-        raise InputError.at(Mark(archive), "remote-not-written", message, "give the command again")
+        raise InputError.at(Mark(archive), "remote-not-written", message, "repeat the command")
     return Pushed(written, present)
 
 
@@ -399,7 +399,7 @@ def _written(files: AbstractFileSystem, path: str, data: bytes, archive: str) ->
         except FileExistsError:  # somebody was first
             new = False
     if digest(files.cat_file(path)) != digest(data):
-        message = f"{path}: it is there with another content, and is not replaced"
+        message = f"{path}: it exists with another content, and is not replaced"
         if new:
             message = f"{path}: what was read back differs from what was written"
         raise InputError.at(Mark(archive), "remote-differs", message, "compare both runs with `planrunner verify`")

@@ -40,8 +40,8 @@ class ApprovalRule(Record):
     )
     withdrawn: tuple[str, ...] = key(
         ListOf(Text(r"[0-9a-f]{64}", "a SHA-256 digest")),
-        "Approvals that do not count on this bench, by the digests that `planrunner approve --list` prints. A withdrawal "
-        "beside the plan can be deleted there; this list cannot.",
+        "Approvals that do not count on this bench, by the digests that `planrunner approve --list` prints. "
+        "Somebody can delete a withdrawal that is beside the plan; an entry of this list stays.",
         ["9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"],
         default_factory=tuple,
     )

@@ -43,18 +43,19 @@ class CheckStandardRule(Record):
     )
     plan: str = key(
         Text(rf"(\.\./){{0,4}}{_PART}(/{_PART}){{0,8}}", "a plan file relative to the bench file"),
-        "The plan that measures it, relative to the bench file. Its runs are known by the name of this file.",
+        "The plan that measures the check standard, relative to the bench file. The name of this file "
+        "identifies the runs of the check standard.",
         "check_standard.yaml",
         fallback="",
     )
     coefficients: dict[str, CheckedCoefficient] = key(
         MapOf(RecordOf(CheckedCoefficient), pattern=COEFFICIENT),
-        "The coefficients that must be in control, each with what it is compared with.",
+        "The coefficients that must be in control, each with its reference value or its repeatability, if stated.",
         {"drift.D_X_F": {"reference": "0.30 deg/h ± 0.02 deg/h"}},
         fallback={},
     )
     max_age: Quantity = key(
-        QuantityOf("time", "positive"), "The newest run of the check standard must not be older.", "24 h"
+        QuantityOf("time", "positive"), "Largest permitted age of the newest run of the check standard.", "24 h"
     )
     values: int = key(
         Number(3, 1000, integer=True),

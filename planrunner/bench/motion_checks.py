@@ -206,7 +206,10 @@ def _elsewhere(
 
 
 def _perhaps(excess: Sequence[Excess]) -> list[Excess]:
-    because = "the angle at which an earlier motion stops is known only approximately, and with it the way that the table takes: perhaps"
+    because = (
+        "the angle at which an earlier motion stops is known only approximately. It determines in which "
+        "direction the table continues; in one of the possible cases,"
+    )
     return [replace(one, message=f"{because} {one.message}") for one in excess]
 
 

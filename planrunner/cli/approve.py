@@ -31,7 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_signer(parser)
     parser.add_argument("--name", default="", help="name of the reviewer, as it is printed")
     parser.add_argument("--until", metavar="DATE", help="last day on which the approval counts")
-    parser.add_argument("--statement", default="", help="what is approved, in words; of --withdraw: the reason")
+    parser.add_argument(
+        "--statement", default="", help="the statement that you sign, in words; with --withdraw: the reason"
+    )
     parser.add_argument("--yes", action="store_true", help="sign without asking at the terminal")
     parser.add_argument(
         "--no-predictions", action="store_true", help="compare with the last approved version by meaning only"

@@ -14,14 +14,14 @@ from planrunner.cli.progress import reading_progress
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    push = actions.add_parser("push", help="write sealed runs to a remote archive; what is there is never replaced")
+    push = actions.add_parser("push", help="write sealed runs to a remote archive; existing files are never replaced")
     push.add_argument("runs", metavar="RUN", nargs="+", type=Path, help="run folders, or an archive with --all")
     push.add_argument("url", metavar="URL", help="the remote archive, such as s3://bucket/archive")
     push.add_argument("--all", action="store_true", help="RUN is an archive: push every run folder in it")
     pull = actions.add_parser("pull", help="copy a remote run or archive into a folder, and verify each run")
     pull.add_argument("url", metavar="URL", help="the remote run or archive, such as s3://bucket/archive")
     pull.add_argument(
-        "folder", metavar="DIR", type=Path, help="folder that receives the run folders; existing ones stay"
+        "folder", metavar="DIR", type=Path, help="folder that receives the run folders; existing run folders are kept"
     )
     for action in (push, pull):
         action.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -43,7 +43,7 @@ def _push(args: argparse.Namespace) -> int:
     def push(run: Path) -> Done:
         pushed = push_run(run, args.url)
         if not args.json:
-            print(f"{run.name}: {pushed.written} files written, {pushed.present} were there")
+            print(f"{run.name}: {pushed.written} files written, {pushed.present} existed already")
         return Done(exit_codes.DONE, {"written": pushed.written, "present": pushed.present})
 
     return each_run(runs_of(args), push, as_json=args.json)
@@ -60,5 +60,5 @@ def _pull(args: argparse.Namespace) -> int:
     else:
         for run in pulled.runs:
             print(run)
-        print(f"{len(pulled.runs)} runs copied and verified, {pulled.present} were there")
+        print(f"{len(pulled.runs)} runs copied and verified, {pulled.present} existed already")
     return exit_codes.DONE

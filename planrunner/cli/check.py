@@ -39,7 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_parameter(parser)
     add_workers(
-        parser, "processes that share several plans (default: as many as pay, at most one per processor; 1 with --data)"
+        parser,
+        "processes that share several plans (default: as many as make the check faster, at most one per "
+        "processor; 1 with --data)",
     )
     add_suite_arguments(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress")

@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
             write_file(args.write_bench, closed.bench)
             print(args.write_bench, file=out)
         else:
-            why = "No bench simulated the recording" if closed.stated else "No effect was entered"
+            why = "No bench simulated the recording" if closed.stated else "No effect was added"
             print(f"{why}: {args.write_bench} is not written.", file=out)
     return exit_codes.DONE
 

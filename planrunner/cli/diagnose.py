@@ -77,8 +77,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="EFFECT[=VALUE]",
         action="append",
         default=[],
-        help="an effect that is known to act: fitted, or subtracted if values are stated as EFFECT=VALUE or "
-        "EFFECT=NAME:VALUE,…; the rest is diagnosed beside it; may be repeated",
+        help="an effect that is known to act; may be repeated. EFFECT alone is fitted; EFFECT=VALUE or "
+        "EFFECT=NAME:VALUE,… is subtracted. The remaining gap is diagnosed",
     )
     parser.add_argument("--json", action="store_true", help="print the diagnosis as JSON")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures")
@@ -281,7 +281,7 @@ def _show(context: DiagnosisContext) -> None:
         console.print(f"  {one.physics}", style="dim")
     known = context.facts.get("Known to act")
     if known:
-        console.print(f"Known to act: {known}. The rest is diagnosed beside.")
+        console.print(f"Known to act: {known}. The remaining gap is diagnosed.")
     console.print(diagnosis_page.verdict(found), style="bold")
     for sentence in filter(None, (diagnosis_page.unknown_words(found), diagnosis_page.closure_words(found))):
         console.print(sentence)

@@ -27,7 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--prove",
         action="store_true",
-        help="recompute the newest analysis with its own settings, and say whether every number is the stored one; nothing is written",
+        help="recompute the newest analysis with its own settings, and report whether every number is identical "
+        "to the stored number; nothing is written",
     )
     parser.add_argument("--analysis", type=int, metavar="N", help="with --prove: number of the analysis")
     add_workers(parser, "processes that share the runs (default: 1)")
@@ -91,7 +92,7 @@ def _show_proof(proof: Proof, *, as_json: bool) -> Done:
 
 
 _PROVED = {
-    "identical": "recomputed from the samples; every number is bit for bit the stored one",
+    "identical": "recomputed from the samples; every number is identical to the stored number, bit for bit",
     "within tolerance": "recomputed from the samples with other versions; no number changes by more than {tolerance:g} of its standard "
     "uncertainty",
     "different": "NOT REPRODUCED: the samples do not give the stored results",

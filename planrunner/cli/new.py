@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--from-recording",
         type=Path,
         metavar="RECORDING",
-        help="instead of a shipped plan: look at a file of samples, and write a bench, a plan and a picture to begin with",
+        help="instead of a shipped plan: examine a file of samples, and write a first bench, plan and picture",
     )
     parser.add_argument(
         "--sample-rate",

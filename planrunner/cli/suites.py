@@ -18,7 +18,7 @@ from planrunner.tasks.check_suite import CheckedSuite, check_suite, is_suite
 
 def add_suite_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `check` that apply to suites only."""
-    parser.add_argument("--html", metavar="FILE", type=Path, help="of a suite: write its timetable as a page")
+    parser.add_argument("--html", metavar="FILE", type=Path, help="for a suite: write its timetable as a page")
     add_at(parser)
 
 
@@ -27,7 +27,7 @@ def add_at(parser: argparse.ArgumentParser) -> None:
         "--at",
         metavar="TIME",
         type=local_time,
-        help="of a suite: local time at which the night begins, such as 2026-03-28T22:00 (default: now)",
+        help="for a suite: local time at which the night begins, such as 2026-03-28T22:00 (default: now)",
     )
 
 

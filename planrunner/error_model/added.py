@@ -93,7 +93,7 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
     known = {parameter.name: parameter for parameter in parameters(effect, observed)}
     further = {parameter.name: parameter for parameter in _optional(effect, known, observed, stated)}
     if not known:
-        hint = "look at the sensor's outputs, the plan's motions and the site's magnetic_field"
+        hint = "check the sensor's outputs, the plan's motions and the site's magnetic_field"
         raise InputError.at(mark, "effect-cannot-act", f"'{name}' cannot act on this sensor under this plan", hint)
     shape = effect.shape_name if isinstance(effect, HasShape) else None
     named = any(key not in ("", shape, SHARE) for key in stated)

@@ -20,7 +20,7 @@ of this list, says who acts and what to do, and fills in the parameters that it 
 to a simulation, and the estimator [`error_model`](error-models.md) fits its parameters.
 
 Effects marked with † serve simulations and estimates only. The diagnosis considers them only if you name them with `--given`. It
-considers those of supply voltage and ambient pressure also if these vary in the recording.
+also considers the effects of supply voltage and of ambient pressure if these two quantities vary in the recording.
 """
 ACTORS = {
     Actor.BENCH: "the operator of the table, the chamber, the mounting and their synchronisation",

@@ -115,8 +115,9 @@ def unlike_outputs(fit: OutputsFit) -> Said | None:
     if 2 * fdtrc(fit.freedom, fit.freedom, ratio) >= SIGNIFICANCE:
         return None
     return said(
-        "The residuals of {first} exceed its noise by more than the residuals of {second} exceed theirs (variance ratio "
-        "{ratio:.3g}): write `pool_outputs: false` so that each output's uncertainty rests on its own residuals.",
+        "Relative to the noise, the residuals of {first} are larger than the residuals of {second} (variance "
+        "ratio {ratio:.3g}): write `pool_outputs: false`, so that the uncertainty of each output is based on "
+        "its own residuals.",
         first=fit.outputs[high],
         second=fit.outputs[low],
         ratio=ratio,
@@ -203,7 +204,8 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
             notes.append(FitNote(scattering, output))
         elif noise.weighting == "individual" and not np.ptp(own):
             alike = said(
-                "{output}: the noise differs between segments, but the plan gives all the same weight.", output=output
+                "{output}: the noise differs between segments, but the plan gives all segments the same weight.",
+                output=output,
             )
             notes.append(FitNote(alike, output))
         elif noise.weighting == "individual":
@@ -218,8 +220,8 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
     warnings += [_outlying(fit, one, basis) for one in outliers(fit, basis)]
     if alone := unchecked(fit, basis):
         hardly = said(
-            "The other segments hardly check the segments {segments} (less than {share:.0f} % of an error in one of them "
-            "appears in the residuals): repeat these segments to confirm them.",
+            "An error in one of the segments {segments} would hardly be noticed, because less than {share:.0f} "
+            "% of it appears in the residuals: repeat these segments to confirm them.",
             segments=tuple(alone),
             share=100 * LEAST_REDUNDANCY,
         )
@@ -263,9 +265,9 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
     spreads = np.sqrt(np.diag(fit.covariance(basis))).reshape(fit.coefficients.shape)
     shares = _shares(fit, drift.explained)
     seen = said(
-        "The outputs seem to drift during the test: a drift ({drifts}) explains {shares} of the scatter about the model. A term "
-        "that is missing from the model would look the same if its effect increases or decreases in the order of the "
-        "segments. The drift is fitted together "
+        "The outputs seem to drift during the test: a drift ({drifts}) explains {shares} of the scatter about "
+        "the model. A term that is missing from the model looks like a drift if its effect increases or "
+        "decreases in the order of the segments. The drift is fitted together "
         "with the coefficients; without it a coefficient would change by {moved:.2g} standard uncertainties. The coefficients "
         "are averages over the recorded time of the test. Write `drift: {written}` to confirm the drift, or `drift: none` to "
         "leave it out.",
@@ -277,10 +279,10 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
     if fit.freedom >= _FEW:
         return DriftWords(warnings=(seen,))
     doubtful = counted(
-        "{warning} Only {count} degree of freedom is left, so errors of the positions could look the same: repeat the first "
-        "segment at the end.",
-        "{warning} Only {count} degrees of freedom are left, so errors of the positions could look the same: repeat the first "
-        "segment at the end.",
+        "{warning} Only {count} degree of freedom is left, so errors of the positions could look like a drift: "
+        "repeat the first segment at the end.",
+        "{warning} Only {count} degrees of freedom are left, so errors of the positions could look like a "
+        "drift: repeat the first segment at the end.",
         count=fit.freedom,
         warning=seen,
     )
@@ -302,10 +304,11 @@ def _shares(fit: OutputsFit, shares: NDArray[np.float64]) -> tuple[Said, ...]:
 def _rivalled(fit: OutputsFit, courses: Sequence[DriftCourse], nonlinear: NDArray[np.float64]) -> Said:
     """A warning about residuals that may be a drift or a nonlinearity."""
     return said(
-        "The residuals look like a drift during the test ({drifts}), but a nonlinearity of the outputs explains them as well: the square "
-        "of the output takes away {shares} of the scatter about the model. Neither is fitted, so the coefficients may contain a part of "
-        "it. Write `drift: {written}` to fit the drift, `drift: none` to exclude it, or estimate the nonlinearity with {estimator}; "
-        "the first segment repeated at the end would show which is true.",
+        "The residuals look like a drift during the test ({drifts}), but a nonlinearity of the outputs explains "
+        "them as well: the square of the output explains {shares} of the scatter about the model. Neither of "
+        "the two is fitted, so the coefficients may contain a part of the drift or of the nonlinearity. Write "
+        "`drift: {written}` to fit the drift, `drift: none` to exclude it, or estimate the nonlinearity with "
+        "{estimator}. To find out which of the two is true, repeat the first segment at the end.",
         drifts=_named(courses),
         shares=_shares(fit, nonlinear),
         written=_written(courses),
@@ -318,11 +321,12 @@ def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
     output, name = fit.outputs[found.output], found.course.name
     if found.course.changed:
         return said(
-            "The temperature changed by {change:.3g} K during the test, in such an order of the segments that a drift with "
-            "temperature is hard to distinguish from {coefficient} of {output}: {size}. The data neither show nor exclude such a "
+            "The temperature changed by {change:.3g} K during the test. In this order of the segments, a drift "
+            "with temperature is hard to distinguish from {coefficient} of {output}: {size}. The data neither "
+            "show nor exclude such a "
             "drift, and no uncertainty includes it. Write `drift: temperature` to include it, or `drift: none` if the outputs do "
-            "not depend on the temperature. A steadier temperature, or the segments a second time in the opposite order, makes "
-            "the two easier to distinguish.",
+            "not depend on the temperature. To distinguish the two, keep the temperature steadier, or record "
+            "the segments a second time in the opposite order.",
             change=found.course.changed,
             coefficient=found.name,
             output=output,
@@ -333,8 +337,8 @@ def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
     return said(
         "The outputs may drift during the test: fitted together with the coefficients, a drift ({drift}) would change "
         "{coefficient} of {output} by {change:.2g} standard uncertainties (probability by chance: {chance:.2g}). This evidence is "
-        "too weak to fit the drift, so no uncertainty includes it. Write `drift: {drift}` to include it, or `drift: none` to "
-        "exclude it; the first segment repeated at the end would show which is true.",
+        "too weak to fit the drift, so no uncertainty includes it. Write `drift: {drift}` to include it, or "
+        "`drift: none` to exclude it. To find out which is true, repeat the first segment at the end.",
         drift=name,
         coefficient=found.name,
         output=output,
@@ -384,8 +388,9 @@ def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> Said:
     moved = float(np.max(np.abs(found.changes) / spreads))
     return said(
         "Segment '{segment}' does not fit the others: the mean of {output} lies {error:.3g} {unit} from the value expected "
-        "from the others ({deviations:.3g} standard deviations; probability by chance: {chance:.2g}). Without it a "
-        "coefficient changes by {change:.2g} standard uncertainties: check its label, its planned state and its data.",
+        "from the others ({deviations:.3g} standard deviations; probability by chance: {chance:.2g}). Without "
+        "this segment, a coefficient changes by {change:.2g} standard uncertainties: check the label, the "
+        "planned state and the data of the segment.",
         segment=found.label,
         output=found.output,
         error=found.error,

@@ -28,8 +28,8 @@ def coarse_counts(
                 said(
                     "{output}: the noise in '{segment}' is too small for counts of {resolution:.4g} {unit}, so rounding errors do "
                     "not average out. They are the same whenever the sensor senses the same input: repeats do not reduce them, "
-                    "and scatter may not show them. The uncertainties may be too small, and noise coefficients are those of the "
-                    "rounding. Record with a finer resolution.",
+                    "and scatter may not show them. The uncertainties may be too small, and noise coefficients "
+                    "describe the rounding instead of the noise. Record with a finer resolution.",
                     output=output.name,
                     segment=coarse[0],
                     resolution=output.noise.resolution,

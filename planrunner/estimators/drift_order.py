@@ -190,11 +190,11 @@ def _proposal(designs: Sequence[_Design]) -> str:
     first = designs[0].block.labels[designs[0].first]
     closed = max(float(one.closed().max()) for one in designs)
     if closed < COUPLED:
-        return f"repeat '{first}' at the end ({closed:.2g} times)"
+        return f"repeat '{first}' at the end (the standard uncertainty is then {closed:.2g} times as large)"
     exchanged = _reordered(designs)
     if exchanged is not None and exchanged[1] < COUPLED:
         labels = ", ".join(designs[0].block.labels[row] for row in exchanged[0])
-        return f"use the order {labels} ({exchanged[1]:.2g} times)"
+        return f"use the order {labels} (the standard uncertainty is then {exchanged[1]:.2g} times as large)"
     return "record the segments a second time in the opposite order, so that a linear drift is decoupled from the coefficients"
 
 

@@ -139,8 +139,8 @@ def _words(
     if undecided := tuple(verdicts["undecided"]):
         notes.append(
             said(
-                "This number of draws cannot decide on {undecided}: the ends of their intervals scatter by more "
-                "than the remainder of δ. Increase `draws`.",
+                "This number of draws gives no verdict on {undecided}: the ends of the intervals from the draws "
+                "are too uncertain for a comparison with δ. Increase `draws`.",
                 undecided=undecided,
             )
         )

@@ -100,6 +100,6 @@ def explain(null: Array, names: Sequence[str]) -> str:
             listed = ", ".join(involved[:-1]) + " and " + involved[-1]
             parts = " ".join(f"{weight:+.3g}·{name}" for name, weight in combination)
             sentences.append(
-                f"{listed} cannot be separated ({parts} = 0 in every position, each in units of its own size)"
+                f"{listed} cannot be separated ({parts} = 0 in every position, with each term divided by its size)"
             )
     return "; ".join(sentences)

@@ -522,9 +522,9 @@ def _warnings(one: Repeats, split: Variance) -> list[Said]:
         if chance < SIGNIFICANCE:
             found.append(
                 said(
-                    "{name}: the repeats scatter {ratio:.3g} times as much as their standard uncertainties allow (chance of "
-                    "that: {chance:.2g}). What changes from repeat to repeat is not in those uncertainties: use the standard "
-                    "deviation of the repeats.",
+                    "{name}: the repeats scatter {ratio:.3g} times as much as their standard uncertainties "
+                    "allow (probability by chance: {chance:.2g}). Those uncertainties do not include changes "
+                    "from repeat to repeat: use the standard deviation of the repeats.",
                     name=one.name,
                     ratio=math.sqrt(split.within / own),
                     chance=chance,
@@ -537,8 +537,9 @@ def _warnings(one: Repeats, split: Variance) -> list[Said]:
     elif chance < SIGNIFICANCE:
         found.append(
             said(
-                "{name}: values that follow each other are more alike than chance makes them (probability {chance:.2g}): the "
-                "quantity drifts, or the repeats consist of groups, such as days or switch-ons. Name them in `groups`.",
+                "{name}: successive values are more alike than values that vary at random (probability by "
+                "chance: {chance:.2g}): the quantity drifts, or the repeats consist of groups, such as days or "
+                "switch-ons. Name them in `groups`.",
                 name=one.name,
                 chance=chance,
             )
@@ -546,8 +547,8 @@ def _warnings(one: Repeats, split: Variance) -> list[Said]:
     if _scatter_differs(one):
         found.append(
             said(
-                "{name}: the scatter within the groups differs from group to group by more than chance (Bartlett's test): one "
-                "standard deviation does not describe all groups. Look at the groups one by one.",
+                "{name}: the scatter within the groups differs significantly from group to group (Bartlett's "
+                "test): one standard deviation does not describe all groups. Examine each group separately.",
                 name=one.name,
             )
         )

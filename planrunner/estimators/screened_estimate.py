@@ -57,19 +57,25 @@ def estimated(
     if excluded:
         text, more = _effect(made, estimate, segments)
         warnings.append(
-            said("Bad samples were left out: {finds}. {effect} Look at the recording.", finds=_named(bad), effect=text)
+            said("Bad samples were left out: {finds}. {effect} Examine the recording.", finds=_named(bad), effect=text)
         )
         tables += more
     elif bad:
         warnings.append(
             said(
-                "Bad samples were used, as the plan says: {finds}. `outliers: exclude` states what they change.",
+                "Bad samples were used, as the plan requires: {finds}. With `outliers: exclude`, the report "
+                "states their effect.",
                 finds=_named(bad),
             )
         )
     rest = [item for item in found if not item[1].bad and item[1].kind not in _SILENT]
     if rest:
-        warnings.append(said("Screening also found, and left in: {finds}. Look at the recording.", finds=_named(rest)))
+        warnings.append(
+            said(
+                "Screening also found the following, without leaving anything out: {finds}. Examine the recording.",
+                finds=_named(rest),
+            )
+        )
     return replace(made, warnings=tuple(warnings), tables=tuple(tables)), used
 
 
@@ -82,7 +88,7 @@ def _effect(
     try:
         other = {item.name: item for item in estimate(tuple(segments)).coefficients}
     except EstimationError as error:
-        return said("With them there is no estimate ({reason}).", reason=str(error)), ()
+        return said("With these samples, no estimate can be made ({reason}).", reason=str(error)), ()
     rows: list[tuple[Cell, ...]] = []
     largest, name = 0.0, ""
     for item in made.coefficients:
@@ -96,7 +102,9 @@ def _effect(
         if ratio > SMALL:
             rows.append((item.name, item.value, u, item.value + change, change, ratio, item.unit))
     if not rows:
-        return said("They change no coefficient by more than {change:g} standard uncertainties.", change=SMALL), ()
+        return said(
+            "These samples change no coefficient by more than {change:g} standard uncertainties.", change=SMALL
+        ), ()
     columns = (
         TableColumn("coefficient"),
         TableColumn("without bad samples", Role.VALUE),
@@ -107,7 +115,8 @@ def _effect(
         TableColumn("unit"),
     )
     text = said(
-        "With them {coefficient} would change by {change:.2g} standard uncertainties, the most of all coefficients.",
+        "With these samples, {coefficient} would change by {change:.2g} standard uncertainties, more than any "
+        "other coefficient.",
         coefficient=name,
         change=largest,
     )

@@ -66,7 +66,8 @@ def nominal_supply() -> Quantity:
     """The key of a sensor for the supply voltage from which effects of the supply count."""
     voltage: Quantity = key(
         QuantityOf("voltage", "positive"),
-        "Supply voltage from which effects of the supply count; also that of segments that state none.",
+        "Supply voltage at which the effects of the supply are zero. It also applies to segments that state no "
+        "supply voltage.",
         "12 V",
         default=parse_quantity(f"{NOMINAL_SUPPLY:g} V"),
     )

@@ -245,7 +245,7 @@ class RecordingParameters(Record):
     )
     format: Format | None = key(
         FormatChoice(),
-        "Format of the files, and what they do not say of themselves.",
+        "Format of the files, and properties that the files themselves do not state.",
         {"type": "text", "separator": "semicolon", "decimal": "comma"},
         default=None,
     )

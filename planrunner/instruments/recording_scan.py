@@ -185,7 +185,10 @@ def _on_gaps(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings) -
     one, seen = max(holed, key=lambda pair: pair[1].gap)
     total = sum(each.gaps for _, each in holed)
     where = f"{len(holed)} segments; the longest" if len(holed) > 1 else f"'{one.label}'; the longest"
-    message = f"{name}: samples are missing at {total} places in {where} lasts {seen.gap:.4g} s, from {seen.at:.9g} s in '{one.label}'"
+    message = (
+        f"{name}: samples are missing at {total} places in {where} gap lasts {seen.gap:.4g} s, from "
+        f"{seen.at:.9g} s in '{one.label}'"
+    )
     log.warning("recording-gap", one.mark, message, "check the logger; estimates use the existing samples")
 
 

@@ -222,7 +222,7 @@ class _Handler(BaseHTTPRequestHandler):
         watching = self.server.watching
         if not watching.enter():
             raise RefusedRequestError(
-                http.HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_WATCHERS} pages watch already: close one"
+                http.HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_WATCHERS} pages are open already: close one of them"
             )
         try:
             self.close_connection = True

@@ -317,4 +317,6 @@ def check_known_failures(suite: Suite, tests: Sequence[PlannedTest], today: date
             continue
         if last < today:
             message = f"this known failure expired on {entry.until}: it now makes the night fail"
-            log.warning("suite-expired", entry.at("until"), message, "remove it, or look at the cause and extend it")
+            log.warning(
+                "suite-expired", entry.at("until"), message, "remove it, or examine the cause and set a later date"
+            )

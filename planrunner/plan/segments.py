@@ -99,7 +99,8 @@ class State(Record):
     )
     ambient_pressure: Quantity | None = key(
         QuantityOf("pressure", "positive"),
-        "Absolute pressure of the air about the sensor. A person sets it, not a driver: ask for it with `prompt`. Virtual sensors "
+        "Absolute pressure of the air around the sensor. A person sets it, not a driver: ask for it with "
+        "`prompt`. Virtual sensors "
         "follow it.",
         "900 hPa",
         default=None,

@@ -117,8 +117,9 @@ def notes(found: FoundCycles) -> tuple[str, ...]:
             f"The Schuler oscillation is driven at least as strongly as without rotation: {', '.join(driven)}. Shorten the stops."
         )
     said.append(
-        "In the navigation frame, each cycle adds an error of these seconds times a constant horizontal gyro drift or accelerometer "
-        "bias, oriented as at the first position. No cycle modulates the error along the rotation axis."
+        "In the navigation frame, each cycle adds an error: the residual in seconds, multiplied by the constant "
+        "horizontal gyro drift or accelerometer bias as it is oriented at the first position. No cycle "
+        "modulates the error along the rotation axis."
     )
     return tuple(said)
 

@@ -32,8 +32,8 @@ MOST_PLACES = 12
 MOST_PARAMETERS = 24
 MOST_POINTS = 24
 FOOTER = (
-    "Probabilities depend on fixed priors and on the noise that the bench declares. An effect is named only "
-    "where “none” is less probable than 5 %; effects that this plan cannot separate are named together."
+    "Probabilities depend on fixed priors and on the noise that the bench declares. An effect is named only if "
+    "the probability of “none” is below 5 %; effects that this plan cannot separate are named together."
 )
 WHERE = (
     "Where: each factor divides the same gap differently, so the shares add up within one factor but not across factors"
@@ -205,7 +205,10 @@ def _remainder(residue: str | None, named: list[str]) -> str:
         return ""
     if residue in named:
         others = _listed([name for name in named if name != residue], "and")
-        return f" {residue} explains less than 5 % of it: it is present but weak, or it is a form residue of {others}."
+        return (
+            f" {residue} explains less than 5 % of the gap: either it is present but weak, or it is a form "
+            f"residue of {others}."
+        )
     if residue == "unknown":
         return " The rest comes from something that the catalogue does not contain."
     return f" The contribution of {residue} is below 5 % and is treated as form residue."
@@ -217,7 +220,7 @@ def closure_words(found: Data) -> str:
     if found["verdict"]["kind"] == "none":
         return "There is no gap to close."
     if not closure["resolvable"] or closure["shrinks_by"] is None:
-        return "This recording cannot show how far the gap of withheld segments shrinks."
+        return "This recording cannot show by how much the gap of withheld segments shrinks."
     text = f"The gap of withheld segments {_change(closure['shrinks_by'])}"
     if closure["interval_90"] is not None:
         text += f" (90 % interval {_interval(*closure['interval_90'])})"

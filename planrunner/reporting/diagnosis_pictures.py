@@ -64,10 +64,12 @@ def _drawn(found: Data) -> Iterator[tuple[str, str, bool, str]]:
             "Share of the row's effect that the column's effect reproduces with this plan, in per cent; at 100 the two effects cannot "
             "be distinguished."
         )
-        yield "What this plan can confuse", words, False, confusability_svg(alike, "confusability")
+        yield "Effects that this plan can confuse", words, False, confusability_svg(alike, "confusability")
     form: Data = found.get("unknown_form") or {}
     for place, name in enumerate(form.get("channels", [])[:MOST_CHANNELS] if form.get("points") else []):
-        words = "Offsets that the simulation and its fitted parameters leave, with their standard uncertainties."
+        words = (
+            "Offsets that the simulation and its fitted parameters do not explain, with their standard uncertainties."
+        )
         yield f"Form of the unknown in {name}", words, False, plot_svg(_form(form, place), f"form-{_key(name)}")
     compared: Data = found.get("comparison") or {}
     for name, one in _largest(found, compared.get("channels", {})):

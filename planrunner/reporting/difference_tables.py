@@ -58,7 +58,7 @@ def notes(compared: Compared) -> list[str]:
     """What is no difference but may interest a reader, and what could not be computed."""
     found = compared.meaning
     lines = [
-        f"The {change.place[-1]} differs; it is a text for readers and no difference in meaning."
+        f"The {change.place[-1]} differs. It is a text for readers, so this is not a difference in meaning."
         for change in found.texts
     ]
     for change in found.rounded:

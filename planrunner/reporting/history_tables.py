@@ -213,7 +213,7 @@ def _stamps(found: Trend) -> Iterator[str]:
 def _drift(found: Trend, unit: str) -> list[str]:
     line = found.drift
     if line is None:
-        return ["There are too few values since the last change for a drift."] if found.changes else []
+        return ["There are too few values since the last change to determine a drift."] if found.changes else []
     slope, u = (words.number(x * 365.25, 3) for x in (line.slope, 2 * line.slope_uncertainty))
     significant = "" if line.significant else ", which is not significant"
     since = f" since {found.points[found.changes[-1].index].run.created[:10]}" if found.changes else ""

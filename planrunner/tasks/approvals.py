@@ -99,13 +99,13 @@ _REASONS: dict[ApprovalStanding, _Reason] = {
     "unknown key": _Reason("approval-unknown-key", "let the keeper of the key ring add the key", "keys"),
     "revoked": _Reason("approval-key-revoked", "approve with another key", "keys"),
     "key dates": _Reason("approval-key-dates", "approve with a key that is valid", "keys"),
-    "withdrawn": _Reason("approval-withdrawn", "clarify why, then approve again"),
+    "withdrawn": _Reason("approval-withdrawn", "find out why it was withdrawn, then approve the plan again"),
     "future": _Reason("approval-future", "check the clocks of both computers"),
     "expired": _Reason("approval-expired", _AGAIN),
     "another plan": _Reason("approval-other-plan", _AGAIN),
     "another bench": _Reason("approval-other-bench", "approve the plan for this bench"),
     "another author": _Reason("approval-other-author", _AGAIN),
-    "not named": _Reason("approval-not-named", "let a person approve that the bench names", "by"),
+    "not named": _Reason("approval-not-named", "let a person whom the bench names approve the plan", "by"),
     "role": _Reason("approval-role", "let a person with this role approve", "roles"),
     "author": _Reason("approval-by-author", "let another person approve", "author_may_approve"),
     "same person": _Reason("approval-same-person", "let another person approve", "required"),
@@ -186,7 +186,11 @@ def _tell(
 ) -> None:
     """One error, and for each key another that says why its newest approval does not count. remedy: by default to approve the plan."""
     persons = sorted({one.person for one in found if one.standing == "counts"})
-    counted = f"only that of {persons[0]} counts" if len(persons) == 1 else f"only those of {', '.join(persons)} count"
+    counted = (
+        f"only the approval by {persons[0]} counts"
+        if len(persons) == 1
+        else f"only the approvals by {', '.join(persons)} count"
+    )
     have = "there is none" if not found else "there are approvals, but none counts" if not persons else counted
     who = "one person" if rule.required == 1 else f"{rule.required} persons"
     message = f"the bench '{bench.name}' requires an approval of the plan by {who}; {have}"
@@ -367,7 +371,7 @@ def _author(found: Examined, kept: KeptApprovals, bench: Bench) -> tuple[str, ..
 
 
 def _unverified(found: Examined, why: str) -> None:
-    message = f"whether the plan that ran is the approved one was not verified: {why}"
+    message = f"it was not verified that the plan of the run is the approved plan: {why}"
     hint = "verify with the version of planrunner, and the plug-ins, that made the run"
     found.findings.warning("run-approval-unverified", Mark(str(found.folder.path)), message, hint)
 

@@ -128,7 +128,7 @@ def withdraw(plan: Path, signer: Signer, name: str, why: str, storage: Storage |
     given = [one for one in stated if isinstance(one, StatedApproval) and one.envelope.signed_by(key)]
     ours = {one.file: one.digest for one in given if one.digest not in gone}
     if not ours:
-        message = "there is no approval of this plan by this key that is not withdrawn already"
+        message = "there is no approval of this plan by this key, or all of them are withdrawn already"
         raise InputError.at(Mark(str(plan)), "approval-none", message, "`planrunner approve PLAN --list` lists them")
     signed = utc_now()
     envelope = withdrawal_envelope(ours, name.strip(), why.strip(), signer, signed)

@@ -47,11 +47,11 @@ _OTHER_SEED = 0x5EED
 class Ending(Enum):
     """Why `close` ended, in words."""
 
-    NOTHING_LEFT = "noise alone explains what is left"
-    NO_NAME = "the catalogue does not contain the cause of what is left"
-    NOISE = "an effect on the noise was entered, and no further effect can be separated from it"
-    AGAIN = "effects that have been entered are named again, and cannot be fitted one by one"
-    NO_GAIN = "the last effect did not reduce the gap, and was not entered"
+    NOTHING_LEFT = "noise alone explains the remaining gap"
+    NO_NAME = "the catalogue does not contain the cause of the remaining gap"
+    NOISE = "an effect on the noise was added, and no further effect can be separated from it"
+    AGAIN = "effects that were added before are named again, and cannot be fitted separately"
+    NO_GAIN = "the last effect did not reduce the gap, and was not added"
     ROUNDS = "the largest number of rounds was reached"
 
 

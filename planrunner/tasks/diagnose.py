@@ -360,7 +360,7 @@ def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> R
         item, one = max(left_out, key=lambda pair: abs(pair[1].size))
         largest = f"{one.kind.value} of {one.channel or 'all channels'} in '{item.label}' at {one.time:.6g} s"
         message = f"spikes or repeated samples were left out of the diagnosis: {len(left_out)} in all, the largest a {largest}"
-        hint = "look at the recording; what is wrong with single samples is no cause of a gap between segments"
+        hint = "examine the recording; an error of single samples does not cause a gap between segments"
         log.warning("gap-left-out", Mark(recorded.where), message, hint)
     return replace(recorded, segments=tuple(segments))
 

@@ -264,7 +264,7 @@ def diagnose_fleet(
         )
     for name in effects:
         if not any(one.key.effect == name for one in attributed):
-            left[name] = "fewer than two runs determine its amplitudes beside the other terms"
+            left[name] = "fewer than two runs determine its amplitudes in addition to the other terms"
     return FleetDiagnosis(known, verdicts, effects, attributed, left, _shared(attributed, known), findings)
 
 

@@ -564,7 +564,10 @@ class _Night:
             self._course.interrupted(index)
             return
         if child.kind == "resume" and ending is EndOfTest.REFUSED:
-            self._remark(f"{self._sound.tests[index].name}: the half run cannot be continued ({reason}); it is retaken")
+            self._remark(
+                f"{self._sound.tests[index].name}: the incomplete run cannot be continued ({reason}); "
+                f"the test runs again"
+            )
             ending, child.identity = EndOfTest.BUSY, ""
             self._waited.add(index)
         self._conclude(index, now, ending, code, reason, child.identity, document)

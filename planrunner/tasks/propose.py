@@ -82,10 +82,11 @@ def words(found: SegmentProposal, planned: bool) -> str:
     if planned:
         said = (
             f"{len(found.segments)} segments in {_duration(found.seconds)} would separate {rivals}: the true "
-            f"one is then expected to have P = {found.probability:.2f} among them; at present it has {found.now:.2f}."
+            f"explanation among them is then expected to have P = {found.probability:.2f}; at present it has P "
+            f"= {found.now:.2f}."
         )
         hours, reached = found.repeating
-        said += f" Repeating the recorded segments takes {_duration(hours)} for P = {reached:.2f}."
+        said += f" Repeating the recorded segments would take {_duration(hours)} to reach P = {reached:.2f}."
     else:
         said = f"No segment that this bench can execute separates {rivals}."
     if found.sensor:

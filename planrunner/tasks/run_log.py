@@ -250,10 +250,10 @@ def _check_memory(found: LogVerification, content: LogContent, run: LoggedRun, h
         for code, fault in head_faults(content, TreeHead.from_json({**told, "at": ""}), f"the tree head in {path}"):
             found.error(code, fault, "take the log from a backup")
     elif history.begun:
-        message = f"{path}: it was begun under another log than this one, whose entries name it as begun"
+        message = f"{path}: the entries of this log name it as begun, but it was begun with another log"
         found.error("log-changed", message, "take the log from a backup")
     else:
-        message = f"{path}: it was made under another log, of {told['size']} entries, and added to this one later"
+        message = f"{path}: it was made with another log, of {told['size']} entries, and was added to this log later"
         found.warning("log-elsewhere", message, "verify the archive in which it was made")
 
 

@@ -202,7 +202,7 @@ def test_commands_read_a_remote_archive(bucket: Any, runs: Path, tmp_path: Path)
     assert listed.returncode == 0 and json.loads(listed.stdout)["total"] == _RUNS, listed.stderr
     assert planrunner("runs", _URL, "--index", index, "--rebuild", cwd=tmp_path).returncode == 0
     pulled = planrunner("archive", "pull", _URL, "here", cwd=tmp_path)
-    assert pulled.returncode == 0 and f"{_RUNS} runs copied and verified, 0 were there" in pulled.stdout
+    assert pulled.returncode == 0 and f"{_RUNS} runs copied and verified, 0 existed already" in pulled.stdout
     assert sorted(path.name for path in (tmp_path / "here").iterdir()) == sorted(path.name for path in runs.iterdir())
     again = planrunner("archive", "pull", _URL, "here", "--json", cwd=tmp_path)
     assert json.loads(again.stdout) == {"pulled": [], "present": _RUNS}
@@ -211,7 +211,7 @@ def test_commands_read_a_remote_archive(bucket: Any, runs: Path, tmp_path: Path)
 @pytest.mark.slow
 def test_push_by_command(bucket: Any, runs: Path, tmp_path: Path) -> None:
     done = planrunner("archive", "push", "--all", runs, _URL, cwd=tmp_path)
-    assert done.returncode == 0 and done.stdout.count("files written, 0 were there") == _RUNS, done.stderr
+    assert done.returncode == 0 and done.stdout.count("files written, 0 existed already") == _RUNS, done.stderr
 
 
 def test_an_archive_that_is_not_there_is_a_message(bucket: Any) -> None:

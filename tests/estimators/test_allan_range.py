@@ -43,7 +43,7 @@ def test_a_line_at_20_hz_does_not_move_the_random_walk(seed: int) -> None:
     found = estimate(white(seed) + 20 * np.sin(2 * np.pi * 20 * time + seed))
     assert error(found, "N", 1.0) < 3.5
     assert found["N_gyro"].standard_uncertainty < 0.25
-    assert [text for text in found.warnings if "At shorter ones" in text]
+    assert [text for text in found.warnings if "At shorter averaging times" in text]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -58,7 +58,7 @@ def test_a_filtered_output_is_named_and_its_random_walk_found(seed: int) -> None
         filtered[k] = state
     found = estimate(filtered)
     assert error(found, "N", 1.0) < 3.5
-    assert [text for text in found.warnings if "At shorter ones" in text and "filtered" in text]
+    assert [text for text in found.warnings if "At shorter averaging times" in text and "filtered" in text]
 
 
 @pytest.mark.parametrize("seed", range(3))

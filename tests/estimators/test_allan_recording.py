@@ -125,7 +125,7 @@ def test_short_record() -> None:
         (np.full(50, np.nan), "no two consecutive usable samples"),
         (np.array([1.0, np.nan, np.nan] * 30), "no two consecutive usable samples|never changes"),
         (np.full(500, 3.0), "never changes"),
-        (white(6), "known well enough to fit"),
+        (white(6), "known well enough to be fitted"),
     ],
     ids=["one", "nan", "every other", "constant", "six"],
 )

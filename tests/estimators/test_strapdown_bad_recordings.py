@@ -99,7 +99,7 @@ def test_gaps_and_clock() -> None:
 def test_pause_between_alignment_and_navigation() -> None:
     later = run(start=400.0)
     found = StrapdownNavigation().estimate(request(stop(), later))
-    assert any("100 s without samples" in note for note in found.notes)
+    assert any("no samples for 100 s" in note for note in found.notes)
     refused("does not begin in the orientation", stop(), run(start=400.0, attitude=np.eye(3)[[1, 2, 0]]))
     moving = changed_reference(run(start=400.0), 5.0)
     refused("the carrier may have turned", stop(), moving)

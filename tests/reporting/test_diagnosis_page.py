@@ -108,7 +108,7 @@ def test_the_weaker_of_two_is_said_to_be_form_residue_perhaps():
     found = diagnosis(verdict=said, posterior={"none": 0.0, "lever_arm+time_latency": 0.98, "unknown": 0.02})
     check(found)
     assert verdict(found) == (
-        "lever_arm and time_latency together explain the gap (P = 0.98). time_latency explains less than 5 % of it: "
+        "lever_arm and time_latency together explain the gap (P = 0.98). time_latency explains less than 5 % of the gap: either "
         "it is present but weak, or it is a form residue "
         "of lever_arm."
     )
@@ -159,7 +159,7 @@ def test_the_closure_with_its_interval_or_not_resolvable():
         assert text in said
         assert "-" not in said
     cannot = {"before": None, "after": None, "shrinks_by": None, "interval_90": None, "resolvable": False}
-    assert "cannot show how far" in closure_words(diagnosis(closure=cannot))
+    assert "cannot show by how much" in closure_words(diagnosis(closure=cannot))
     assert closure_words(diagnosis("none")) == "There is no gap to close."
 
 

@@ -120,7 +120,7 @@ def ran(plan: Path, runs: Path) -> Path:
 
 def test_the_bench_refuses_a_plan_until_two_reviewers_approved_it(plan: Path) -> None:
     lines = (plan.parent / "lab.yaml").read_text().splitlines()
-    for keys, message in (((), "there is none"), ((ANNA,), "only that of anna counts")):
+    for keys, message in (((), "there is none"), ((ANNA,), "only the approval by anna counts")):
         if keys:
             approved(plan, *keys)
         checked = check_plan(plan)

@@ -39,7 +39,7 @@ _QUANTITIES = {
         "hPa",
         100.0,
         "ambient pressure",
-        "the pressure of the air about the sensor",
+        "the pressure of the air around the sensor",
         "Seal the sensor, or compensate with the measured pressure: {found}.",
         "two ambient pressures, stated by `ambient_pressure` of the segments or recorded in `pressure_channel`",
     ),

@@ -348,11 +348,11 @@ def _judge(result: _Result, found: DescribedRange) -> float:
         result.warnings.append(
             counted(
                 "{name}: the fitted noise does not describe the deviations (χ² = {chi_square:.3g} with {freedom} "
-                "degree of freedom); uncertainties are widened {factor:.2g}-fold. Drift, vibration or a "
-                "periodic disturbance may be in the record.",
+                "degree of freedom); the uncertainties are multiplied by {factor:.2g}. The record may contain "
+                "drift, vibration or a periodic disturbance.",
                 "{name}: the fitted noise does not describe the deviations (χ² = {chi_square:.3g} with {freedom} "
-                "degrees of freedom); uncertainties are widened {factor:.2g}-fold. Drift, vibration or a "
-                "periodic disturbance may be in the record.",
+                "degrees of freedom); the uncertainties are multiplied by {factor:.2g}. The record may contain "
+                "drift, vibration or a periodic disturbance.",
                 count=found.fit.freedom,
                 name=name,
                 chi_square=found.fit.chi_square,
@@ -364,8 +364,9 @@ def _judge(result: _Result, found: DescribedRange) -> float:
     if found.shorter:
         result.warnings.append(
             said(
-                "{name}: the noise coefficients describe averaging times from {time:.4g} s only. At shorter ones "
-                "the deviations differ: the output is filtered or rounded, or contains a periodic disturbance "
+                "{name}: the noise coefficients describe averaging times from {time:.4g} s only. At shorter "
+                "averaging times, the deviations differ from this description: the output is filtered or "
+                "rounded, or contains a periodic disturbance "
                 "such as vibration.",
                 name=name,
                 time=found.fitted[0].tau,
@@ -374,8 +375,9 @@ def _judge(result: _Result, found: DescribedRange) -> float:
     if found.longer:
         result.warnings.append(
             said(
-                "{name}: the noise coefficients describe averaging times up to {time:.4g} s only. At longer ones "
-                "the deviations differ: the output warms up or drifts unsteadily.",
+                "{name}: the noise coefficients describe averaging times up to {time:.4g} s only. At longer "
+                "averaging times, the deviations differ from this description: the output warms up or drifts "
+                "unsteadily.",
                 name=name,
                 time=found.fitted[-1].tau,
             )
@@ -431,8 +433,8 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
     flat = lowest.value / math.sqrt(FLAT)
     result.notes.append(
         said(
-            "{name}: lowest Allan deviation {deviation:.3g} {unit} at {time:.4g} s, which is a bias "
-            "instability of {flat:.3g} {unit} (divided by 0.664) if no other kind of noise adds to it.",
+            "{name}: the lowest Allan deviation is {deviation:.3g} {unit}, at {time:.4g} s. Divided by 0.664, "
+            "it gives a bias instability of {flat:.3g} {unit}, if no other kind of noise contributes to it.",
             name=result.name,
             deviation=lowest.value,
             unit=result.unit,
@@ -452,7 +454,7 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
             said(
                 "{name}: {missing} samples are missing; {bridged} of them were filled by linear interpolation, "
                 "and {gaps} gaps split the record into {stretches} usable stretches ({share:.2g} % of the "
-                "samples are in stretches that are too short). No difference spans a gap.",
+                "samples are in stretches that are too short). No difference is taken across a gap.",
                 name=result.name,
                 missing=phase.missing,
                 bridged=phase.bridged,

@@ -68,7 +68,8 @@ def require_averaging_times(name: str, count: int) -> None:
     """Raises `EstimationError` if fewer than two averaging times can be fitted."""
     if count < 2:
         raise EstimationError(
-            f"'{name}' has {count} averaging times that are known well enough to fit: record longer, or raise `fit_up_to`"
+            f"'{name}': the deviations are known well enough to be fitted at {count} averaging times only: "
+            f"record for longer, or raise `fit_up_to`"
         )
 
 
@@ -95,8 +96,8 @@ def planned_averaging(
     found = []
     if fit_up_to is not None and fit_up_to.value > whole / 2:
         message = (
-            f"`fit_up_to` is {fit_up_to}, but the longest dwell of {whole:.4g} s gives averaging times up to {longest:.4g} s that are "
-            "known well enough to fit"
+            f"`fit_up_to` is {fit_up_to}, but with the longest dwell of {whole:.4g} s, the deviations are known "
+            f"well enough to be fitted only up to {longest:.4g} s"
         )
         hint = f"dwell for at least {_twice(fit_up_to)}, or lower `fit_up_to`"
         found.append(Remark("physics-averaging", message, hint, "fit_up_to"))

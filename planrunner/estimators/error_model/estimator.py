@@ -332,7 +332,7 @@ def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remar
     wanted = [f"for {name}: {words}" for name, effect in effects.items() if (words := shown_by(effect))]
     where = f"rank {seen.rank} of {len(amplitudes)} from {len(segments)} segments"
     message = f"cannot identify {', '.join(names)} of {one.name} ({where}): {rank.explain(seen.null, one.names)}"
-    hint = f"leave terms out, or record what shows them ({'; '.join(wanted)})" if wanted else "leave terms out"
+    hint = f"leave terms out, or record segments that show them ({'; '.join(wanted)})" if wanted else "leave terms out"
     return [Remark("physics-rank", message, hint, f"outputs.{one.name}", error=True)]
 
 
@@ -559,10 +559,12 @@ def _disagreement(request: EstimateRequest[ErrorModelParameters], made: ModelQua
     ]
     return [
         counted(
-            "{names}: the outputs give different values (χ² = {chi_square:.3g} with {freedom} degree of freedom), although "
-            "they have this in common: something else acts on them, or the model of an output is incomplete.",
-            "{names}: the outputs give different values (χ² = {chi_square:.3g} with {freedom} degrees of freedom), although "
-            "they have this in common: something else acts on them, or the model of an output is incomplete.",
+            "{names}: the outputs give different values (χ² = {chi_square:.3g} with {freedom} degree of "
+            "freedom), although all of them have this parameter in common: something else acts on them, or the "
+            "model of an output is incomplete.",
+            "{names}: the outputs give different values (χ² = {chi_square:.3g} with {freedom} degrees of "
+            "freedom), although all of them have this parameter in common: something else acts on them, or the "
+            "model of an output is incomplete.",
             count=freedom,
             names=tuple(names),
             chi_square=square,
@@ -639,8 +641,8 @@ def _of_samples(one: FittedOutput) -> list[Said]:
     for effect in within.at_bound:
         found.append(
             said(
-                "{output}: the shape of {effect} is at a bound of the catalogue ({value:.4g}), so that its interval is not reliable: leave "
-                "the effect out, or record what shows it.",
+                "{output}: the shape of {effect} is at a bound of the catalogue ({value:.4g}), so that its "
+                "interval is not reliable: leave the effect out, or record segments that show it.",
                 output=one.model.name,
                 effect=effect,
                 value=within.shapes[effect],

@@ -247,11 +247,14 @@ def _usable(one: OutputErrors, segments: Sequence[Segment]) -> tuple[int, ...]:
 
     rows = tuple(row for row, segment in enumerate(segments) if shown(segment.motion))
     if not rows and one.kind == "gyro":
-        message = f"no segment shows the rate of '{one.output}': accelerometers alone show the motion"
+        message = f"no segment shows the rate of '{one.output}': only accelerometers show the motion"
         raise EstimationError(message, "name `rates` or `attitude` for the motion", f"outputs.{one.output}")
     if not rows:
         hint = "add segments at rest, or `lever_arm` to the effects of the output"
-        message = f"'{one.output}' needs segments at rest: away from the axis of rotation it also senses turns, and all segments turn"
+        message = (
+            f"'{one.output}' needs segments at rest, but all segments turn, and away from the axis of "
+            f"rotation an accelerometer also senses the turning"
+        )
         raise EstimationError(message, hint, f"outputs.{one.output}")
     return rows
 
@@ -329,7 +332,7 @@ def _must_change(output: SampledOutput) -> None:
         if not len(model.grid(part)):
             words = shown_by(part.effect)
             message = f"'{part.effect.id}' does not act on {errors.output}, {_WORDS[errors.kind]}, in these segments"
-            hint = f"leave it out, or record what shows it ({words})" if words else "leave it out"
+            hint = f"leave it out, or record segments that show it ({words})" if words else "leave it out"
             raise EstimationError(message, hint, key)
         if part.effect.acts_on == "output" and output.unit.dimension != unit(KINDS[errors.kind]).dimension:
             message = f"'{part.effect.id}' has a shape in {part.effect.shape_unit}, but {errors.output} is in {output.unit.text}"
@@ -342,7 +345,10 @@ def _modelled(errors: OutputErrors, own: Unit, columns: OutputColumns, rows: tup
     coefficients = tuple(_coefficient(errors, own, one) for one in columns.amplitudes)
     made = ModelledOutput(errors, own, columns, rows, coefficients, gains[0] if gains else None)
     if not made.direct and made.gain is None:
-        message = f"'{errors.output}' is recorded in {own.text}: without its scale factor its errors have no units of {_PER[errors.kind]}"
+        message = (
+            f"'{errors.output}' is recorded in {own.text}: without its scale factor, its errors cannot be "
+            f"expressed in units of {_PER[errors.kind]}"
+        )
         raise EstimationError(message, f"add `{errors.kind}_scale_factor` to its effects", f"outputs.{errors.output}")
     return made
 
@@ -362,7 +368,7 @@ def _must_act(errors: OutputErrors, columns: OutputColumns) -> None:
         if not here:
             words = shown_by(item.effect)
             message = f"'{effect}' does not act on {errors.output}, {_WORDS[errors.kind]}, in these segments"
-            hint = f"leave it out, or record what shows it ({words})" if words else "leave it out"
+            hint = f"leave it out, or record segments that show it ({words})" if words else "leave it out"
             raise EstimationError(message, hint, key)
 
 

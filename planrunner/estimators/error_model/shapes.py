@@ -65,7 +65,7 @@ def _found(group: Together, k: int, part: EffectPart, together: Observations) ->
     best = int(np.argmin([fitted(float(log))[1].chi_squared for log in logs]))
     if best in (0, len(logs) - 1):
         raise UnfitDataError(
-            f"{where} is not between {values[0]:g} and {values[-1]:g} {text}: leave the effect out, or record what shows it "
+            f"{where} is not between {values[0]:g} and {values[-1]:g} {text}: leave the effect out, or record segments that show it "
             f"({shown_by(effect)})"
         )
     bounds = float(logs[best - 1]), float(logs[best + 1])
@@ -83,7 +83,7 @@ def _found(group: Together, k: int, part: EffectPart, together: Observations) ->
     )
     if not (np.abs(fit.coefficients[at]) > _LEAST * u).any():
         raise UnfitDataError(
-            f"{name} shows no {effect.id}: leave the effect out, or record what shows it ({shown_by(effect)})"
+            f"{name} shows no {effect.id}: leave the effect out, or record segments that show it ({shown_by(effect)})"
         )
     reported = one.reported(fit.coefficients[:, None])[:, 0]
     sizes = {one.columns.amplitudes[place].name: float(reported[place] * one.coefficients[place].si) for place in at}

@@ -496,7 +496,7 @@ def _solved(rows: Array, values: Array) -> Array:
 
 def _absent(output: SampledOutput, shape: Shape) -> str:
     effect = shape.part.effect
-    return f"{output.errors.output} shows no {effect.id}: leave the effect out, or record what shows it ({shown_by(effect)})"
+    return f"{output.errors.output} shows no {effect.id}: leave the effect out, or record segments that show it ({shown_by(effect)})"
 
 
 def _shape_name(part: EffectPart) -> str:

@@ -235,8 +235,8 @@ def _assemble(
     outside = [row[0] for row in rows if not row[4] <= row[1] <= row[5]]
     notes = [
         said(
-            "The measured ratio of {pair} is outside its expected range of 5 to 95 %; by chance alone this happens in one "
-            "of ten experiments.",
+            "The measured ratio of {pair} is outside its expected range, from the 5 % to the 95 % quantile; by "
+            "chance alone this happens in one of ten experiments.",
             pair=pair,
         )
         for pair in outside

@@ -313,7 +313,10 @@ def _earth_rate_alone(
     message = (
         f"only the Earth's rotation of 15 deg/h turns the gyros about {axes}; it alone determines {', '.join(alone)}"
     )
-    hint = "add segments with a rate about each axis, in both directions; the predicted uncertainties show the effect of these positions"
+    hint = (
+        "add segments with a rate about each axis, in both directions; the predicted uncertainties show how "
+        "poorly the present segments determine the scale factors"
+    )
     return [Remark("physics-earth-rate-alone", message, hint, conditions=True)]
 
 

@@ -236,7 +236,7 @@ def count_seconds(
 def count_in_words(count: float, seconds: float, parameters: RockingDriftParameters, gravity: float) -> str:
     """One count in arc seconds and g, and how long the smallest drift takes for it."""
     size = f"{count / STANDARD_GRAVITY * 1e6:.3g} µg, {count / gravity / ARCSEC:.3g} arcsec"
-    return f"one count ({size}) takes {seconds:.3g} s at {parameters.smallest_drift}"
+    return f"at {parameters.smallest_drift}, a change of one count ({size}) takes {seconds:.3g} s"
 
 
 def _resolution(
@@ -251,7 +251,7 @@ def _resolution(
     full_scale = output.full_scale * unit(output.unit).factor / STANDARD_GRAVITY if output else math.inf
     told = f"{name}, {full_scale:.3g} g range" if math.isfinite(full_scale) else name
     words = count_in_words(count, seconds, parameters, request.site.gravity)
-    message = f"{told}: {words}, and {between:g} s lie between the windows"
+    message = f"{told}: {words}, but the time between the windows is {between:g} s"
     hint = (
         "use the accelerometers' 1.25 g range"
         if full_scale > 2

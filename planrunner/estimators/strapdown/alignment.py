@@ -273,7 +273,7 @@ def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tu
         warnings.append(
             said(
                 "During '{segment}' the velocity deviates from zero by {factor:.2g} times the amount that noise explains "
-                "(vibration or a swaying base); the uncertainties of the alignment are widened by this factor.",
+                "(vibration or a swaying base); the uncertainties of the alignment are multiplied by this factor.",
                 segment=label,
                 factor=found.consistency,
             )

@@ -228,7 +228,8 @@ def _notes(
     if found.gap:
         notes.append(
             said(
-                "{gap:.4g} s without samples separate alignment and navigation: the attitude was carried over, because the "
+                "There are no samples for {gap:.4g} s between alignment and navigation: the attitude was "
+                "carried over, because the "
                 "unit was at rest or the table brought it back to the same orientation.",
                 gap=found.gap,
             )

@@ -51,6 +51,7 @@ _DRAWN = 61
 _RESIDUALS = 2  # at least, beside the coefficients of a difference between rising and falling temperature
 _SENSES = {1: "rising", -1: "falling", 0: ""}
 _SEPARABLE = 1e-3  # of a drift, the part that the model cannot imitate: less comes from the division of ramps into bins
+_MANY = 1e6  # degrees of freedom; the plural is the same for all larger numbers, and for infinity
 _WIDEST = 150.0  # K; a width written in degC comes out larger
 
 
@@ -272,7 +273,8 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
         raise EstimationError(
             f"'{points.name}': in this order of the temperatures, a drift ({drift[-1].name}) cannot be separated from the curve "
             "or from the difference between rising and falling temperature",
-            "record the temperatures also in the opposite order, and a second cycle; without them write `drift: none`",
+            "record the temperatures in the opposite order too, and a second cycle; if this is not possible, "
+            "write `drift: none`",
             "drift",
         )
     try:
@@ -553,7 +555,8 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[Said]:
         )
         found.append(
             said(
-                "{name}: order {order} was chosen of {orders} by {rule}, leaving out {left_out}.",
+                "{name}: of the orders {orders}, order {order} was chosen. The criterion is {rule}, with "
+                "{left_out} left out.",
                 name=name,
                 order=fit.curve.order,
                 orders=tuple(str(item.order) for item in fit.errors),
@@ -574,7 +577,8 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[Said]:
     low, high = one.points.temperature.min(), one.points.temperature.max()
     found.append(
         said(
-            "{name}: known from {low:.4g} to {high:.4g} degC; beyond this range the curve is an extrapolation.",
+            "{name}: the curve is determined from {low:.4g} to {high:.4g} degC; beyond this range it is an "
+            "extrapolation.",
             name=name,
             low=low,
             high=high,
@@ -592,17 +596,20 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[Said]:
     else:
         found.append(
             said(
-                "{name}: the declared bias instability makes values at neighbouring times alike; the weights and the "
-                "uncertainties include this.",
+                "{name}: because of the declared bias instability, values at neighbouring times are correlated; "
+                "the weights and the uncertainties include this correlation.",
                 name=name,
             )
         )
     if parameters.uncertainty == "residual":
+        freedom = float(fit.uncertainties()[1].min())
         found.append(
-            said(
+            counted(
+                "{name}: the uncertainty is based on the scatter about the curve, with {freedom:.0f} degree of freedom.",
                 "{name}: the uncertainty is based on the scatter about the curve, with {freedom:.0f} degrees of freedom.",
+                count=round(min(freedom, _MANY)),
                 name=name,
-                freedom=float(fit.uncertainties()[1].min()),
+                freedom=freedom,
             )
         )
     q = len(one.drift)
@@ -622,8 +629,8 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[Said]:
     if one.widest is not None:
         found.append(
             said(
-                "{name}: the curve is the mean of rising and falling temperature. Either branch lies up to {distance:.3g} "
-                "{unit} from it; the curve's uncertainty does not contain this distance.",
+                "{name}: the curve is the mean of rising and falling temperature. Each branch differs from this "
+                "curve by up to {distance:.3g} {unit}; the uncertainty of the curve does not include this difference.",
                 name=name,
                 distance=one.widest[0] / 2,
                 unit=one.points.unit,
@@ -666,15 +673,16 @@ def _warnings(one: Modelled) -> list[Said]:
     if fit.errors and fit.curve.order == fit.errors[-1].order and len(fit.errors) > 1:
         found.append(
             said(
-                "{name}: the highest order that was tried is chosen; raise `highest_order` or add temperatures.",
+                "{name}: the chosen order is the highest that was tried; raise `highest_order` or add temperatures.",
                 name=points.name,
             )
         )
     if one.difference is not None and not fit.ramps and not points.expected:
         found.append(
             said(
-                "{name}: rising and falling temperature were each recorded once, so that it is not known how much the "
-                "hysteresis differs from cycle to cycle; the uncertainties do not include this. Record a second cycle.",
+                "{name}: rising and falling temperature were each recorded only once, so the change of the "
+                "hysteresis from cycle to cycle is unknown; the uncertainties do not include it. Record a "
+                "second cycle.",
                 name=points.name,
             )
         )
@@ -690,9 +698,9 @@ def _warnings(one: Modelled) -> list[Said]:
         )
         found.append(
             said(
-                "{name}: the temperatures follow each other in such an order that a linear drift in time is hard to distinguish "
-                "from {coefficient}: {size}. No uncertainty includes such a drift. Record the temperatures also in the opposite "
-                "order, or write `drift: none` if the output does not drift.",
+                "{name}: in this order of the temperatures, a linear drift in time is hard to distinguish from "
+                "{coefficient}: {size}. No uncertainty includes such a drift. Record the temperatures in the "
+                "opposite order too, or write `drift: none` if the output does not drift.",
                 name=points.name,
                 coefficient=label,
                 size=size,

@@ -234,8 +234,9 @@ def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Seq
     declared = [output for output in outputs if Aspect.BIAS_INSTABILITY.of(output) in names_of_acting]
     if basis == "residual" and declared:
         return said(
-            "Uncertainties are based on the residuals of the rates (means over the repeats) about the line. For {outputs} "
-            "the residuals scale noise and declared flicker together. The budget therefore lists flicker without adding it; "
+            "Uncertainties are based on the residuals of the rates (means over the repeats) about the line. For "
+            "{outputs}, a common factor from the residuals multiplies noise and declared flicker. The budget "
+            "therefore lists flicker without adding it; "
             "it does not add the drift between the zeros either, because that drift is one sample of the flicker. Any other "
             "drift is in the budget as an offset.",
             outputs=tuple(declared),
@@ -302,8 +303,9 @@ def _earth_words(situation: Situation, how: str) -> Said:
         )
     ways = {"averaged": said("averaged"), "ignored": said("ignored")}
     return said(
-        "The component of the Earth rate perpendicular to the table's rotation axis is {how}: F0 contains the part of it that "
-        "the zeros measured at the home position, which is up to {most:.3g} deg/h on a sensor axis.",
+        "The component of the Earth rate perpendicular to the table's rotation axis is {how}: F0 contains the "
+        "part of this component that the zeros measured at the home position, up to {most:.3g} deg/h on a "
+        "sensor axis.",
         how=ways.get(how, how),
         most=most,
     )

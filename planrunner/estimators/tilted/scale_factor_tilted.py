@@ -259,7 +259,7 @@ def _complete(
             elif len(own) < len(most):
                 lacking.append((one, said("has {count} of {most} rates", count=len(own), most=len(most))))
             elif own != most:
-                lacking.append((one, said("has other rates than the rest")))
+                lacking.append((one, said("has different rates from the other series")))
             else:
                 whole_ones.append(one)
     warnings = [said("Series {series} {why}: it is left out.", series=one.name, why=why) for one, why in lacking]

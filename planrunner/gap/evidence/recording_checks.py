@@ -124,7 +124,8 @@ def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
         first, second, times = found
         labels = f"'{observed.labels[first]}' and '{observed.labels[second]}'"
         message = (
-            f"the labels {labels} seem to be exchanged: with them exchanged, the misfit is {times:.3g} times smaller"
+            f"the labels {labels} seem to be exchanged: with these labels the other way round, the misfit is "
+            f"{times:.3g} times smaller"
         )
         hint = "check the order in which these segments were recorded, and exchange them in the table of segments or in the plan"
         log.warning("gap-labels-exchanged", mark, message, hint)

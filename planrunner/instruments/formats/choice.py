@@ -50,7 +50,7 @@ class Format(Record):
     """The format of a recording. The format has additional keys."""
 
     type: str = key(
-        Choice(tuple(FORMATS)), "The format; by default the one that the ending of the file's name stands for.", "text"
+        Choice(tuple(FORMATS)), "The format; by default, the extension of the file name determines it.", "text"
     )
     parameters: Record = field(default_factory=Record)
 
@@ -84,7 +84,7 @@ def open_file(path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, 
         open_samples(path, name).close()  # a folder, or nothing at all, is named as what it is
         endings = ", ".join(ENDINGS)
         raise InstrumentError(
-            f"the ending of '{name}' is none of {endings}; state the format in the bench file, such as "
+            f"the extension of '{name}' is not one of {endings}; state the format in the bench file, such as "
             "`format: {type: text, separator: blanks}`"
         )
     if kind == "matlab" and is_hdf5(path, name):
