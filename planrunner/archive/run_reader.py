@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
+from itertools import islice
 from pathlib import Path
 
 from planrunner.archive.analyses import Basis, StoredAnalysis, add_analysis
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal_state import Acknowledged, JournalState, Rejected
+from planrunner.archive.reading_ahead import ahead
 from planrunner.archive.reading_progress import RowsRead
 from planrunner.archive.recording import RecordedSegment, WatcherOf
 from planrunner.archive.segment_file import SegmentData
@@ -133,20 +134,25 @@ class RunReader:
         segments = []
         whole = sum(part.rows for item in self.acknowledged() for part in item.parts)
         passed = RowsRead("reading the recording", whole, notice)
+        stored = [part for item in self.acknowledged() for part in item.parts]
+        read_one = (SegmentData(self.folder, part) for part in stored)
+        files = ahead(read_one) if len(stored) > 1 else read_one
         for item in self.acknowledged():
             known = item.index < len(schedule.segments)
             if not (known and spelt_alike(item.label, schedule.segments[item.index].label)):
                 message = f"segment {item.index + 1} was recorded as '{item.label}', which the plan does not have there"
                 raise IntegrityError(f"{self.path}: {message}; has planrunner been updated since?")
-            first = SegmentData(self.folder, item.parts[0]) if item.parts else None
-            units = {} if first is None else first.units
+            parts = islice(files, len(item.parts))
+            first = next(parts, None)
+            units, summary = ({}, None) if first is None else (first.units, first.summary)
             read = partial(self.blocks, item)
             rows = sum(part.rows for part in item.parts)
             readings = {name: float("nan") if value is None else float(value) for name, value in item.readings.items()}
             segment = schedule.segments[item.index]
-            blocks = passed.through(self._blocks(item, first, tuple(units)))
-            if first is not None and first.summary is not None:
-                segments.append(summarised(segment, units, first.summary, blocks, str(self.path), readings))
+            blocks = passed.through(_blocks(_with_first(first, parts), tuple(units)))
+            first = None  # not kept while the other parts are read
+            if summary is not None:
+                segments.append(summarised(segment, units, summary, blocks, str(self.path), readings))
                 continue
             watcher = None if watch is None else watch(segment, units, rows)
             statistics = statistics_of(blocks, tuple(units), rows, watcher, segment.motion)
@@ -156,24 +162,7 @@ class RunReader:
 
     def blocks(self, item: Acknowledged, channels: Sequence[str] | None = None) -> Iterator[Block]:
         """The samples of a segment in blocks of bounded size; `channels` None for all."""
-        return self._blocks(item, None, channels)
-
-    def _blocks(self, item: Acknowledged, first: SegmentData | None, channels: Sequence[str] | None) -> Iterator[Block]:
-        """first: the first part, if already read. All parts must have its columns, and times must increase from part to part."""
-        units: Mapping[str, str] | None = None if first is None else first.units
-        last = float("-inf")
-        read = (SegmentData(self.folder, part) for part in item.parts[0 if first is None else 1 :])
-        for data in chain(() if first is None else (first,), read):
-            first = None
-            if units is not None and data.units != units:
-                raise IntegrityError(f"{data.path}: its columns differ from those of the first part of the segment")
-            units = data.units
-            for block in data.blocks(channels):
-                if len(block.time):
-                    if not block.time[0] > last:
-                        raise IntegrityError(f"{data.path}: its first time is not after the end of the preceding part")
-                    last = float(block.time[-1])
-                yield block
+        return _blocks((SegmentData(self.folder, part) for part in item.parts), channels)
 
     # -- analyses ------------------------------------------------------------------------------------------------------
 
@@ -190,3 +179,28 @@ class RunReader:
         found.require_whole()
         assert found.state is not None
         return len({part.file for part in found.state.files()}) + len(found.given)
+
+
+def _with_first(first: SegmentData | None, others: Iterator[SegmentData]) -> Iterator[SegmentData]:
+    """All parts of a segment. A part is not kept after it has been used."""
+    if first is not None:
+        yield first
+    first = None
+    yield from others
+
+
+def _blocks(parts: Iterator[SegmentData], channels: Sequence[str] | None) -> Iterator[Block]:
+    """The samples of a segment. All parts must have the columns of the first one, and times must increase from part to part."""
+    units: Mapping[str, str] | None = None
+    last = float("-inf")
+    for data in parts:
+        if units is not None and data.units != units:
+            raise IntegrityError(f"{data.path}: its columns differ from those of the first part of the segment")
+        units = data.units
+        for block in data.blocks(channels):
+            if len(block.time):
+                if not block.time[0] > last:
+                    raise IntegrityError(f"{data.path}: its first time is not after the end of the preceding part")
+                last = float(block.time[-1])
+            yield block
+        del data  # before the next part is taken

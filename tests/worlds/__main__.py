@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
@@ -22,8 +22,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.worlds", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--runs", type=int, default=200, help="0 only prints what the file holds")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--estimator", default="", help="a part of its name")
-    parser.add_argument("--world", default="", help="a part of its name")
+    parser.add_argument("--estimator", default="", help="its name, or a part of the names of several")
+    parser.add_argument("--world", default="", help="its name, or a part of the names of several")
     parser.add_argument("--keep", type=Path, help="file for the results; runs that it already holds are not repeated")
     args = parser.parse_args()
     cells = _kept(args.keep, args.seed)
@@ -47,8 +47,12 @@ def main() -> None:
 def _cells(estimator: str, world: str) -> Iterator[tuple[str, str]]:
     for one, campaign in CAMPAIGNS.items():
         for other in WORLDS:
-            if estimator in one and world in other and other not in campaign.without:
+            if _asked(estimator, one, CAMPAIGNS) and _asked(world, other, WORLDS) and other not in campaign.without:
                 yield one, other
+
+
+def _asked(text: str, name: str, known: Collection[str]) -> bool:
+    return name == text if text in known else text in name
 
 
 def _kept(path: Path | None, seed: int) -> dict[tuple[str, str], Tally]:
