@@ -210,6 +210,7 @@ class RunWriter:
         lock: FolderLock | None = None,
         bench: bytes | None = None,
         approvals: Sequence[JsonObject] = (),
+        check_standard: JsonObject | None = None,
     ) -> RunWriter:
         """Continue an interrupted run: removes an incomplete last line and settles the segment in progress.
 
@@ -217,7 +218,8 @@ class RunWriter:
 
         reason: why a finished, sealed run is reopened; required for such a run. lock: lock of the folder if the caller holds it already;
         the writer takes it over. bench: a bench file to use in place of the one in the folder; the journal records its digest.
-        approvals: entries of approvals of the plan that were given since the run began; the journal records them.
+        approvals: entries of approvals of the plan that were given since the run began; the journal records them, and check_standard: the
+        state of the check standard of the bench now.
 
         Raises `InputError` (in use, finished, unwritable) and `IntegrityError`.
         """
@@ -248,6 +250,8 @@ class RunWriter:
                 told["bench"] = digest(bench)
             if approvals:
                 told["approvals"] = list(approvals)
+            if check_standard is not None:
+                told["check_standard"] = check_standard
             journal.append("reopened", {"repaired_bytes": scan.torn, "reason": reason or "resumed", **told})
             point = settle_break(folder, storage, journal, state)
             return cls(folder, examined.run["run"], storage, lock, journal, point)

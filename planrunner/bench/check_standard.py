@@ -75,6 +75,13 @@ class CheckStandardRule(Record):
         "warn",
         default="refuse",
     )
+    unreadable: str = key(
+        Choice(("refuse", "warn")),
+        "What a folder in the archive means that is so damaged that its bench cannot be determined: `refuse` counts it as a possible run "
+        "of this check standard, `warn` names it and does not use it.",
+        "warn",
+        default="refuse",
+    )
     may_override: tuple[str, ...] = key(
         ListOf(Text(PERSON, "a person's name"), minimum=1),
         "Persons who may let a single run begin nevertheless; the run records who and why. Without this key, nobody may.",

@@ -13,7 +13,7 @@ from planrunner.cli.operator import operator_of
 from planrunner.cli.outcome import finish, tell
 from planrunner.cli.printing import print_findings, print_json
 from planrunner.cli.progress import reading_progress, run_progress
-from planrunner.cli.run import add_run_arguments
+from planrunner.cli.run import add_override, add_run_arguments, override_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="continue under approvals that were given since the run began and are beside this plan file",
     )
+    add_override(parser)
     add_run_arguments(parser)
 
 
@@ -50,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
     folder: Path = args.run_folder
     if bool(args.retake) != bool(args.reason):
         raise InputError.at(COMMAND_LINE, "run-retake", "give both --retake and --reason", "give both")
+    override = override_of(args)
     if pausing.take_back(open_run(folder)):
         if args.json:
             print_json({"run": str(folder), "asked": "go on"})
@@ -71,6 +73,7 @@ def run(args: argparse.Namespace) -> int:
             bench=args.bench,
             trust_bench=args.trust_bench,
             approvals=args.approvals,
+            override=override,
         )
     if not outcome.ok:
         return tell(folder, outcome, as_json=args.json)

@@ -19,7 +19,7 @@ from planrunner.plan.run_information import gather
 
 if TYPE_CHECKING:
     from planrunner.tasks.check import Sound
-    from planrunner.tasks.check_standard import Admission
+    from planrunner.tasks.check_standard import Admission, Override
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,14 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="do not wait for the disk after every event: faster, but a power failure can lose data",
     )
     add_run_arguments(parser)
-    parser.add_argument(
-        "--override-check-standard",
-        metavar="REASON",
-        help="run although the check standard of the bench is not in control; the run keeps the reason (with --override-by)",
-    )
-    parser.add_argument(
-        "--override-by", metavar="NAME", help="who decides this: a name in `may_override` of the bench file"
-    )
+    add_override(parser)
     parser.add_argument(
         "--id",
         metavar="DIGITS",
@@ -66,6 +59,29 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     add_live_page(parser)
+
+
+def add_override(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--override-check-standard",
+        metavar="REASON",
+        help="run although the check standard of the bench is not in control; the run keeps the reason (with --override-by)",
+    )
+    parser.add_argument(
+        "--override-by", metavar="NAME", help="who decides this: a name in `may_override` of the bench file"
+    )
+
+
+def override_of(args: argparse.Namespace) -> Override | None:
+    why, by = args.override_check_standard, args.override_by
+    if bool(why) != bool(by):
+        message = "--override-check-standard and --override-by belong together"
+        raise InputError.at(COMMAND_LINE, "command-usage", message, "give both or neither")
+    if not why:
+        return None
+    from planrunner.tasks.check_standard import Override
+
+    return Override(by, why)
 
 
 def seed(text: str) -> int:
@@ -116,15 +132,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _admission(args: argparse.Namespace, sound: Sound, info: Mapping[str, Json]) -> Admission | None:
     """Whether the check standard of the bench lets the run begin, its warnings printed."""
-    why, by = args.override_check_standard, args.override_by
-    if bool(why) != bool(by):
-        message = "--override-check-standard and --override-by belong together"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "give both or neither")
-    if sound.bench.check_standard is None and not why:
+    override = override_of(args)
+    if sound.bench.check_standard is None and override is None:
         return None
-    from planrunner.tasks.check_standard import Override, admit
+    from planrunner.tasks.check_standard import admit
 
     with reading_progress(args.quiet) as notice:
-        found = admit(sound.bench, sound.name, info, args.runs, Override(by, why) if why else None, notice)
+        found = admit(sound.bench, sound.name, info, args.runs, override, notice)
     print_findings(found.findings)
     return found

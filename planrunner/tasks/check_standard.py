@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,6 +13,7 @@ from planrunner.base.findings import COMMAND_LINE, Finding, Findings, InputError
 from planrunner.base.progress import Announce
 from planrunner.bench.model import Bench, bench_of
 from planrunner.night.history.check_standard import ControlStanding, ControlState, judge, state_in
+from planrunner.night.history.rows import FaultRow
 from planrunner.tasks.history import Freshness, opened
 
 CODE = "bench-check-standard"
@@ -55,9 +56,17 @@ def control_state(
 
 
 def check_in_control(bench: Bench, state: ControlState, log: Findings) -> None:
-    """Adds a finding at the rule in the bench file if the check standard is not in control."""
+    """Adds a finding at the rule in the bench file if the check standard is not in control, and one for folders that its rule leaves out."""
     rule = bench.check_standard
-    if rule is None or state.in_control:
+    if rule is None:
+        return
+    if state.left_out:
+        names = ", ".join(fault.folder for fault in state.left_out)
+        message = (
+            f"the state of the check standard {rule.device} does not take into account what cannot be read: {names}"
+        )
+        log.warning(CODE, rule.at("unreadable"), message, _restore(state.left_out))
+    if state.in_control:
         return
     allowed = (
         f"{' or '.join(rule.may_override)} may override this for a run (--override-check-standard)"
@@ -65,10 +74,17 @@ def check_in_control(bench: Bench, state: ControlState, log: Findings) -> None:
         else "nobody may override this on this bench"
     )
     measure = f"run {rule.plan} with device_serial={rule.device} on this bench; if it fails again, find the cause"
-    restore = "restore the damaged run from a backup: `planrunner verify` shows what was changed"
-    hint = f"{restore if state.standing is ControlStanding.NOT_DETERMINED else measure}; {allowed}"
+    unknown = any(fault.recorded is None for fault in state.damaged)
+    leave = ", or write `unreadable: warn` in the rule" if unknown else ""
+    lost = state.standing is ControlStanding.NOT_DETERMINED
+    hint = f"{_restore(state.damaged) + leave if lost else measure}; {allowed}"
     add = log.error if rule.action == "refuse" else log.warning
     add(CODE, bench.at("check_standard"), state.words(), hint)
+
+
+def _restore(damaged: Sequence[FaultRow]) -> str:
+    named = " ".join(fault.folder for fault in damaged[:3])
+    return f"restore {named} from a backup (`planrunner verify` shows what was changed), or move it out of the archive if it is no run"
 
 
 def check_before_run(bench: Bench, plan_name: str, archive: Path, log: Findings) -> None:
@@ -121,6 +137,18 @@ def admit(
         message = f"{state.words()}; {override.by} let this run begin: {override.why}"
         log.warning(CODE, bench.at("check_standard"), message)
     return Admission(record, tuple(log))
+
+
+def admit_again(
+    bench: Bench, run: RunReader, override: Override | None = None, notice: Announce | None = None
+) -> Admission:
+    """Whether a run may be continued: the check standard is judged as now, in the archive of the run. An override with which it began is
+    one for the whole run. bench: on which it is continued. Raises `InputError` as `admit`."""
+    began = run.run.get("check_standard", {}).get("override")
+    if override is None and began is not None and bench.check_standard is not None:
+        if began["by"] in bench.check_standard.may_override:
+            override = Override(str(began["by"]), str(began["why"]))
+    return admit(bench, str(run.run["plan"]), run.run["info"], run.path.absolute().parent, override, notice)
 
 
 def state_after(run: Path) -> ControlState | None:

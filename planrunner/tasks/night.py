@@ -526,22 +526,24 @@ class _Night:
         """The id of the run, the kind of the process, and its arguments. before: id of the run to continue."""
         common = ["--json", "--quiet"]
         data = [] if self._options.data is None else ["--data", str(self._options.data)]
+        override = self._sound.suite.benches[test.bench].override_check_standard
+        overriding: list[str] = []
+        if override is not None and not test.standard:
+            overriding = ["--override-check-standard", override.why, "--override-by", override.by]
         run = None if before is None else self._run_folder(before)
         if before is not None and run is not None:
             if (run / SEAL).exists():
                 return before, "estimate", ["estimate", str(run), "--json"]
             if test.plan.interrupted == "resume":
-                return before, "resume", ["resume", str(run), *common, "--unattended", *data]
+                return before, "resume", ["resume", str(run), *common, "--unattended", *data, *overriding]
         identity = os.urandom(8).hex()
         asks = self._sound.asks[test.index]
         given = [
             word for name, value in test.information.items() if name in asks for word in ("--set", f"{name}={value}")
         ]
+        given += overriding
         given += [word for name, value in test.parameter_values.items() for word in ("--parameter", f"{name}={value}")]
         seed = [] if test.seed is None else ["--seed", str(test.seed)]
-        override = self._sound.suite.benches[test.bench].override_check_standard
-        if override is not None and not test.standard:
-            given += ["--override-check-standard", override.why, "--override-by", override.by]
         flushed = ["--flushed"] if self._options.flushed else []
         words = ["run", str(test.file), "--bench", self._sound.bench_of(test), "--runs", str(self._options.runs)]
         return identity, "run", [*words, "--id", identity, "--unattended", *common, *flushed, *given, *seed, *data]

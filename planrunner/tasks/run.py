@@ -59,7 +59,7 @@ from planrunner.tasks.approvals import still_approved
 from planrunner.tasks.bench_signature import sign_analysis, sign_seal
 from planrunner.tasks.certify import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
 from planrunner.tasks.check import Document, Sound, check_plan
-from planrunner.tasks.check_standard import Admission, admit
+from planrunner.tasks.check_standard import Admission, Override, admit, admit_again
 from planrunner.tasks.evaluation_approvals import approvals_of_amended
 from planrunner.tasks.report import report_context
 from planrunner.tasks.stamp import after_sealing, stamper_of
@@ -177,12 +177,15 @@ def resume(
     bench: str | None = None,
     trust_bench: bool = False,
     approvals: Path | None = None,
+    override: Override | None = None,
+    notice: Announce | None = None,
 ) -> Outcome:
     """Continue an interrupted run with its plan and bench, or repeat segments of a finished or unfinished run.
 
     bench: a shipped name or a file that replaces the bench in the folder; it may differ only in the connections of instruments. A folder
     that was not made on this computer needs such a bench, or `trust_bench` to use its own, because the bench names the devices to connect
-    to. approvals: plan file beside which approvals are that were given since the run began; they are recorded in the journal.
+    to. override: of the check standard of the bench, whose state is judged again; an override with which the run began still applies.
+    approvals: plan file beside which approvals are that were given since the run began; they are recorded in the journal.
 
     The folder is locked first, then the bench, and only then are instruments connected. If two processes resume a run, one is refused
     before it connects to any instrument.
@@ -205,6 +208,8 @@ def resume(
             file,
             trust_bench=trust_bench,
             approvals=approvals,
+            override=override,
+            notice=notice,
         )
     finally:
         lock.release()
@@ -247,6 +252,8 @@ def _resume(
     *,
     trust_bench: bool,
     approvals: Path | None,
+    override: Override | None,
+    notice: Announce | None,
 ) -> Outcome:
     """file: the bench to use instead of that in the folder."""
     if reader.sealed and retake is None:
@@ -258,13 +265,16 @@ def _resume(
     if file is None and not trust_bench:
         _require_made_here(reader, sound)
     further = still_approved(reader, sound.plan, sound.bench, None if file is None else Path(file.shown), approvals)
+    admission = admit_again(sound.bench, reader, override, notice)
     again = () if retake is None else _chosen(reader, retake.labels)
     operator = _attended(sound, operator)
     reason = None if retake is None else retake.reason
 
     def reopen() -> RunWriter:
         data = None if file is None else file.data
-        writer = RunWriter.reopen(found, reason=reason, lock=lock, bench=data, approvals=further)
+        writer = RunWriter.reopen(
+            found, reason=reason, lock=lock, bench=data, approvals=further, check_standard=admission.record
+        )
         try:
             writer.take_watchdog_report()
             for index in again:
@@ -274,7 +284,8 @@ def _resume(
             raise
         return writer
 
-    return _carry_out(sound, data_root, seed, reopen, stop, progress, operator)[1]
+    outcome = _carry_out(sound, data_root, seed, reopen, stop, progress, operator)[1]
+    return replace(outcome, remarks=(*admission.findings, *outcome.remarks))
 
 
 def _stand_in(reader: RunReader, bench: str) -> Document:

@@ -35,7 +35,7 @@ from planrunner.night.history.control_charts import (
     shewhart,
 )
 from planrunner.night.history.index import Index, literal
-from planrunner.night.history.rows import FaultRow, HistoryPoint, RunFilter, RunRow
+from planrunner.night.history.rows import FaultRow, HistoryPoint, RecordedAs, RunFilter, RunRow
 from planrunner.night.history.trend import Trend, trend
 from planrunner.night.words import spell_out
 from planrunner.plan.units import UnknownUnitError, unit
@@ -53,7 +53,7 @@ class ControlStanding(Enum):
     NOT_ESTABLISHED = "not established"
     """There is no reference value, and there are too few values for limits."""
     NOT_DETERMINED = "not determined"
-    """A damaged run in the archive may be a newer run of the check standard."""
+    """A damaged run in the archive is, or may be, a newer run of the check standard."""
 
 
 class ControlTest(Enum):
@@ -119,7 +119,8 @@ class CoefficientControl:
 @dataclass(frozen=True)
 class ControlState:
     """The check standard of a bench at a moment. run: its newest run, None without one. reasons: why it is not in control, in words.
-    damaged: runs of the archive that cannot be read; each may be a run of the check standard."""
+    damaged: runs of the archive that cannot be read, and are or may be runs of the check standard; left_out: folders whose bench cannot be
+    determined, and which the rule of the bench does not use."""
 
     bench: str
     device: str
@@ -128,6 +129,7 @@ class ControlState:
     coefficients: tuple[CoefficientControl, ...] = ()
     reasons: tuple[str, ...] = ()
     damaged: tuple[FaultRow, ...] = ()
+    left_out: tuple[FaultRow, ...] = ()
 
     @property
     def in_control(self) -> bool:
@@ -150,6 +152,7 @@ class ControlState:
             "coefficients": [one.to_json() for one in self.coefficients],
             "reasons": list(self.reasons),
             "damaged": [{"folder": fault.folder, "message": fault.message} for fault in self.damaged],
+            "left_out": [{"folder": fault.folder, "message": fault.message} for fault in self.left_out],
         }
 
 
@@ -174,12 +177,20 @@ def judge(
     damaged: Sequence[FaultRow] = (),
 ) -> ControlState:
     """The state at a moment. runs: of the check standard on this bench, the newest first. points: coefficient → its values in these runs,
-    the oldest first. damaged: runs of the archive that cannot be read."""
-    lost = [f"the damaged run {fault.folder} may be one of its runs" for fault in damaged]
+    the oldest first. damaged: runs of the archive that cannot be read. One that was recorded on another bench, or with another plan or
+    device, does not matter here."""
+    unreadable = tuple(fault for fault in damaged if fault.recorded is None)
+    own = RecordedAs(bench, rule.plan_name, rule.device)
+    damaged = tuple(fault for fault in damaged if fault.recorded == own)
+    left_out = unreadable if rule.unreadable == "warn" else ()
+    lost = [f"the run {fault.folder}, one of its runs, is damaged" for fault in damaged]
+    if rule.unreadable == "refuse":
+        lost += [f"the folder {fault.folder} cannot be read, and may be one of its runs" for fault in unreadable]
+        damaged = (*damaged, *unreadable)
     newest = next((run for run in runs if run.state == "sealed"), None)
     if newest is None:
         reason = f"no finished run of the plan '{rule.plan_name}' with this device on this bench is in the archive"
-        return ControlState(bench, rule.device, ControlStanding.MISSING, None, (), (reason, *lost), tuple(damaged))
+        return ControlState(bench, rule.device, ControlStanding.MISSING, None, (), (reason, *lost), damaged, left_out)
     found: list[CoefficientControl] = []
     wrong: list[str] = []
     unknown: list[str] = []
@@ -215,7 +226,7 @@ def judge(
         ControlStanding.IN_CONTROL,
     )
     reasons = (*wrong, *lost, *old, *unknown)
-    return ControlState(bench, rule.device, standing, newest, tuple(found), reasons, tuple(damaged))
+    return ControlState(bench, rule.device, standing, newest, tuple(found), reasons, damaged, left_out)
 
 
 def _age(run: RunRow, rule: CheckStandardRule, now: datetime) -> Iterator[str]:

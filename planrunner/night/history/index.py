@@ -34,6 +34,7 @@ from planrunner.night.history.rows import (
     IndexedRun,
     IndexedVerdict,
     LimitRow,
+    RecordedAs,
     RunFilter,
     RunRow,
     RunState,
@@ -42,7 +43,7 @@ from planrunner.plan.parameters import variant_name
 
 _Row = TypeVar("_Row", CoefficientRow, LimitRow)
 
-FORMAT = 1
+FORMAT = 2
 """Version of the tables; an index of another version is made again."""
 _BATCH = 500
 """Runs that are read before they are written together."""
@@ -68,7 +69,7 @@ _SCHEMA = (
        unit TEXT NOT NULL, lower DOUBLE PRECISION, upper DOUBLE PRECISION, probability DOUBLE PRECISION)""",
     "CREATE INDEX IF NOT EXISTS limits_of_run ON limits (run_id, quantity)",
     """CREATE TABLE IF NOT EXISTS faults (archive TEXT NOT NULL, folder TEXT NOT NULL, message TEXT NOT NULL,
-       PRIMARY KEY (archive, folder))""",
+       bench TEXT, plan TEXT, device TEXT, PRIMARY KEY (archive, folder))""",
 )
 
 
@@ -184,11 +185,17 @@ class Index:
         upsert = f"INSERT INTO runs ({columns}) VALUES ({marks}) ON CONFLICT (archive, folder) DO UPDATE SET {changes} RETURNING id"
         with database.transaction():
             self._remove([one.folder for one in runs if one.run is None])
-            faults = [(self._name, one.folder, one.fault) for one in runs if one.run is None]
+            faults = [
+                (self._name, one.folder, one.fault, *((None,) * 3 if one.recorded is None else _values(one.recorded)))
+                for one in runs
+                if one.run is None
+            ]
             database.write_many(
                 "DELETE FROM faults WHERE archive = ? AND folder = ?", [(self._name, one.folder) for one in runs]
             )
-            database.write_many("INSERT INTO faults (archive, folder, message) VALUES (?, ?, ?)", faults)
+            database.write_many(
+                "INSERT INTO faults (archive, folder, message, bench, plan, device) VALUES (?, ?, ?, ?, ?, ?)", faults
+            )
             ids: list[tuple[SqlValue]] = []
             coefficients: list[SqlRow] = []
             limits: list[SqlRow] = []
@@ -325,9 +332,16 @@ class Index:
     def faults(self) -> list[FaultRow]:
         """Folders that are not in the index, by name."""
         found = self._database.query(
-            "SELECT folder, message FROM faults WHERE archive = ? ORDER BY folder", (self._name,)
+            "SELECT folder, message, bench, plan, device FROM faults WHERE archive = ? ORDER BY folder", (self._name,)
         )
-        return [FaultRow(str(folder), str(message)) for folder, message in found]
+        return [
+            FaultRow(
+                str(folder),
+                str(message),
+                None if bench is None else RecordedAs(str(bench), str(plan), str(device)),
+            )
+            for folder, message, bench, plan, device in found
+        ]
 
     def _where(self, wanted: RunFilter) -> tuple[str, tuple[SqlValue, ...]]:
         terms, values = ["runs.archive = ?"], [self._name]
@@ -389,7 +403,7 @@ def _named(columns: str, table: str) -> str:
 _RUN_COLUMNS = len(_RUN.split(","))
 
 
-def _values(row: CoefficientRow | LimitRow) -> SqlRow:
+def _values(row: CoefficientRow | LimitRow | RecordedAs) -> SqlRow:
     """nan becomes NULL, which SQLite would make of it anyway."""
     found = []
     for item in fields(row):

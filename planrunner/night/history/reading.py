@@ -16,7 +16,7 @@ from planrunner.archive.analyses import StoredAnalysis
 from planrunner.archive.formats import IntegrityError, from_bytes
 from planrunner.archive.journal import NAME as JOURNAL
 from planrunner.archive.run_reader import RunReader
-from planrunner.archive.verifying import BENCH, PLAN, RUN, examine
+from planrunner.archive.verifying import BENCH, PLAN, RUN, Examined, examine
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError
 from planrunner.base.guarded_folder import Entry, GuardedFolder
@@ -29,6 +29,7 @@ from planrunner.night.history.rows import (
     CoefficientRow,
     IndexedRun,
     LimitRow,
+    RecordedAs,
     RunRow,
 )
 from planrunner.plan import source
@@ -55,6 +56,7 @@ def fingerprint(entries: Mapping[str, Entry]) -> str:
 def read_run(archive: Path, place: str) -> IndexedRun:
     """A run folder of an archive. place: relative to it, with slashes. Never raises for what is wrong in the folder."""
     mark = ""
+    found: Examined | None = None
     try:
         folder = GuardedFolder.open(archive)
         for name in () if place == "." else place.split("/"):
@@ -64,14 +66,26 @@ def read_run(archive: Path, place: str) -> IndexedRun:
             reader = RunReader.of(examine(folder))
         except IntegrityError:  # it may have been written meanwhile
             mark = fingerprint(folder.entries())
-            reader = RunReader.of(examine(folder))
+            found = examine(folder)
+            reader = RunReader.of(found)
         return _indexed(place, mark, reader)
     except (IntegrityError, InputError) as error:
-        return IndexedRun(place, mark, None, fault=_short(str(error)))
+        return IndexedRun(place, mark, None, fault=_short(str(error)), recorded=_recorded(found))
     except OSError as error:
         return IndexedRun(place, mark, None, fault=f"it cannot be read: {error.strerror or error}")
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         return IndexedRun(place, mark, None, fault=_short(f"it is not as planrunner writes it ({error!r})"))
+
+
+def _recorded(found: Examined | None) -> RecordedAs | None:
+    """What a damaged run is. None if the chain of its journal is broken, or if run.json or the bench file is not as recorded there."""
+    if found is None or found.state is None or not found.run or BENCH not in found.given:
+        return None
+    try:
+        info = {name: _text(value) for name, value in found.run["info"].items()}
+        return RecordedAs(_bench_facts(found.given[BENCH])["name"], _short(str(found.run["plan"])), device_of(info))
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return None
 
 
 def _indexed(place: str, mark: str, reader: RunReader) -> IndexedRun:

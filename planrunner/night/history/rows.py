@@ -114,17 +114,27 @@ class LimitRow:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordedAs:
+    """What a run was when it began: the name of its bench and its plan, and its device."""
+
+    bench: str
+    plan: str
+    device: str
+
+
+@dataclass(frozen=True, slots=True)
 class FaultRow:
-    """A folder of the archive that is not in the index, with the reason."""
+    """A folder of the archive that is not in the index, with the reason. recorded: what the run is, if the damage left this unchanged."""
 
     folder: str
     message: str
+    recorded: RecordedAs | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class IndexedRun:
     """A run folder as it was read: the run with its coefficients and limits, or the fault. fingerprint: of the folder; empty if it must be
-    read again the next time. parameters: values that were given for parameters of its plan."""
+    read again the next time. recorded: of a run with a fault. parameters: values that were given for parameters of its plan."""
 
     folder: str
     fingerprint: str
@@ -133,6 +143,7 @@ class IndexedRun:
     limits: tuple[LimitRow, ...] = ()
     fault: str = ""
     parameters: Mapping[str, str] = field(default_factory=dict)
+    recorded: RecordedAs | None = None
 
 
 @dataclass(frozen=True, slots=True)

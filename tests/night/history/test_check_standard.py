@@ -206,14 +206,56 @@ def test_a_damaged_run_may_be_the_newest_one_and_admits_nothing(tmp_path: Path) 
     plan.write_bytes(plan.read_bytes() + b"#")
     found = state(bench, archive, days=2)
     assert found.standing is ControlStanding.NOT_DETERMINED
-    assert found.reasons == ("the damaged run 0001-standard may be one of its runs",)
+    assert found.reasons == ("the run 0001-standard, one of its runs, is damaged",)
     assert [fault.folder for fault in found.damaged] == ["0001-standard"]
     log = Findings()
     check_in_control(bench, found, log)
     (error,) = log.errors
-    assert "restore the damaged run" in error.hint
+    assert "restore 0001-standard from a backup" in error.hint and "unreadable" not in error.hint
     shutil.rmtree(archive / "0000-standard")
     assert state(bench, archive, days=2).standing is ControlStanding.MISSING
+
+
+def test_damaged_runs_of_other_benches_plans_and_devices_do_not_matter(tmp_path: Path) -> None:
+    """A byte of the samples, the plan or the results is changed. What the run was is in run.json and bench.yaml, which are as recorded."""
+    bench = bench_with(coefficients={"drift.bias": {"reference": "1.0 deg/h"}})
+    archive = archive_of(tmp_path, [1.0], 0.1)
+    others = [replace(STANDARD, device="D-7"), replace(STANDARD, bench="virtual 2"), replace(STANDARD, plan="other")]
+    for number, (other, spoilt) in enumerate(
+        zip(others, ("plan.yaml", "journal.jsonl", "analyses/1/results.json"), strict=True), 5
+    ):
+        file = make_run(archive, replace(other, days=2), number) / spoilt
+        file.write_bytes(file.read_bytes()[:-40] + file.read_bytes()[-39:])
+    found = state(bench, archive, days=2)
+    # The journal of the one on the other bench is torn: nothing says any more which bench it was.
+    assert found.standing is ControlStanding.NOT_DETERMINED
+    (reason,) = found.reasons
+    assert "the folder 0006-standard cannot be read, and may be one of its runs" == reason
+    log = Findings()
+    check_in_control(bench, found, log)
+    (error,) = log.errors
+    assert "restore 0006-standard from a backup" in error.hint and "`unreadable: warn`" in error.hint
+    lenient = bench_with(coefficients={"drift.bias": {"reference": "1.0 deg/h"}}, unreadable="warn")
+    told = state(lenient, archive, days=2)
+    assert told.in_control and [fault.folder for fault in told.left_out] == ["0006-standard"]
+    log = Findings()
+    check_in_control(lenient, told, log)
+    assert [item.severity for item in log] == ["warning"] and "0006-standard" in str(next(iter(log)))
+
+
+def test_the_name_of_the_bench_in_a_changed_file_is_not_believed(tmp_path: Path) -> None:
+    """Somebody who would hide a run of the check standard by another bench or device in its files hides nothing."""
+    bench = bench_with(coefficients={"drift.bias": {"reference": "1.0 deg/h"}})
+    for number, (name, old, new) in enumerate(
+        [("bench.yaml", b"name: virtual", b"name: another"), ("run.json", b"CS-01", b"CS-02")]
+    ):
+        archive = archive_of(tmp_path, [1.0, 5.0], 0.1) if not number else tmp_path / "runs"
+        file = archive / "0001-standard" / name
+        kept = file.read_bytes()
+        assert old in kept
+        file.write_bytes(kept.replace(old, new))
+        assert state(bench, archive, days=2).standing is ControlStanding.NOT_DETERMINED
+        file.write_bytes(kept)
 
 
 # -- commands ----------------------------------------------------------------------------------------------------------
@@ -318,7 +360,7 @@ def test_a_damaged_run_is_named_and_refuses_plans(tmp_path: Path) -> None:
     assert measured.returncode == 0
     (tmp_path / "other").mkdir()
     damaged = make_run(tmp_path / "other", MadeRun()).rename(tmp_path / "runs" / "damaged")
-    (damaged / "plan.yaml").write_text("planrunner: 1\ntitle: Another\n", encoding="utf-8")
+    (damaged / "bench.yaml").write_text("planrunner_bench: 1\nname: another\n", encoding="utf-8")
     shown = planrunner("bench", "check-standard", "lab.yaml", "--json", cwd=tmp_path)
     assert shown.returncode == 4 and "not in the index: damaged: " in shown.stderr
     document = json.loads(shown.stdout)
@@ -326,7 +368,7 @@ def test_a_damaged_run_is_named_and_refuses_plans(tmp_path: Path) -> None:
     Draft202012Validator(schema).validate(document)
     assert document["standing"] == "not determined" and [one["folder"] for one in document["damaged"]] == ["damaged"]
     refused = planrunner("run", "work.yaml", "--set", "device_serial=D1", "--quiet", cwd=tmp_path)
-    assert refused.returncode == 2 and "the damaged run damaged may be one of its runs" in refused.stderr
+    assert refused.returncode == 2 and "the folder damaged cannot be read, and may be one of its runs" in refused.stderr
 
 
 def test_a_run_whose_index_cannot_be_used_still_gives_its_results(tmp_path: Path) -> None:
@@ -345,6 +387,32 @@ def test_a_bench_may_only_warn(tmp_path: Path) -> None:
     done = planrunner("run", "work.yaml", "--set", "device_serial=D1", "--quiet", cwd=tmp_path)
     assert done.returncode == 0 and "warning[bench-check-standard]" in done.stderr
     assert run_json(tmp_path)["check_standard"]["standing"] == "missing"
+
+
+def test_a_run_is_continued_only_while_the_check_standard_is_in_control(tmp_path: Path) -> None:
+    """A run began while the check standard was in control. When a segment of it is to be repeated, its runs are gone."""
+    lab(tmp_path)
+    words = ("run", "standard.yaml", "--set", "device_serial=CS-01", "--quiet")
+    assert planrunner(*words, cwd=tmp_path).returncode == 0
+    assert planrunner("run", "work.yaml", "--set", "device_serial=D1", "--quiet", cwd=tmp_path).returncode == 0
+    (run,) = (tmp_path / "runs").glob("2*-work-*")
+    words = ("resume", run, "--retake", "P1", "--reason", "door", "--quiet")
+    standard = next((tmp_path / "runs").glob("2*-standard-*"))
+    shutil.move(standard, tmp_path / "aside")
+    refused = planrunner(*words, cwd=tmp_path)
+    assert refused.returncode == 2 and "is missing" in refused.stderr and "may override" in refused.stderr
+    before = (run / "journal.jsonl").read_bytes()
+    stranger = planrunner(*words, "--override-check-standard", "x", "--override-by", "bob", cwd=tmp_path)
+    assert stranger.returncode == 2 and (run / "journal.jsonl").read_bytes() == before
+    let = planrunner(*words, "--override-check-standard", "levelled", "--override-by", "anna", cwd=tmp_path)
+    assert let.returncode == 0, let.stderr
+    assert "anna let this run begin: levelled" in let.stderr
+    events = [json.loads(line) for line in (run / "journal.jsonl").read_text(encoding="utf-8").splitlines()]
+    (reopened,) = [event for event in events if event["event"] == "reopened"]
+    assert (
+        reopened["check_standard"]["standing"] == "missing" and reopened["check_standard"]["override"]["by"] == "anna"
+    )
+    assert planrunner("verify", run, cwd=tmp_path).returncode == 0
 
 
 # -- nights ------------------------------------------------------------------------------------------------------------
