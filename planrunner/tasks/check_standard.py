@@ -56,7 +56,7 @@ def control_state(
 
 
 def check_in_control(bench: Bench, state: ControlState, log: Findings) -> None:
-    """Adds a finding at the rule in the bench file if the check standard is not in control, and one for folders that its rule leaves out."""
+    """Adds a finding at the rule in the bench file if the check standard is not in control, and one for folders that are left out."""
     rule = bench.check_standard
     if rule is None:
         return
@@ -144,10 +144,9 @@ def admit_again(
 ) -> Admission:
     """Whether a run may be continued: the check standard is judged as now, in the archive of the run. An override with which it began is
     one for the whole run. bench: on which it is continued. Raises `InputError` as `admit`."""
-    began = run.run.get("check_standard", {}).get("override")
-    if override is None and began is not None and bench.check_standard is not None:
-        if began["by"] in bench.check_standard.may_override:
-            override = Override(str(began["by"]), str(began["why"]))
+    rule, began = bench.check_standard, run.run.get("check_standard", {}).get("override")
+    if override is None and began is not None and rule is not None and began["by"] in rule.may_override:
+        override = Override(str(began["by"]), str(began["why"]))
     return admit(bench, str(run.run["plan"]), run.run["info"], run.path.absolute().parent, override, notice)
 
 
