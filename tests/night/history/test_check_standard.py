@@ -230,7 +230,7 @@ def test_damaged_runs_of_other_benches_plans_and_devices_do_not_matter(tmp_path:
     # The journal of the one on the other bench is torn: nothing says any more which bench it was.
     assert found.standing is ControlStanding.NOT_DETERMINED
     (reason,) = found.reasons
-    assert "the folder 0006-standard cannot be read, and may be one of its runs" == reason
+    assert reason == "the folder 0006-standard cannot be read, and may be one of its runs"
     log = Findings()
     check_in_control(bench, found, log)
     (error,) = log.errors
