@@ -396,15 +396,15 @@ def test_a_run_is_continued_only_while_the_check_standard_is_in_control(tmp_path
     assert planrunner(*words, cwd=tmp_path).returncode == 0
     assert planrunner("run", "work.yaml", "--set", "device_serial=D1", "--quiet", cwd=tmp_path).returncode == 0
     (run,) = (tmp_path / "runs").glob("2*-work-*")
-    words = ("resume", run, "--retake", "P1", "--reason", "door", "--quiet")
+    again = ("resume", run, "--retake", "P1", "--reason", "door", "--quiet")
     standard = next((tmp_path / "runs").glob("2*-standard-*"))
     shutil.move(standard, tmp_path / "aside")
-    refused = planrunner(*words, cwd=tmp_path)
+    refused = planrunner(*again, cwd=tmp_path)
     assert refused.returncode == 2 and "is missing" in refused.stderr and "may override" in refused.stderr
     before = (run / "journal.jsonl").read_bytes()
-    stranger = planrunner(*words, "--override-check-standard", "x", "--override-by", "bob", cwd=tmp_path)
+    stranger = planrunner(*again, "--override-check-standard", "x", "--override-by", "bob", cwd=tmp_path)
     assert stranger.returncode == 2 and (run / "journal.jsonl").read_bytes() == before
-    let = planrunner(*words, "--override-check-standard", "levelled", "--override-by", "anna", cwd=tmp_path)
+    let = planrunner(*again, "--override-check-standard", "levelled", "--override-by", "anna", cwd=tmp_path)
     assert let.returncode == 0, let.stderr
     assert "anna let this run begin: levelled" in let.stderr
     events = [json.loads(line) for line in (run / "journal.jsonl").read_text(encoding="utf-8").splitlines()]
