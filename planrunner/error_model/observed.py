@@ -57,6 +57,16 @@ def channel_of(name: str, text: str, white: float, flicker: float, resolution: f
 
 
 @dataclass(frozen=True, slots=True)
+class TemperatureCourse:
+    """Temperature over a segment or a part of it. time: (n,), s since power-on, ascending; temperature: (n,), degC; rate: K/s, at the
+    end."""
+
+    time: Array
+    temperature: Array
+    rate: float
+
+
+@dataclass(frozen=True, slots=True)
 class ObservedSegment:
     """One segment of an `Observed`, with n samples. motion, attitude (3, 3), last_change: of the segment; time, angle, rate, acceleration,
     temperature, temperature_rate: (n,); values: (n, K). course: of a motion that does not follow from attitude and angle. overvoltage,
@@ -140,7 +150,8 @@ class Observed:
     (N, 3) each, instead of those that follow from site, attitude and table. fitted: output (N, K) of the fitted nominal model. response:
     (K, 3), change of each output per rate about the axes of the sensor in that model; None for an ideal sensor. courses: (S,), of segments
     whose motion the recording shows; an entry is None if attitude and angle give the motion, and the tuple is empty if all entries are.
-    excess_voltage, excess_pressure: (N,), as `overvoltage` and `overpressure`, or None for zero.
+    excess_voltage, excess_pressure: (N,), as `overvoltage` and `overpressure`, or None for zero. past: the temperatures before the first
+    sample, where this is a part of a simulation.
     """
 
     site: Site
@@ -167,6 +178,7 @@ class Observed:
     courses: tuple[BodyMotion | None, ...] = ()
     excess_voltage: Array | None = None
     excess_pressure: Array | None = None
+    past: tuple[TemperatureCourse, ...] = ()
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -203,11 +215,17 @@ class Observed:
         return self._by_course(self.acceleration[:, None] * self.table_axis, lambda course: course.swing)
 
     def turn_before(self, seconds: float) -> Array:
-        """`turn` some seconds earlier, less `turn`, (N, 3), of segments whose motion only the recording shows; zero in the others. The rate
-        counts as constant before the first sample of a segment and after the last."""
+        """`turn` some seconds earlier, less `turn`, (N, 3). While the table rocks, harmonic motion of pulsation p: ω(t − d) = ω·cos pd −
+        (dω/dt)/p·sin pd. If only the recording shows the motion, the rate counts as constant before the first sample of a segment and after
+        the last."""
         from scipy.interpolate import CubicSpline
 
         change = np.zeros((len(self.time), 3))
+        for rows in self.rocked:
+            phase = self.pulsation[rows] * seconds
+            earlier = seconds * np.sinc(phase / np.pi)  # sin(pd)/p
+            further = self.rate[rows] * (np.cos(phase) - 1) - self.acceleration[rows] * earlier
+            change[rows] = further[:, None] * self.table_axis[rows]
         for rows, moved in zip(self.segments(), self.moved, strict=True):
             if moved:
                 time = self.time[rows]
@@ -229,6 +247,17 @@ class Observed:
                 rate = self.turn[rows] - self.turn[rows.start]
                 change[rows] = lfilter([ahead, behind], [1.0, -q], rate, axis=0) - rate
         return change
+
+    @cached_property
+    def mean_square_rate(self) -> Array:
+        """Mean square of the angular rate of a rocking table, (N,), rad²/s²; 0 in other segments. Of harmonic motion of pulsation p it
+        is (ω² + (α/p)²)/2 at any moment."""
+        return np.asarray(self.mean_square_acceleration / np.where(self.pulsation > 0, self.pulsation, 1.0) ** 2)
+
+    @cached_property
+    def mean_square_acceleration(self) -> Array:
+        """The same of the angular acceleration, (N,), rad²/s⁴: (α² + (p·ω)²)/2."""
+        return np.where(self.pulsation > 0, (self.acceleration**2 + (self.pulsation * self.rate) ** 2) / 2, 0.0)
 
     def _by_course(self, values: Array, part: Callable[[BodyMotion], Array]) -> Array:
         """Values (N, …) that follow from attitude and angle, with those of the courses in their segments."""

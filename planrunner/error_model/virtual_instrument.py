@@ -31,11 +31,12 @@ from planrunner.plan.units import ZERO_CELSIUS, unit
 if TYPE_CHECKING:
     from planrunner.error_model.added import Addition
     from planrunner.error_model.effects.interface import NoiseKind
-    from planrunner.error_model.observed import Observed
+    from planrunner.error_model.observed import Observed, TemperatureCourse
 
 Array = NDArray[np.float64]
 NAME = r"[a-z][a-z0-9_]{0,59}"
 _CHANGED = 1.0  # K between segments: less is no change of temperature
+_KEPT = 32  # temperatures of a block with a change of temperature
 _WALKS = 2  # second part of a generator's key: different from those of segments and of switching on
 
 
@@ -75,6 +76,7 @@ class AddedEffects:
         self.change = 0.0
         self.segment = -1
         self.orientations: list[tuple[float, ...]] = []  # in the order of first use
+        self.past: list[TemperatureCourse] = []
 
     @classmethod
     def connect(cls, parameters: AddedEffectsParameters, surroundings: Surroundings) -> AddedEffects:
@@ -96,6 +98,7 @@ class AddedEffects:
         si = np.column_stack([levels[channel.name] * channel.factor for channel in channels])
         number = self._number(moments.segment)
         changed = added(observed, si, additions, self.world.seed, number) + self._walked(moments, observed)
+        self._remember(observed)
         return {**levels, **{c.name: changed[:, i] / c.factor for i, c in enumerate(channels)}}
 
     def noise(self, output: str, gives: Gives) -> Gives:
@@ -134,12 +137,16 @@ class AddedEffects:
             "before": self.before,
             "change": self.change,
             "orientations": [list(place) for place in self.orientations],
+            "past": [[one.time.tolist(), one.temperature.tolist(), one.rate] for one in self.past],
             "walks": {name: walk.checkpoint() for name, walk in self.walks.items()},
         }
 
     def restore(self, state: Mapping[str, Json]) -> None:
+        from planrunner.error_model.observed import TemperatureCourse
+
         self.before, self.change = state["before"], float(state["change"])
         self.orientations = [tuple(map(float, place)) for place in state.get("orientations", ())]
+        self.past = [TemperatureCourse(np.array(t), np.array(c), float(r)) for t, c, r in state.get("past", ())]
         for name, walk in state["walks"].items():
             self.walks[name] = RandomWalk(0.0)
             self.walks[name].restore(**walk)
@@ -191,7 +198,20 @@ class AddedEffects:
             overvoltage=moments.overvoltage,
             overpressure=moments.overpressure,
         )
-        return joined(self.world.site, channels, [part], magnetic=self.world.site.magnetic_field)
+        made = joined(self.world.site, channels, [part], magnetic=self.world.site.magnetic_field)
+        return replace(made, past=tuple(self.past))
+
+    def _remember(self, observed: Observed) -> None:
+        """Keeps a few temperatures of the block for effects that depend on what was before; of a constant one, the ends."""
+        from planrunner.error_model.effects.interface import DependsOnPast
+        from planrunner.error_model.observed import TemperatureCourse
+
+        if not any(isinstance(item.effect, DependsOnPast) for item in self.additions):
+            return
+        count = _KEPT if np.ptp(observed.temperature) else 2
+        rows = np.unique(np.linspace(0, len(observed.time) - 1, count).astype(np.int64))
+        own = TemperatureCourse(observed.time[rows], observed.temperature[rows], float(observed.temperature_rate[-1]))
+        self.past.append(own)
 
     def _number(self, segment: Segment) -> int:
         """Number of the segment's orientation, from 1 in the order of first use."""

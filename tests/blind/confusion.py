@@ -30,6 +30,10 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "accelerometer steps": ("accel_bias_step",),
     "late": ("gyro_bandwidth", "time_latency"),
     "counts": ("gyro_quantization",),
+    "vibration": ("gyro_vibration_rectification", "accel_vibration_rectification"),
+    "mounting": ("mount_shift",),
+    "axes late": ("gyro_axis_delay", "time_latency"),
+    "thermal lag": ("gyro_bias_temperature_lagged", "gyro_thermal_gradient"),
 }
 """Effects that are easily taken for each other."""
 SETUPS = {
@@ -37,6 +41,10 @@ SETUPS = {
     "accelerometer steps": (("tumble", "mems"), ("rates", "mems")),
     "late": (("rocking", "mems"), ("rocking", "fog")),
     "counts": (("tumble", "mems"), ("rates", "mems"), ("rocking", "fog")),
+    "vibration": (("rocking", "mems"), ("rich", "mems")),
+    "mounting": (("tumble", "mems"), ("rates", "mems"), ("rocking", "mems")),
+    "axes late": (("rocking", "mems"), ("rocking", "fog")),
+    "thermal lag": (("thermal", "mems"), ("thermal", "fog")),
 }
 """Plans and sensors that show the effects of a group."""
 
@@ -45,14 +53,15 @@ SIZES = {"late": (5e-5, 1e-2), "counts": (3.0, 30.0)}
 drawn."""
 
 
-def case_of(group: str, seed: int, number: int, effect: str) -> Case:
-    """Case `number` of a group, in which this effect acts alone."""
+def case_of(group: str, seed: int, number: int, effect: str, energy: float | None = None) -> Case:
+    """Case `number` of a group, in which this effect acts alone. energy: its λ, by default drawn."""
     setups = SETUPS[group]
     plan, sensor_name = setups[number % len(setups)]
     rng = _stream(seed, number, 2 + GROUPS[group].index(effect))
     factors, device = _surroundings(SENSORS[sensor_name], rng)
     work = Work(signatures(plan, sensor_name), factors, device)
     size = float(np.exp(rng.uniform(*np.log(SIZES.get(group, (WEAKEST, STRONGEST))))))
+    size = size if energy is None else energy
     unit = work.sigma[0] if group == "counts" else 1.0
     fault = Fault(effect, np.array([size * unit])) if group in SIZES else _one(work, [effect], size, rng)
     energy = _strength(work, fault) if group in SIZES else size

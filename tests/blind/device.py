@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.blind.motion import Array, Fault, Faults, Schedule, Stimulus, stimulus
+from tests.blind.motion import Array, Fault, Faults, Schedule, Stimulus, behind, stimulus
 
 ACCELERATION_STEP = 1e-3  # s
 LAG_NODES = 8  # of the Gauss–Laguerre rule for a first-order lag
@@ -194,6 +194,15 @@ def clean_output(schedule: Schedule, sensor: Sensor, device: Device, faults: Fau
         for node, weight in zip(nodes, weights, strict=True):
             past = stimulus(schedule, faults, delay + lag * float(node))
             rate += weight * _gyro(past, device, faults, schedule.index)
+    if "gyro_axis_delay" in faults:
+        for axis, late in enumerate(faults["gyro_axis_delay"].theta):
+            past = stimulus(schedule, faults, delay + float(late))
+            rate[:, axis] = _gyro(past, device, faults, schedule.index)[:, axis]
+    if "gyro_vibration_rectification" in faults:
+        rate = rate + faults["gyro_vibration_rectification"].theta * _shaken(schedule, felt.table_rate)[:, None]
+    if "gyro_bias_temperature_lagged" in faults:
+        (lag,) = faults["gyro_bias_temperature_lagged"].shape
+        rate = rate + faults["gyro_bias_temperature_lagged"].theta * behind(schedule, lag)[:, None]
     if "gyro_angular_acceleration" in faults:
         later, earlier = (
             stimulus(schedule, faults, delay + step).rate for step in (-ACCELERATION_STEP, ACCELERATION_STEP)
@@ -209,7 +218,24 @@ def clean_output(schedule: Schedule, sensor: Sensor, device: Device, faults: Fau
         rate = np.clip(rate, -stop, stop)
     if sensor.accel is None:
         return rate
-    return np.hstack([rate, _accel(felt, device, faults, schedule.site.gravity)])
+    force = _accel(felt, device, faults, schedule.site.gravity)
+    if "accel_vibration_rectification" in faults:
+        later, earlier = (
+            stimulus(schedule, faults, step).table_rate for step in (-ACCELERATION_STEP, ACCELERATION_STEP)
+        )
+        jerks = np.radians(later - earlier) / (2 * ACCELERATION_STEP)
+        force = force + faults["accel_vibration_rectification"].theta * _shaken(schedule, jerks)[:, None]
+    return np.hstack([rate, force])
+
+
+def _shaken(schedule: Schedule, vector: Array) -> Array:
+    """Mean square of what a vector (n, 3) does about its mean in each segment that rocks, per sample; 0 in others."""
+    found = np.zeros(len(vector))
+    for number, segment in enumerate(schedule.segments):
+        if segment.kind == "rock":
+            here = schedule.index == number
+            found[here] = np.mean(np.sum((vector[here] - vector[here].mean(axis=0)) ** 2, axis=1))
+    return found
 
 
 def noise_factor(faults: Faults) -> float:

@@ -57,6 +57,10 @@ def _moment(schedule: Schedule, rng: np.random.Generator) -> Shape:
     return (float(rng.uniform(schedule.time[0], schedule.time[-1])),)
 
 
+def _lag(_: Schedule, rng: np.random.Generator) -> Shape:
+    return (float(np.exp(rng.uniform(np.log(60), np.log(900)))),)
+
+
 def _tone(_: Schedule, rng: np.random.Generator) -> Shape:
     return float(rng.uniform(0.7, 9.0)), float(rng.uniform(0, 2 * np.pi))
 
@@ -134,6 +138,11 @@ FURTHER = {
     for kind in (
         Kind("gyro_bias_step", (1e-3,) * 3, draw=_moment),
         Kind("accel_bias_step", (1e-3,) * 3, draw=_moment, needs="accel"),
+        Kind("gyro_vibration_rectification", (1e-5,) * 3, needs="rock"),
+        Kind("accel_vibration_rectification", (1e-4,) * 3, needs="rocked_accel"),
+        Kind("gyro_axis_delay", (1e-3,) * 3, linear=False, needs="rock", largest=40),
+        Kind("gyro_bias_temperature_lagged", (1e-3,) * 3, draw=_lag, needs="ramp"),
+        Kind("mount_shift", (1e-3,) * 3, draw=_moment, largest=50),
     )
 }
 """Effects of the catalogue that the campaign does not draw, so that a seed keeps its cases; see `confusion`."""
@@ -145,6 +154,10 @@ def applies(kind: Kind, schedule: Schedule, sensor: Sensor) -> bool:
     match kind.needs:
         case "accel":
             return sensor.accel is not None
+        case "rocked_accel":
+            return sensor.accel is not None and any(s.kind == "rock" for s in schedule.segments)
+        case "ramp":
+            return any(s.ramp for s in schedule.segments)
         case "rock":
             return any(s.kind == "rock" for s in schedule.segments)
         case "turning_ramp":

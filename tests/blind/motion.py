@@ -22,6 +22,7 @@ WORDS = {
 }  # fmt: skip
 RATE_STEP = 2e-5  # s; of the difference that gives the angular rate
 PLACE_STEP = 5e-4  # s; of the second difference that gives the acceleration
+HEAT_STEP = 0.5  # s; of the integration of a body that follows the chamber
 RAMP_TIME = 90.0  # s; time constant of the chamber
 ACTS_ON_STIMULUS = {
     *(
@@ -32,7 +33,7 @@ ACTS_ON_STIMULUS = {
         "table_azimuth",
         "table_wobble",
     ),
-    *("table_tilt", "table_rate_error", "site_latitude", "lever_arm"),
+    *("table_tilt", "table_rate_error", "site_latitude", "lever_arm", "mount_shift"),
 }
 
 
@@ -198,6 +199,9 @@ def attitude(schedule: Schedule, local: Array, faults: Faults) -> Array:
         enc = commanded(schedule, local)
         lean = np.stack([p * np.cos(enc) - q * np.sin(enc), p * np.sin(enc) + q * np.cos(enc), 0 * enc], 1)
         matrix = rotation(lean * schedule.turning[:, None]) @ matrix
+    if "mount_shift" in faults:
+        slipped = schedule.time >= faults["mount_shift"].shape[0]
+        matrix = np.where(slipped[:, None, None], matrix @ rotation(faults["mount_shift"].theta), matrix)
     if "table_tilt" in faults:
         matrix = rotation(np.append(faults["table_tilt"].theta, 0.0)) @ matrix
     return matrix
@@ -207,6 +211,23 @@ def _temperature(schedule: Schedule, local: Array) -> Array:
     target = schedule.each("chamber")
     left = np.where(schedule.each("ramp") > 0, np.exp(-np.maximum(local, 0.0) / RAMP_TIME), 0.0)
     return target + (schedule.before - target) * left
+
+
+def behind(schedule: Schedule, lag: float) -> Array:
+    """By how much a body with the time constant `lag` s is warmer than the chamber, K, per sample: Euler's rule in steps of `HEAT_STEP`.
+    The chamber keeps to its exponential after the recorded part of a ramp."""
+    clock = np.arange(schedule.time[0], schedule.time[-1] + 2 * HEAT_STEP, HEAT_STEP)
+    chamber = np.full(len(clock), schedule.segments[0].chamber if not schedule.segments[0].ramp else 25.0)
+    for earlier, now in zip(schedule.segments, schedule.segments[1:], strict=False):
+        if now.ramp:
+            since = clock - now.start
+            course = now.chamber + (earlier.chamber - now.chamber) * np.exp(-since / RAMP_TIME)
+            chamber = np.where(since >= 0, course, chamber)
+    body, value = np.empty_like(clock), chamber[0]
+    for place, warm in enumerate(chamber):
+        body[place] = value
+        value += HEAT_STEP / lag * (warm - value)
+    return np.interp(schedule.time, clock, body) - np.interp(schedule.time, clock, chamber)
 
 
 def _spin(early: Array, late: Array) -> Array:

@@ -175,6 +175,39 @@ def test_a_ramp_is_exponential_and_remembered() -> None:
     assert hysteresis[[0, 200, 400], 0] == pytest.approx([0, -0.2, -0.2])
 
 
+def test_what_oscillation_leaves_in_the_mean() -> None:
+    """4 deg at 1 Hz: mean squares (8π)²/2 of the rate in deg/s, and (A·p²)²/2 of the acceleration in rad/s²."""
+    shaken = changed(rest(), turn(), rock(), faults=fault("gyro_vibration_rectification", 1e-5, 0, -2e-5))
+    assert np.abs(shaken[:500]).max() < 1e-12
+    assert shaken[500:, 0] == pytest.approx(np.full(200, 1e-5 * (8 * np.pi) ** 2 / 2), rel=1e-6)
+    assert shaken[500:, 2] == pytest.approx(np.full(200, -2e-5 * (8 * np.pi) ** 2 / 2), rel=1e-6)
+    shaken = changed(rest(), rock(), faults=fault("accel_vibration_rectification", 0, 1e-4, 0))
+    expected = 1e-4 * (np.radians(4) * 4 * np.pi**2) ** 2 / 2
+    assert shaken[200:, 4] == pytest.approx(np.full(200, expected), rel=1e-4) and not shaken[:200].any()
+
+
+def test_axes_are_late_one_by_one() -> None:
+    t = np.arange(200) / 50
+    late = outputs(rock(), faults=fault("gyro_axis_delay", 0.01, 0.5, 0), site=STILL_EARTH)
+    assert late[:, 0] == pytest.approx(8 * np.pi * np.cos(2 * np.pi * (t - 0.01)), abs=1e-6)
+    assert np.abs(late[:, 1:3]).max() < 1e-9
+
+
+def test_a_mount_slips_at_one_moment() -> None:
+    values = changed(rest(), faults=fault("mount_shift", 0, 0, 0.02, shape=(602.0,)))
+    assert not values[:100].any()
+    assert values[100, 3:] == pytest.approx([G * (np.cos(0.02) - 1), -G * np.sin(0.02), 0], abs=1e-9)
+
+
+def test_a_body_behind_the_chamber() -> None:
+    """Behind T₁ + D·exp(−t/90), a body with τ = 30 s has D·(90/60)·(exp(−t/90) − exp(−t/30)) + D·exp(−t/30)."""
+    plan = (rest(), Segment("r", "static", X_UP, 100.0, chamber=-20.0, ramp=True, start=650.0))
+    late = changed(*plan, faults=fault("gyro_bias_temperature_lagged", 0.01, 0, 0, shape=(30.0,)))
+    t = np.arange(5000) / 50
+    body = 45 * (1.5 * (np.exp(-t / 90) - np.exp(-t / 30)) + np.exp(-t / 30))
+    assert late[200:, 0] == pytest.approx(0.01 * (body - 45 * np.exp(-t / 90)), abs=2e-3) and not late[:200].any()
+
+
 def test_drifts_over_time() -> None:
     warm = changed(rest(), faults=fault("gyro_warm_up", 0.1, 0, 0, shape=(300.0,)))
     assert warm[0, 0] == pytest.approx(0.1 * np.exp(-2.0))

@@ -14,10 +14,37 @@ from tests.blind.confusion import STRONGEST, WEAKEST, Answered, answered, answer
 SEED = 7
 
 
-def one_of(group: str, effect: str, number: int) -> Answered:
+def one_of(group: str, effect: str, number: int, energy: float | None = None) -> Answered:
     with tempfile.TemporaryDirectory() as name:
         folder.write_setups(Path(name))
-        return answered(case_of(group, SEED, number, effect), SEED, Path(name))
+        return answered(case_of(group, SEED, number, effect, energy), SEED, Path(name))
+
+
+FURTHER = {
+    ("vibration", "gyro_vibration_rectification"): (("k", 1.0),),
+    ("vibration", "accel_vibration_rectification"): (("k", 9.80665e-6),),
+    ("mounting", "mount_shift"): (("about", np.radians(1 / 3600)),),
+    ("axes late", "gyro_axis_delay"): (("d", 1e-3),),
+    ("thermal lag", "gyro_bias_temperature_lagged"): (("c", 1.0),),
+}
+"""Group and effect: the name of its amplitudes, and the size of their unit in that of the generator."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("group", "effect"), FURTHER)
+@pytest.mark.parametrize(("number", "energy"), [(0, 160.0), (1, 400.0)])
+def test_a_further_effect_is_named_with_its_size(group: str, effect: str, number: int, energy: float) -> None:
+    one = one_of(group, effect, number, energy)
+    assert one.named == (effect,) and one.in_set and one.probability > 0.5
+    (((amplitude, unit),),) = (FURTHER[group, effect],)
+    for axis, true in zip("xyz", one.theta, strict=True):
+        value, u = one.parameters[f"{effect}.{amplitude}_{axis}"]
+        assert abs(value * unit - true) < 4 * u * unit, (axis, value, u, true)
+
+
+def test_an_axis_that_is_late_is_no_delay_of_all() -> None:
+    one = one_of("axes late", "gyro_axis_delay", 0, 250.0)
+    assert one.named == ("gyro_axis_delay",) and one.in_set
 
 
 def test_a_step_is_not_a_random_walk() -> None:

@@ -51,6 +51,11 @@ IDS = [
     "site_latitude",
     "lever_arm",
     "time_latency",
+    "gyro_vibration_rectification",
+    "accel_vibration_rectification",
+    "gyro_bias_temperature_lagged",
+    "gyro_axis_delay",
+    "mount_shift",
     "gyro_bias",
     "gyro_scale_factor",
     "gyro_misalignment",
@@ -74,6 +79,7 @@ FOR_ESTIMATES = [
     "reference_latency",
     "accel_thermal_hysteresis",
     "accel_warm_up",
+    "accel_bias_temperature_lagged",
     "gyro_angular_acceleration",
     "gyro_fold_over",
     *(
@@ -276,3 +282,86 @@ def test_a_lag_of_a_sine_is_the_textbook_response(observed: Observed) -> None:
     delayed = observed.omega[part, axis] + TimeLatency().at(observed, 0.01).columns[0].parts[axis][part]
     ratio = phasor(delayed) / phasor(observed.omega[part, axis])
     assert ratio == pytest.approx(np.exp(-1j * pulse * 0.01), rel=3e-3)
+
+
+def test_mean_squares_of_a_rocking_table(observed: Observed) -> None:
+    """3 deg at 0.5 Hz: the mean square of A·p·cos pt is (A·p)²/2, at every sample; that of its derivative (A·p²)²/2."""
+    p, amplitude = np.pi, 3 * DEG
+    rocking = np.repeat([isinstance(motion, Rock) for motion in observed.motions], np.diff(observed.bounds))
+    for name, size, unit in (("gyro", amplitude * p, 1 / DEG), ("accel", amplitude * p**2, 1.0)):
+        (variant,) = plugins.load("planrunner.effects", f"{name}_vibration_rectification")().variants(observed)
+        for column in variant.columns:
+            (part,) = column.parts.values()
+            assert part[rocking] == pytest.approx(np.full(rocking.sum(), size**2 / 2), rel=1e-9)
+            assert not part[~rocking].any()
+            assert column.factor == pytest.approx(unit if name == "gyro" else 9.80665e-6)
+
+
+def test_a_mount_that_shifts_turns_what_the_sensor_feels(observed: Observed) -> None:
+    """Against rotations by scipy: in the axes of a sensor that is turned by R, a vector v is R⁻¹·v."""
+    moment = float(observed.time[len(observed.time) // 3 + 7])
+    angles = np.array([2e-5, -1e-5, 3e-5])
+    variant = plugins.load("planrunner.effects", "mount_shift")().at(observed, moment)
+    found = sum(angle * _part(column, observed) for angle, column in zip(angles, variant.columns, strict=True))
+    back = Rotation.from_rotvec(angles).inv()
+    felt = np.hstack([back.apply(observed.omega) - observed.omega, back.apply(observed.force) - observed.force])
+    expected = np.where((observed.time >= moment)[:, None], felt, 0.0)
+    assert found == pytest.approx(expected, abs=2e-8)
+
+
+def test_every_axis_is_late_by_its_own_delay(observed: Observed) -> None:
+    delays = np.array([0.02, 0.0, -0.05])
+    effect = plugins.load("planrunner.effects", "gyro_axis_delay")()
+    (variant,) = effect.around(observed, delays)
+    found = sum(delay * _part(column, observed) for delay, column in zip(delays, variant.columns, strict=True))
+    part = next(
+        rows for rows, motion in zip(observed.segments(), observed.motions, strict=True) if isinstance(motion, Rock)
+    )
+    since = observed.time[part] - observed.time[part][0]
+    for axis, delay in enumerate(delays):
+        rate = 3 * DEG * np.pi * (np.cos(np.pi * (since - delay)) - np.cos(np.pi * since))
+        assert found[part, axis] == pytest.approx(rate * observed.table_axis[part][:, axis], abs=1e-9)
+
+
+def test_the_lag_of_a_temperature_is_that_of_an_integration() -> None:
+    """A ramp of 20 K in 200 s, an exponential of which 180 s are recorded, and rests, against Euler's rule in steps of 10 ms; the rests
+    begin after the temperature has settled, and one soon after a step."""
+    from dataclasses import replace
+
+    from planrunner.error_model.effects.thermal_lag import lag
+
+    tau, sets = 120.0, [(0.0, 100.0), (110.0, 200.0), (315.0, 180.0), (1500.0, 60.0), (1570.0, 60.0)]
+
+    def warm(t: Array) -> Array:
+        ramp = np.clip((t - 110.0) / 10.0, 0.0, 20.0)
+        settling = np.where(t > 315.0, -30.0 * (1 - np.exp(-(t - 315.0) / 90.0)), 0.0)
+        return 25.0 + ramp + settling + np.where(t > 1560.0, 5.0, 0.0)
+
+    clock = np.arange(0.0, 1640.0, 0.01)
+    body, value = np.empty(len(clock)), 25.0
+    for place, chamber in enumerate(warm(clock)):
+        body[place] = value
+        value += 0.01 / tau * (chamber - value)
+    time = np.concatenate([start + np.arange(0.0, length, 1.0) for start, length in sets])
+    bounds = np.concatenate(([0], np.cumsum([int(length) for _, length in sets])))
+    seen = record()
+    slope = np.where(
+        time < 110, 0.0, np.where(time < 310, 0.1, np.where(time < 500, -np.exp(-(time - 315) / 90) / 3, 0))
+    )
+    made = replace(
+        seen,
+        labels=tuple("abcde"),
+        motions=seen.motions[:5],
+        attitude=seen.attitude[:5],
+        bounds=bounds.astype(np.int64),
+        time=time,
+        temperature=warm(time),
+        temperature_rate=slope,
+        last_change=np.ones(5),
+    )
+    expected = np.interp(time, clock, body) - warm(time)
+    assert np.abs(expected).max() > 5.0
+    assert lag(made, tau) == pytest.approx(
+        expected, abs=0.06 * 5.0
+    )  # within the gap of 10 s, 5 K come at its beginning
+    assert lag(made, tau)[: bounds[4]] == pytest.approx(expected[: bounds[4]], abs=0.02)

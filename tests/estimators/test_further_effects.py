@@ -99,3 +99,56 @@ def test_hysteresis_of_accelerometers_follows_the_last_change() -> None:
     assert [c.name for c in variant.columns] == ["h_x", "h_y", "h_z"]
     for axis, column in enumerate(variant.columns):
         assert np.array_equal(column.parts[3 + axis], np.repeat(last, np.diff(seen.bounds)))
+
+
+@pytest.mark.parametrize(
+    ("effect", "sizes", "amplitude", "unit"),
+    [
+        ("gyro_vibration_rectification", (3e-5, -2e-5, 4e-5), "gyro_vibration_rectification_x", 1.0),
+        ("gyro_axis_delay", (3e-4, -2e-4, 1e-4), "gyro_axis_delay_x", 1e-3),
+    ],
+)
+def test_amplitudes_that_only_rocking_shows(
+    effect: str, sizes: tuple[float, float, float], amplitude: str, unit: float
+) -> None:
+    world = World(ROCKED, single(effect, *sizes), {"gyro_x": (*GYRO, effect)}, basis="within_segment")
+    found = world.estimate(1)
+    assert away(found, amplitude, sizes[0] / unit) < 4
+    assert found[amplitude].standard_uncertainty < 0.2 * sizes[0] / unit
+
+
+def test_a_bias_behind_the_thermometer() -> None:
+    """Ramps of 20 K in 400 s and rests between, against Euler's rule in steps of 20 ms."""
+    from recorded import from_samples
+
+    from planrunner.estimators.error_model.estimator import ErrorModelEstimator
+    from planrunner.estimators.error_model.parameters import ErrorModelParameters
+    from planrunner.estimators.interface import EstimateRequest
+    from planrunner.plan import schedule as planned
+
+    tau, c, bias, celsius = 150.0, 2e-3, 0.01, (25.0, 45.0, 45.0, 25.0, 5.0, 5.0, 5.0, 25.0, 25.0)
+    starts = np.arange(8) * 410.0
+    begin, end = np.array(celsius[:-1]), np.array(celsius[1:])
+    clock = np.arange(0.0, 8 * 410.0, 0.02)
+    number = np.minimum(np.floor(clock / 410.0).astype(int), 7)
+    warm = begin[number] + (end - begin)[number] * np.minimum((clock - starts[number]) / 400.0, 1.0)
+    body, value = np.empty(len(clock)), warm[0]
+    for place, now in enumerate(warm):
+        body[place] = value
+        value += 0.02 / tau * (now - value)
+    draw, recorded = np.random.default_rng(4), []
+    for k, start in enumerate(starts):
+        time = start + np.arange(0.0, 400.0, 0.1)
+        rate = bias + c * np.interp(time, clock, body - warm) + 5e-3 * draw.standard_normal(len(time))
+        segment = planned.Segment(
+            k, f"T{k}", np.eye(3), "", planned.Rest(), 400.0, temperature=celsius[k] + 273.15, start=float(start),
+            ramp_to=celsius[k + 1] + 273.15 if celsius[k + 1] != celsius[k] else None,
+        )  # fmt: skip
+        recorded.append(from_samples(segment, time, {"gyro_x": rate}, {"gyro_x": "deg/s"}))
+    outputs: dict[str, tuple[str, ...]] = {"gyro_x": ("gyro_bias", "gyro_bias_temperature_lagged")}
+    world = World([], {}, {})
+    request = EstimateRequest("model", tuple(recorded), ErrorModelParameters(outputs=outputs), SITE, world.model)
+    found = ErrorModelEstimator().estimate(request)
+    assert away(found, "gyro_bias_temperature_lagged_c_x", c) < 4
+    assert away(found, "gyro_bias_temperature_lagged_tau_x", tau) < 4
+    assert found["gyro_bias_temperature_lagged_tau_x"].standard_uncertainty < 0.1 * tau

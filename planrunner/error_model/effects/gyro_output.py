@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Array, Shaped, Variant, on_rate, whole
+from planrunner.error_model.effects.interface import Array, Column, Shaped, Variant, on_rate, single, whole
 from planrunner.error_model.observed import Observed
 
 DEG = np.pi / 180
+_SHORT = 1e-6  # s: a delay for which the secant is the tangent
 
 
 def _frequencies(tau: float) -> Mapping[str, str]:
@@ -50,6 +51,35 @@ def lagging(observed: Observed, tau: float) -> Array:
         slower = -(tau * observed.acceleration[rows] + squared * observed.rate[rows]) / (1 + squared)
         change[rows] += slower[:, None] * observed.table_axis[rows]
     return change
+
+
+class GyroAxisDelay:
+    """Each gyro is late by a delay of its own, negative if it is early: its output is that for an earlier rate."""
+
+    id, stage = "gyro_axis_delay", "acquisition"
+    about = About(
+        "gyro axes are delayed differently",
+        "The channels of the gyros are sampled or filtered with different delays, so that each shows the motion of another moment.",
+        Actor.SENSOR,
+        "Align the channels in time by their delays, or sample them simultaneously: {found}.",
+    )
+    shown_by = "rocking segments about each axis, or a recorded motion whose rate changes"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return self.around(observed, np.zeros(3))
+
+    def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
+        """The secant of an axis: the change of its output for a delay, divided by the delay."""
+        gyros = [index for index in observed.of_kind("gyro") if observed.along is None]
+        if not observed.unsteady.any() or not gyros:
+            return []
+        columns = []
+        for index, amplitude in zip(gyros, amplitudes, strict=False):
+            delay = float(amplitude) or _SHORT
+            parts = {index: on_rate(observed, observed.turn_before(delay))[index] / delay}
+            axis = observed.channels[index].axis
+            columns.append(Column(f"d_{'xyz'[axis]}", "ms", 1e-3, 1e-3, parts, observed.unsteady, axis=axis))
+        return single(columns)
 
 
 class GyroDeadZone(Shaped):

@@ -121,6 +121,13 @@ class FollowsSurroundings(Effect, Protocol):
 
 
 @runtime_checkable
+class ShownInSome(Effect, Protocol):
+    """An effect that the diagnosis weighs only in recordings that can show what distinguishes it."""
+
+    def shown_in(self, observed: Observed) -> bool: ...
+
+
+@runtime_checkable
 class NoHypothesis(Effect, Protocol):
     """An effect for simulations and estimates, which the diagnosis does not weigh unless it is named."""
 
@@ -175,6 +182,13 @@ class ChangesWithinSegments(HasShape, Protocol):
     difference the only column gives; 'amplitudes', if columns with amplitudes are given for each of a few values of the shape."""
 
     acts_on: Literal["rate", "output", "amplitudes"]
+
+
+@runtime_checkable
+class DependsOnPast(Effect, Protocol):
+    """An effect that depends on the temperatures before the first sample (`Observed.past`), where a simulation computes it in parts."""
+
+    depends_on_past: Literal[True]
 
 
 @runtime_checkable

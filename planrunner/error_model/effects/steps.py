@@ -1,14 +1,21 @@
-"""Steps of a bias at one moment, as after a shock or where a part slips."""
+"""Steps at one moment, as after a shock or where a part slips: of a bias, or of the orientation of the sensor."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Array, Shaped, Variant, per_axis
+from planrunner.error_model.effects.interface import Array, Column, Shaped, Variant, per_axis
 from planrunner.error_model.observed import Observed
 
 _SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2), "accel": ("mg", 9.80665e-3, 1.0)}
+
+_ARCSEC = np.pi / 180 / 3600
+_CROSS = ((1, 2, 1.0), (2, 0, 1.0), (0, 1, 1.0), (2, 1, -1.0), (0, 2, -1.0), (1, 0, -1.0))
+"""Of v × e: the axis of e, the axis of the result, and the sign with which the third component of v enters it."""
 
 
 def _about(triad: str) -> About:
@@ -20,6 +27,14 @@ def _about(triad: str) -> About:
     )
 
 
+def _moments(observed: Observed) -> Array:
+    """Beginnings of segments and the middles of the first and the last, between which a diagnosis looks further. Every interval has the
+    same prior, so that the evidence is averaged over the moment."""
+    bounds = observed.bounds
+    middles = observed.time[[bounds[1] // 2, (bounds[-2] + bounds[-1]) // 2]]
+    return np.unique(np.maximum([middles[0], *observed.time[bounds[1:-1]], middles[1]], 1e-9))
+
+
 class _BiasStep(Shaped):
     """Bias + s per axis from a moment on, which is the shape."""
 
@@ -27,18 +42,20 @@ class _BiasStep(Shaped):
     kind: str
 
     def grid(self, observed: Observed) -> Array:
-        """Beginnings of segments and the middles of the first and the last, between which a diagnosis looks further. Every interval has
-        the same prior, so that the evidence is averaged over the moment."""
-        if not observed.of_kind(self.kind):
-            return np.empty(0)
-        bounds = observed.bounds
-        middles = observed.time[[bounds[1] // 2, (bounds[-2] + bounds[-1]) // 2]]
-        return np.unique(np.maximum([middles[0], *observed.time[bounds[1:-1]], middles[1]], 1e-9))
+        return _moments(observed) if observed.of_kind(self.kind) else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
+        return self._from(observed, value, np.ones((len(observed.time), 1)))
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        ones = np.ones((len(observed.time), 1))
+        return [self._from(observed, float(value), ones) for value in self.grid(observed)]
+
+    def _from(self, observed: Observed, value: float, ones: Array) -> Variant:
         unit, factor, natural = _SCALES[self.kind]
-        after = (observed.time >= value).astype(float)
-        return Variant(tuple(per_axis(observed, self.kind, "s", unit, factor, natural * factor, after)), value)
+        after, acting = _after(observed, value, ones)
+        columns = per_axis(observed, self.kind, "s", unit, factor, natural * factor, after[:, 0])
+        return Variant(tuple(replace(column, segments=acting) for column in columns), value)
 
 
 class GyroBiasStep(_BiasStep):
@@ -51,3 +68,56 @@ class AccelBiasStep(_BiasStep):
     """Bias of each accelerometer + s from a time since power-on on."""
 
     id, kind, about = "accel_bias_step", "accel", _about("accelerometer")
+
+
+class MountShift(Shaped):
+    """The sensor is turned by three small angles about its own axes from a time since power-on on. A rotation by θ changes a vector v in
+    sensor axes by −θ×v."""
+
+    id, stage, shape_name, shape_unit = "mount_shift", "stimulus", "time", "s"
+    about = About(
+        "sensor has shifted on its mounting",
+        "At one moment the sensor turns on its mounting by a small angle, as if a screw or an adhesive joint gave way.",
+        Actor.BENCH,
+        "Fasten the sensor, and evaluate the segments before and after this time separately: {found}.",
+    )
+
+    def grid(self, observed: Observed) -> Array:
+        return _moments(observed) if observed.channels and observed.along is None else np.empty(0)
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        return self._from(observed, value, _both_signs(observed))
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        felt = _both_signs(observed)
+        return [self._from(observed, float(value), felt) for value in self.grid(observed)]
+
+    @staticmethod
+    def _from(observed: Observed, value: float, felt: Array) -> Variant:
+        """felt: (N, 12), rate and specific force and their opposites, of which the columns are columns."""
+        after, acting = _after(observed, value, felt)
+        parts: list[dict[int, Array]] = [{}, {}, {}]
+        for index, channel in enumerate(observed.channels):
+            for about, seen, sign in _CROSS:
+                if seen == channel.axis:
+                    place = 3 - about - seen + 3 * (channel.kind == "accel") + 6 * (sign < 0)
+                    parts[about][index] = after[:, place]
+        columns = (
+            Column(f"about_{'xyz'[about]}", "arcsec", _ARCSEC, 100 * _ARCSEC, own, acting, axis=None)
+            for about, own in enumerate(parts)
+        )
+        return Variant(tuple(columns), value)
+
+
+def _both_signs(observed: Observed) -> Array:
+    return np.hstack([observed.omega, observed.force, -observed.omega, -observed.force])
+
+
+def _after(observed: Observed, moment: float, table: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """A table (N, P) that is zero before a moment, and the segments (S,) that end after it. Columns of one table are evaluated together, so
+    the table itself is returned, if no segment contains the moment."""
+    first, last = observed.time[observed.bounds[:-1]], observed.time[observed.bounds[1:] - 1]
+    acting = np.asarray(last >= moment)
+    if not (acting & (first < moment)).any():
+        return table, acting
+    return table * (observed.time >= moment)[:, None], acting

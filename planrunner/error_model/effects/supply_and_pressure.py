@@ -44,6 +44,8 @@ _QUANTITIES = {
         "two ambient pressures, stated by `ambient_pressure` of the segments or recorded in `pressure_channel`",
     ),
 }
+_VARIED = {Follows.SUPPLY: 0.1, Follows.PRESSURE: 1000.0}
+"""V and Pa between segments: what a regulated supply does not do by itself, and what the weather hardly does during a test."""
 _BIAS = {"gyro": ("deg/s", DEG), "accel": ("ug", 1e-6 * G)}
 """Unit of a bias, with its size in SI."""
 _NAMES = {"gyro": "gyro", "accel": "accelerometer"}
@@ -71,6 +73,14 @@ class _OfSurroundings:
     def _excess(self, observed: Observed) -> Array:
         """(N,), V or Pa above the nominal supply of the sensor or the standard atmosphere of 1013.25 hPa."""
         return observed.overvoltage if self.follows is Follows.SUPPLY else observed.overpressure
+
+    def shown_in(self, observed: Observed) -> bool:
+        """Whether segments differ in the quantity by more than regulation and weather make them differ."""
+        excess = observed.excess_voltage if self.follows is Follows.SUPPLY else observed.excess_pressure
+        if excess is None:
+            return False
+        means = np.add.reduceat(excess, observed.bounds[:-1]) / np.diff(observed.bounds)
+        return bool(np.ptp(means) > _VARIED[self.follows])
 
 
 class _Bias(_OfSurroundings):

@@ -160,11 +160,4 @@ class TimeLatency(Shaped):
         return np.geomspace(5e-4, 0.1, 10) if observed.unsteady.any() else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        """While the table rocks, harmonic motion of pulsation p: ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd."""
-        turned = observed.turn_before(value)
-        for rows in observed.rocked:
-            phase = observed.pulsation[rows] * value
-            earlier = value * np.sinc(phase / np.pi)  # sin(pd)/p
-            change = observed.rate[rows] * (np.cos(phase) - 1) - observed.acceleration[rows] * earlier
-            turned[rows] += change[:, None] * observed.table_axis[rows]
-        return Variant((whole(on_rate(observed, turned), observed.unsteady),), value)
+        return Variant((whole(on_rate(observed, observed.turn_before(value)), observed.unsteady),), value)

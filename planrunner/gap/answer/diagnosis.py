@@ -17,11 +17,10 @@ from planrunner.base.documents import Json, JsonObject
 from planrunner.error_model.effects.interface import (
     ActsOnNoise,
     Effect,
-    Follows,
-    FollowsSurroundings,
     HasShape,
     NoHypothesis,
     NotFitted,
+    ShownInSome,
 )
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer import parameters as estimates
@@ -43,8 +42,6 @@ Forms = list[tuple[Weighed, float]]
 FEWEST_SEGMENTS = 4
 SHOWN_PLACES = 20
 _MOST_CHOICES = 30
-_VARIED_SUPPLY = 0.1  # V between segments: what a regulated supply does not do by itself
-_VARIED_PRESSURE = 1000.0  # Pa between segments: what the weather hardly does during a test
 _CHOICES = 6  # number of candidates among which a fold of the closure chooses
 _LIKELY = 1e-3  # smallest probability of such a candidate
 _ABSORBED_SHARE = 0.05  # remaining share of a signature's energy below which an effect counts as absorbed
@@ -248,24 +245,18 @@ def _parameters_of_given(
 
 
 def hypotheses(names: Sequence[str] | None, observed: Observed | None = None) -> list[Effect]:
-    """The effects of these names; without names, all installed ones that are meant for a diagnosis, and those of the supply voltage and the
-    ambient pressure if these vary in the recording."""
+    """The effects of these names; without names, all installed ones that are meant for a diagnosis, and those that say that this recording
+    can show them."""
     if names is not None:
         return [plugins.load(plugins.EFFECTS, name)() for name in names]
     installed: list[Effect] = [plugins.load(plugins.EFFECTS, name)() for name in plugins.names(plugins.EFFECTS)]
-    return [effect for effect in installed if not isinstance(effect, NoHypothesis) or _varied(effect, observed)]
+    return [effect for effect in installed if _weighed(effect, observed)]
 
 
-def _varied(effect: Effect, observed: Observed | None) -> bool:
-    """Whether segments differ in what the effect follows by more than regulation and weather make them differ."""
-    if observed is None or not isinstance(effect, FollowsSurroundings):
-        return False
-    supply = effect.follows is Follows.SUPPLY
-    excess = observed.excess_voltage if supply else observed.excess_pressure
-    if excess is None:
-        return False
-    means = np.add.reduceat(excess, observed.bounds[:-1]) / np.diff(observed.bounds)
-    return bool(np.ptp(means) > (_VARIED_SUPPLY if supply else _VARIED_PRESSURE))
+def _weighed(effect: Effect, observed: Observed | None) -> bool:
+    if observed is not None and isinstance(effect, ShownInSome):
+        return effect.shown_in(observed)
+    return not isinstance(effect, NoHypothesis)
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:

@@ -1,0 +1,106 @@
+"""Thermal lag: the sensing element follows the temperature that the thermometer shows, later."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from planrunner.error_model.effects.about import About, Actor
+from planrunner.error_model.effects.interface import Array, Shaped, Variant, per_axis
+from planrunner.error_model.observed import Observed, TemperatureCourse
+
+_SCALES = {"gyro": ("deg/s/K", np.pi / 180, 1e-3), "accel": ("ug/K", 9.80665e-6, 100.0)}
+"""By kind of triad: the unit of the amplitude, its SI value, and its natural size in this unit."""
+_NODES = 256  # of a segment during which the temperature changes
+_SETTLED = 3.0  # time constants that fit between two segments at least
+
+
+def _about(triad: str) -> About:
+    return About(
+        f"{triad} bias follows the temperature late",
+        f"The sensing elements of the {triad}s reach a new temperature later than the thermometer, so that their bias lags behind it.",
+        Actor.PLAN,
+        "Soak several times longer than the lag, or compensate with the delayed temperature: {found}.",
+    )
+
+
+class _BiasTemperatureLagged(Shaped):
+    """Bias + c·(Tₑ − T) per axis: what a bias that depends on the temperature Tₑ of the element shows beyond one that depends on the
+    temperature T of the thermometer; τ·dTₑ/dt = T − Tₑ, with Tₑ = T when the recording begins."""
+
+    stage, shape_name, shape_unit = "sensor", "tau", "s"
+    shown_by, depends_on_past = "a recorded temperature ramp, or segments soon after a change of temperature", True
+    over_segments = True
+    kind: str
+
+    def grid(self, observed: Observed) -> Array:
+        acts = observed.of_kind(self.kind) and observed.last_change.any()
+        return np.geomspace(30.0, 3000.0, 9) if acts else np.empty(0)
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        unit, factor, natural = _SCALES[self.kind]
+        behind = lag(observed, value)
+        return Variant(tuple(per_axis(observed, self.kind, "c", unit, factor, natural * factor, behind)), value)
+
+
+class GyroBiasTemperatureLagged(_BiasTemperatureLagged):
+    """Bias of each gyro + c·(Tₑ − T), Tₑ the temperature T behind a first-order lag."""
+
+    id, kind, about = "gyro_bias_temperature_lagged", "gyro", _about("gyro")
+
+
+class AccelBiasTemperatureLagged(_BiasTemperatureLagged):
+    """Bias of each accelerometer + c·(Tₑ − T), Tₑ the temperature T behind a first-order lag."""
+
+    id, hypothesis, kind, about = "accel_bias_temperature_lagged", False, "accel", _about("accelerometer")
+
+
+def lag(observed: Observed, tau: float) -> Array:
+    """Tₑ − T (N,), K, behind a first-order lag of `tau` s. Between two segments the temperature approaches its next value exponentially,
+    with the slope that it had before; without such a slope, at once."""
+    found = np.empty(len(observed.time))
+    behind, before = 0.0, None
+    for course in observed.past:
+        behind = _through(course, tau, _reached(before, course, behind, tau))[-1]
+        before = course
+    for rows in observed.segments():
+        time, order = np.unique(observed.time[rows], return_inverse=True)
+        temperature = np.empty(len(time))
+        temperature[order] = observed.temperature[rows]
+        course = TemperatureCourse(time, temperature, float(observed.temperature_rate[rows][-1]))
+        own = _through(course, tau, _reached(before, course, behind, tau))
+        found[rows] = own[order]
+        behind, before = float(own[-1]), course
+    return found
+
+
+def _reached(before: TemperatureCourse | None, course: TemperatureCourse, behind: float, tau: float) -> float:
+    """Tₑ − T at the beginning of a course. behind: that at the end of the course before. With T = T₁ + D·exp(−t/s), Tₑ − T₁ is the sum of
+    the decay of its own first value and of the convolution of D·exp(−t/s) with exp(−t/τ)/τ."""
+    if before is None:
+        return 0.0
+    gap = float(course.time[0] - before.time[-1])
+    rise = float(course.temperature[0] - before.temperature[-1])
+    settles = rise / before.rate if before.rate * rise > 0 else 0.0
+    s = min(settles, gap / _SETTLED)
+    s *= 1 + 1e-6 * (abs(s - tau) < 1e-6 * tau)  # the formula has no value where both are equal
+    own, given = math.exp(-gap / tau), math.exp(-gap / s) if s > 0 else 0.0
+    return (behind - rise) * own - rise * s / (s - tau) * (given - own)
+
+
+def _through(course: TemperatureCourse, tau: float, behind: float) -> Array:
+    """Tₑ − T (n,) along a course that begins with `behind`: with a linear change between samples, q = exp(−h/τ) and g = τ/h, one step
+    is d₁ = q·d₀ − g·(1 − q)·(T₁ − T₀)."""
+    from scipy.signal import lfilter
+
+    since = course.time - course.time[0]
+    if np.ptp(course.temperature) == 0.0 or len(since) < 2:
+        return np.asarray(behind * np.exp(-since / tau))
+    nodes = np.linspace(0.0, since[-1], min(max(len(since), 16), _NODES))
+    temperature = np.interp(nodes, since, course.temperature)
+    step = float(nodes[1])
+    q = math.exp(-step / tau)
+    change = -(tau / step) * (1 - q) * np.diff(temperature, prepend=temperature[0])
+    change[0] = behind
+    return np.asarray(np.interp(since, nodes, lfilter([1.0], [1.0, -q], change)))

@@ -1,0 +1,67 @@
+"""Vibration rectification: a shift of the bias in proportion to the mean square of an oscillation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planrunner.error_model.effects.about import About, Actor
+from planrunner.error_model.effects.interface import Array, Variant, per_axis, single
+from planrunner.error_model.observed import Observed
+
+DEG = np.pi / 180
+G = 9.80665  # m/s²
+_TWO = 1.2  # ratio of the mean squares of two intensities: with one, the shift is any offset of the rocking segments
+_SHOWN_BY = "segments at rest, and rocking segments of two intensities"
+
+
+class GyroVibrationRectification:
+    """Bias + k·⟨|ω'|²⟩ per axis, ω' the oscillating part of the angular rate of the table, ⟨ ⟩ the mean over time (IEEE Std 528, vibration
+    rectification error, here of angular vibration). A term in ω² acts at steady rates too; this one does not."""
+
+    id, stage = "gyro_vibration_rectification", "sensor"
+    about = About(
+        "gyro bias shifts under vibration",
+        "Oscillation of the table shifts the mean output of the gyros in proportion to the mean square of its angular rate.",
+        Actor.SENSOR,
+        "Isolate the gyros from the oscillation, or compensate with its mean square: {found}.",
+    )
+    shown_by = _SHOWN_BY
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        if not observed.pulsation.any():
+            return []
+        unit = "deg/s/(deg/s)^2"
+        return single(per_axis(observed, "gyro", "k", unit, 1 / DEG, 1e-5 / DEG, observed.mean_square_rate))
+
+    def shown_in(self, observed: Observed) -> bool:
+        return _two_intensities(observed.mean_square_rate)
+
+
+class AccelVibrationRectification:
+    """Bias + k·⟨|α'|²⟩ per axis, α' the oscillating part of the angular acceleration of the table, to which the acceleration of its
+    vibration is proportional (IEEE Std 1293, vibration rectification error; its coefficient per g² is k divided by the square of the
+    distance from the axis)."""
+
+    id, stage = "accel_vibration_rectification", "sensor"
+    about = About(
+        "accelerometer bias shifts under vibration",
+        "Vibration of the table shifts the mean output of the accelerometers in proportion to its mean square acceleration.",
+        Actor.SENSOR,
+        "Isolate the accelerometers from the vibration, or compensate with its mean square: {found}.",
+    )
+    shown_by = _SHOWN_BY
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        if not observed.pulsation.any():
+            return []
+        unit, factor = "ug/(rad/s^2)^2", 1e-6 * G
+        return single(per_axis(observed, "accel", "k", unit, factor, 10 * factor, observed.mean_square_acceleration))
+
+    def shown_in(self, observed: Observed) -> bool:
+        return _two_intensities(observed.mean_square_acceleration)
+
+
+def _two_intensities(mean_square: Array) -> bool:
+    """Whether the mean squares (N,) of rocking segments differ."""
+    rocks = mean_square[mean_square > 0]
+    return bool(len(rocks) and rocks.max() > _TWO * rocks.min())
