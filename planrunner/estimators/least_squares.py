@@ -105,7 +105,23 @@ def fit_each(
 def whitener(covariance: Array) -> Array:
     """W (…, n, n) with W·V·Wᵀ = 1: linear combinations of observations of the covariance V (…, n, n) that are uncorrelated and have
     variance one."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+    return _triangular_inverse(np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
+
+
+def _triangular_inverse(lower: Array) -> Array:
+    """Of lower triangular matrices (…, n, n), by halves: products of matrices take a small part of the time of a general inverse."""
+    n = lower.shape[-1]
+    if n <= _SMALL:
+        return np.asarray(np.linalg.inv(lower))
+    half = n // 2
+    inverse = np.zeros_like(lower)
+    inverse[..., :half, :half] = first = _triangular_inverse(lower[..., :half, :half])
+    inverse[..., half:, half:] = last = _triangular_inverse(lower[..., half:, half:])
+    inverse[..., half:, :half] = -last @ (lower[..., half:, :half] @ first)
+    return inverse
+
+
+_SMALL = 64  # rows of a matrix that is inverted as a whole
 
 
 def _triangles(matrix: Array, observed: Array, weight: Array | None, whitening: Array | None, scale: Array) -> Array:

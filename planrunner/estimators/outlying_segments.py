@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.estimators.least_squares import whitener
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.observation.observations import SIGNIFICANCE
 
@@ -54,7 +55,7 @@ def unchecked(fit: OutputsFit, basis: str) -> tuple[str, ...]:
     """Labels of the segments whose error would hardly show in any output's residuals; none where there are no residuals at all."""
     if not fit.freedom:
         return ()
-    redundancy = np.min([_Shifts.of(fit, k, basis, ()).redundancy for k in range(len(fit.outputs))], axis=0)
+    redundancy = np.min([_Weighed.of(fit, k, basis).shifts(()).redundancy for k in range(len(fit.outputs))], axis=0)
     means = fit.labels[: len(fit.labels) - fit.within]
     return tuple(label for label, share in zip(means, redundancy, strict=False) if share < LEAST_REDUNDANCY)
 
@@ -66,8 +67,9 @@ def _of_output(fit: OutputsFit, k: int, basis: str) -> list[Outlier]:
     taken: tuple[int, ...] = ()
     least = _ROUNDING * float(np.max(np.abs(fit.columns) @ np.abs(fit.all_coefficients[k])))
     comparisons = fit.gains.shape[2] * len(fit.outputs)
+    weighed = _Weighed.of(fit, k, basis)
     while len(taken) < _MOST and fit.freedom - len(taken) > 1:
-        shifts = _Shifts.of(fit, k, basis, taken)
+        shifts = weighed.shifts(taken)
         freedom = fit.freedom - len(taken) - 1
         worst = int(np.argmax(shifts.drops[: len(fit.labels) - fit.within]))
         left = (shifts.chi_squared - shifts.drops[worst]) / freedom
@@ -94,19 +96,34 @@ class _Shifts:
     redundancy: Array
     chi_squared: float
 
+
+@dataclass(frozen=True, slots=True)
+class _Weighed:
+    """An output's observations and their weights. covariance, weights: (n, n), the second the inverse of the first; columns: (n, P),
+    scaled; residuals: (n,)."""
+
+    covariance: Array
+    weights: Array
+    columns: Array
+    residuals: Array
+
     @classmethod
-    def of(cls, fit: OutputsFit, k: int, basis: str, taken: tuple[int, ...]) -> _Shifts:
+    def of(cls, fit: OutputsFit, k: int, basis: str) -> _Weighed:
+        covariance = fit.observed(k, basis)
+        whitening = whitener(covariance)
+        scale = np.sqrt(np.einsum("ij,ij->j", fit.columns, fit.columns))
+        columns = fit.columns / np.where(scale > 0, scale, 1.0)
+        return cls(covariance, whitening.T @ whitening, columns, fit.fits[k].residuals)
+
+    def shifts(self, taken: tuple[int, ...]) -> _Shifts:
         """taken: segments that have a column already."""
-        observed = fit.observed(k, basis)
-        weights = np.linalg.inv(observed)
-        fitted = fit.columns
-        scale = np.sqrt(np.einsum("ij,ij->j", fitted, fitted))
-        columns = np.column_stack([fitted / np.where(scale > 0, scale, 1.0), np.eye(len(observed))[:, list(taken)]])
-        weighted = weights @ columns
+        n = len(self.residuals)
+        columns = np.column_stack([self.columns, np.eye(n)[:, list(taken)]])
+        weighted = self.weights @ columns
         # What is left of the weights once the columns have taken theirs: χ² = yᵀ·left·y.
-        left = weights - weighted @ np.linalg.pinv(columns.T @ weighted) @ weighted.T
-        pulled, own = left @ fit.fits[k].residuals, np.diag(left)
-        redundancy = np.einsum("ij,ji->i", left, observed)
+        left = self.weights - weighted @ np.linalg.pinv(columns.T @ weighted) @ weighted.T
+        pulled, own = left @ self.residuals, np.diag(left)
+        redundancy = np.einsum("ij,ji->i", left, self.covariance)
         seen = redundancy > 1e-9
         errors = np.where(seen, pulled / np.where(seen, own, 1.0), 0.0)
-        return cls(errors, errors * pulled * seen, redundancy, float(fit.fits[k].residuals @ pulled))
+        return _Shifts(errors, errors * pulled * seen, redundancy, float(self.residuals @ pulled))

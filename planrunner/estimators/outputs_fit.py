@@ -192,6 +192,8 @@ def fit_outputs(
     acting, left = (tuple(effects), ()) if all(noise.known for noise in noises) else ((), tuple(effects))
     noises = [within_segment_noise(observations, k, explained(acting, k)) for k in range(m)]
     roots = stacked_roots(acting, m, len(matrix))
+    sigma = np.array([noise.sigma for noise in noises])
+    whitening = _whitening(sigma, roots)
 
     def weighting_of(columns: Array, further: Sequence[str] = ()) -> _Weighting:
         return _Weighting(
@@ -200,17 +202,19 @@ def fit_outputs(
             sizes(magnitudes, columns),
             (*names, *further),
             roots,
+            sigma,
+            whitening,
             observations.expected,
             observations.within,
         )
 
     def fits(columns: Array) -> Sequence[LinearFit]:
-        return weighting_of(columns, ("drift",) * (columns.shape[1] - len(names))).plain(noises)
+        return weighting_of(columns, ("drift",) * (columns.shape[1] - len(names))).plain()
 
     drifting = fitted_drift(matrix, magnitudes, names, drift, noises, observations.correlation, fits)
     columns = joined(matrix, drifting.courses)
     weighting = weighting_of(columns, drifting.names)
-    found = weighting.equal(noises) if equal else weighting.known(noises, basis == "residual")
+    found = weighting.equal() if equal else weighting.known(noises, basis == "residual")
     pooled = pooled and all(noise.known for noise in noises) and not found.between.any()
     return OutputsFit(
         observations.channels,
@@ -250,26 +254,28 @@ class _Fitted:
 @dataclass(frozen=True, slots=True)
 class _Weighting:
     """Observations (m, n) of the outputs and the effects on them in addition to noise. roots: (m, n, r), of the effects
-    (`stacked_roots`). expected: the means have no noise, so chi² is replaced by its expectation. within: number of observations at the end
-    that are no means of segments, and in which nothing varies between segments."""
+    (`stacked_roots`); sigma: (m, n), of the noise; whitening: of both, (m, n, n), or None without effects. It takes n³ operations, so that
+    all fits with these weights share it. expected: the means have no noise, so chi² is replaced by its expectation. within: number of
+    observations at the end that are no means of segments, and in which nothing varies between segments."""
 
     matrix: Array
     observed: Array
     magnitudes: Array
     names: Sequence[str]
     roots: Array
+    sigma: Array
+    whitening: Array | None
     expected: bool = False
     within: int = 0
 
-    def plain(self, noises: Sequence[WithinSegmentNoise]) -> list[LinearFit]:
+    def plain(self) -> list[LinearFit]:
         """Fits weighted by noise and effects."""
-        return self._weighted(np.array([noise.sigma for noise in noises]))
+        return self._fits(self.sigma, self.whitening)
 
     def known(self, noises: Sequence[WithinSegmentNoise], residual: bool) -> _Fitted:
         """Fit weighted by noise and effects; residual: with a part between segments if the residuals require it."""
-        spreads, between = np.array([noise.sigma for noise in noises]), np.zeros(len(noises))
-        whitening = self._whitening(spreads)
-        found = self._fits(spreads, whitening)
+        spreads, between, whitening = self.sigma.copy(), np.zeros(len(noises)), self.whitening
+        found = self.plain()
         ratios = _factors(found)
         for k, noise in enumerate(noises):
             varied = noise.unequal or self.roots[k].any() or self.within
@@ -279,23 +285,22 @@ class _Weighting:
                 spreads[k] = np.hypot(spreads[k], between[k] * means)
                 found[k] = self._fit_of(k, spreads[k])
         if between.any():
-            whitening = self._whitening(spreads)
+            whitening = _whitening(spreads, self.roots)
         weighted = self.matrix / spreads[..., None] ** 2
         if whitening is not None:
             weighted = whitening.swapaxes(1, 2) @ (whitening @ self.matrix)
         return _Fitted(tuple(found), _gains(found, weighted), spreads, between, ratios, whitening)
 
-    def equal(self, noises: Sequence[WithinSegmentNoise]) -> _Fitted:
+    def equal(self) -> _Fitted:
         """Fit with equal weights. Residuals are compared with the known noise in a fit that is weighted by it; in this fit a few large
         residuals would decide."""
-        sigma = np.array([noise.sigma for noise in noises])
-        spreads = np.broadcast_to(np.sqrt(np.mean(sigma**2, axis=1, keepdims=True)), sigma.shape)
+        spreads = np.broadcast_to(np.sqrt(np.mean(self.sigma**2, axis=1, keepdims=True)), self.sigma.shape)
+        whitening = _whitening(spreads, self.roots)
         found = self._fits(spreads, None)
-        judged = zip(found, self._weighted(spreads), strict=True)
+        judged = zip(found, self._fits(spreads, whitening), strict=True)
         fits = tuple(replace(one, chi_squared=by.chi_squared) for one, by in judged)
         gains = _gains(fits, self.matrix / spreads[..., None] ** 2)
-        ratios = _factors(self._weighted(sigma))
-        return _Fitted(fits, gains, spreads, np.zeros(len(noises)), ratios, self._whitening(spreads))
+        return _Fitted(fits, gains, spreads, np.zeros(len(fits)), _factors(self.plain()), whitening)
 
     def pooled_freedom(self, found: _Fitted, correlation: Array) -> float:
         """Degrees of freedom of the mean of the outputs' variance factors: those of a chi-squared variable with the same mean and variance
@@ -311,21 +316,20 @@ class _Weighting:
         common = float(np.sum(joint**2))
         return (m * (n - p)) ** 2 / common if common else 0.0
 
-    def _whitening(self, spreads: Array, outputs: slice = slice(None)) -> Array | None:
-        """Of noise and effects, (m, n, n); None without effects."""
-        return least_squares.whitener(mixed(spreads, self.roots[outputs])) if self.roots.size else None
-
-    def _weighted(self, spreads: Array, outputs: slice = slice(None)) -> list[LinearFit]:
-        """Fits weighted by noise and effects."""
-        return self._fits(spreads, self._whitening(spreads, outputs), outputs)
-
     def _fit_of(self, output: int, spread: Array) -> LinearFit:
-        return self._weighted(spread[None], slice(output, output + 1))[0]
+        """The fit of one output with another spread (n,)."""
+        one = slice(output, output + 1)
+        return self._fits(spread[None], _whitening(spread[None], self.roots[one]), one)[0]
 
     def _fits(self, spreads: Array, whitening: Array | None, outputs: slice = slice(None)) -> list[LinearFit]:
         observed = self.observed[outputs]
         found = least_squares.fit_each(self.matrix, observed, spreads, self.magnitudes, self.names, whitening)
         return [replace(one, chi_squared=float(one.degrees_of_freedom)) if self.expected else one for one in found]
+
+
+def _whitening(spreads: Array, roots: Array) -> Array | None:
+    """Of noise with these spreads (m, n) and effects with these roots (m, n, r), (m, n, n); None without effects."""
+    return least_squares.whitener(mixed(spreads, roots)) if roots.size else None
 
 
 def _factors(fits: Sequence[LinearFit]) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planrunner.estimators.interface import EstimationError
-from planrunner.estimators.least_squares import fit
+from planrunner.estimators.least_squares import fit, whitener
 
 # NIST StRD, linear regression "Longley" (certified): y, GNP deflator, GNP, unemployed, armed forces, population, year.
 LONGLEY_TEXT = """60323 83.0 234289 2356 1590 107608 1947
@@ -92,3 +92,26 @@ def test_refusals() -> None:
         fit(np.array([[1.0, 2], [1, 3], [1, 5]]), np.array([1.0, np.nan, 2]))
     with pytest.raises(EstimationError, match="cannot be used as a weight"):
         fit(np.array([[1.0, 2], [1, 3], [1, 5]]), np.ones(3), np.array([1.0, 0.0, 1.0]))
+
+
+@pytest.mark.parametrize("n", [5, 64, 65, 150])
+def test_whitened_observations_are_uncorrelated_for_any_length(n: int) -> None:
+    """Also for several outputs at once; longer matrices are inverted by halves."""
+    mixing = np.random.default_rng(n).normal(size=(2, n, n))
+    covariance = mixing @ mixing.swapaxes(1, 2) + n * np.eye(n)
+    whitening = whitener(covariance)
+    assert whitening @ covariance @ whitening.swapaxes(1, 2) == pytest.approx(np.array([np.eye(n)] * 2), abs=1e-12)
+
+
+def test_correlated_observations_by_the_textbook_formula() -> None:
+    """(AᵀV⁻¹A)⁻¹·AᵀV⁻¹·y of a random walk under white noise, by numpy's general solver."""
+    n, draw = 150, np.random.default_rng(1)
+    steps = np.tril(np.ones((n, n)))
+    covariance = 0.01 * steps @ steps.T + np.eye(n)
+    matrix = np.column_stack([np.ones(n), np.linspace(-1, 1, n)])
+    observed = matrix @ [2.0, 3.0] + np.linalg.cholesky(covariance) @ draw.standard_normal(n)
+    found = fit(matrix, observed, covariance=covariance)
+    weighted = np.linalg.solve(covariance, matrix)
+    information = matrix.T @ weighted
+    assert found.coefficients == pytest.approx(np.linalg.solve(information, weighted.T @ observed), rel=1e-10)
+    assert found.cofactor == pytest.approx(np.linalg.inv(information), rel=1e-10)
