@@ -11,8 +11,10 @@ import pytest
 from moved_by_hand import BY_POSES, BY_REFERENCE, SENSOR, Hand
 from recorded import from_samples
 
+from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.error_model.estimator import ErrorModelEstimator
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
+from planrunner.estimators.error_model.within import uneven_ratios
 from planrunner.estimators.interface import Estimate, EstimateRequest, EstimationError
 from planrunner.instruments.models import SensorModel
 from planrunner.observation.samples import observed
@@ -141,3 +143,48 @@ def test_a_clipped_reference_does_not_count() -> None:
 
     assert abs(away(found(replace(SENSOR, outputs=outputs)), "gyro_scale_factor_z", 9e3)) < 4
     assert found(SENSOR)["gyro_scale_factor_z"].value > 2e4  # 120 deg/s stand for more
+
+
+def _with_uneven_reference(seed: int, parts: int = 8) -> tuple[RecordedSegment, ...]:
+    """The board with reference gyros whose scale factors differ by 0.5 % from segment to segment."""
+    draw = np.random.default_rng(seed)
+    found = []
+    for part in BOARD.recording(seed, BY_REFERENCE, parts):
+        blocks = list(part.blocks(tuple(part.units)))
+        channels = {n: np.concatenate([np.asarray(b.channels[n]) for b in blocks]) for n in part.units}
+        for axis in "xyz":
+            channels[f"one_gyro_{axis}"] *= 1 + 0.005 * draw.standard_normal()
+        found.append(from_samples(part.segment, np.concatenate([b.time for b in blocks]), channels, part.units))
+    return tuple(found)
+
+
+def test_errors_of_the_reference_that_differ_between_segments_are_warned_of() -> None:
+    parameters = ErrorModelParameters(outputs={"two_gyro_z": GYRO}, uncertainty="residual")
+    for seed in (1, 2, 3):
+        recording = _with_uneven_reference(seed)
+        found = ErrorModelEstimator().estimate(EstimateRequest("model", recording, parameters, SITE, SENSOR))
+        assert [text for text in found.warnings if "single segments show" in text]
+
+
+def test_the_scatter_of_segments_gives_the_variance_of_a_contrast() -> None:
+    """Contributions with 30 times the variance of white noise, because the residuals within a segment agree with each other."""
+    draw = np.random.default_rng(5)
+    n, each = 9, 200
+    first = np.arange(n) * each
+    found = []
+    for _ in range(300):
+        functional = draw.standard_normal(n * each) * np.repeat(draw.uniform(0.5, 1.5, n), each)
+        functional /= np.linalg.norm(functional)
+        own = np.sqrt(np.add.reduceat(functional**2, first))
+        common = np.sqrt(29.0) * draw.standard_normal(n) / own
+        left = draw.standard_normal(n * each) + functional * np.repeat(common, each)
+        left -= functional * (functional @ left)
+        found.append(uneven_ratios(functional[None], left, first, 1.0)[0])
+    assert np.mean(found) == pytest.approx(30.0, rel=0.1)
+    white = [uneven_ratios(functional[None], draw.standard_normal(n * each), first, 1.0)[0] for _ in range(100)]
+    assert np.mean(np.array(white) > 1) < 0.05
+
+
+def test_an_even_reference_gives_no_such_warning() -> None:
+    found = estimate(BOARD, BY_REFERENCE, {"two_gyro_z": GYRO, "two_accel_x": ACCEL}, parts=8)
+    assert not [text for text in found.warnings if "single segments show" in text]

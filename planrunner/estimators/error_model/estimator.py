@@ -658,4 +658,14 @@ def _of_samples(one: FittedOutput) -> list[Said]:
                 ratio=within.coloured,
             )
         )
+    if within.uneven > within.coloured:
+        found.append(
+            said(
+                "{output}: the effects that single segments show vary up to {ratio:.3g} times as much (variance) as the noise explains: "
+                "the channels that show the motion have errors that differ from segment to segment, or the model is incomplete. The "
+                "uncertainties of effects within segments are increased accordingly.",
+                output=one.model.name,
+                ratio=within.uneven,
+            )
+        )
     return found

@@ -40,6 +40,8 @@ _REWEIGHTED = 2.0  # change of a weight from which the shapes are sought anew
 _KEPT = 12  # evaluations of the columns
 _MOVED_ROUNDS = 3
 _BATCHES = 16  # of a segment, for the judgement whether its noise is white
+_FEWEST_SEGMENTS = 3  # whose contributions to a contrast can be compared
+_IN_ONE = 0.8  # Σ e² of a contrast that one segment alone decides
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +95,8 @@ class WithinFit:
     amplitudes: p, those of the model and then the shapes that are not discrete. matrix: (n, p), the linear model of the means, as in
     `OutputColumns`; mean: (n,), observed; offset: (n,), part of the means that is not fitted, both in the unit of the output. own,
     available: as in `OutputColumns`. shapes: effect → value. at_bound: effects whose shape is at a bound. coloured: how many times
-    larger the variance of slow noise is than white noise explains; 1 if it is white. moved_error: (n,), standard errors of the means of
+    larger the variance of slow noise is than white noise explains; 1 if it is white. uneven: how many times more the contributions of the
+    segments to an effect vary, at most; 1 if they agree. moved_error: (n,), standard errors of the means of
     segments whose motion the recording shows, from what the fit leaves; NaN for the others.
     """
 
@@ -108,6 +111,7 @@ class WithinFit:
     moved_error: Array
     at_bound: tuple[str, ...] = ()
     coloured: float = 1.0
+    uneven: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -418,18 +422,20 @@ class _Problem:
         linear = (predicted if observed is None else observed) - predicted + at @ tangents
         offset = self.means(predicted - at @ tangents)
         columns = self.columns(values, amplitudes)
+        contrasts, uneven = self._contrasts(tangents, linear, linear - at @ tangents, coloured)
         return WithinFit(
             tuple(parts),
             self.means(tangents).T,
             self.means(predicted if observed is None else observed),
             offset,
-            self._contrasts(tangents, linear, math.sqrt(coloured)),
+            contrasts,
             self.means(columns.own),
             columns.available,
             self._named(values),
             np.where(output.observed.moved, self.error, np.nan),
             tuple(bounds),
             coloured,
+            uneven,
         )
 
     def _rescaled(self, amplitudes: Array, values: Sequence[float]) -> Array:
@@ -437,8 +443,8 @@ class _Problem:
         factors = [one.factor for one in self.columns(values).amplitudes]
         return np.asarray(amplitudes * factors / np.array([one.factor for one in self._latest]))
 
-    def _contrasts(self, tangents: Array, values: Array, larger: float) -> Contrasts:
-        """See the text of the module. larger: factor of their noise."""
+    def _contrasts(self, tangents: Array, values: Array, left: Array, coloured: float) -> tuple[Contrasts, float]:
+        """See the text of the module; and the largest ratio of `_uneven`. left: (N,), residuals; coloured: factor of the variance."""
         weight = 1 / self.sigma[self.owner]
         centred = self.centred(tangents) * weight
         size = np.sqrt(np.sum(centred**2, axis=1))
@@ -459,12 +465,16 @@ class _Problem:
         values_, vectors = np.linalg.eigh(flicker) if len(S) else (np.zeros(0), np.zeros((0, 0)))
         root = vectors * np.sqrt(np.maximum(values_, 0.0))
         finite = np.where(np.isfinite(size), size, 0.0)
-        return Contrasts(
+        uneven = np.ones(len(S))
+        if self.output.observed.moved.any():
+            uneven = uneven_ratios(functionals, self.centred(left) * weight, self.first, coloured)
+        contrasts = Contrasts(
             (np.sqrt(S)[:, None] * V.T) * finite * unit,
             functionals @ (self.centred(values) * weight) * unit,
-            np.full(len(S), unit * larger),
+            unit * np.sqrt(np.maximum(coloured, uneven)),
             root * unit,
         )
+        return contrasts, float(uneven.max(initial=1.0))
 
     def _colour(self, left: Array) -> float:
         """How many times larger the variance of batch means is than that of white noise, 1 if not significantly. left: (N,), residuals less
@@ -481,6 +491,32 @@ class _Problem:
             total += float(np.sum((batches - batches.mean()) ** 2)) / variance
             freedom += _BATCHES - 1
         return total / freedom if freedom and chdtrc(freedom, total) < SIGNIFICANCE else 1.0
+
+
+def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], coloured: float) -> Array:
+    """How many times larger the variance of each contrast (S,) is than that of white noise, from the scatter of the contributions of the
+    segments; 1 if the contrasts together do not show it significantly. functionals: (S, N), orthonormal; left: (N,), residuals over their
+    noise; first: (n,), first sample of each segment; coloured: as in `WithinFit`.
+
+    The errors of a reference differ from motion to motion, and a longer segment would not have less of them. R = Σ c²/(1 − Σ e²), where a
+    segment contributes c to a contrast, and e to the square of its length: unbiased for contributions with the variance R·e, of which the
+    fit leaves Σ c = 0. Sandwich of clustered data: K.-Y. Liang, S. L. Zeger, Biometrika 73, 1986.
+    """
+    from scipy.special import chdtrc
+
+    ratios = np.ones(len(functionals))
+    if len(first) < _FEWEST_SEGMENTS or not len(functionals):
+        return ratios
+    c = np.add.reduceat(functionals * left, first, axis=1)
+    e = np.add.reduceat(functionals**2, first, axis=1)
+    alone = np.sum(e**2, axis=1)
+    several = alone < _IN_ONE
+    spare = 1 - alone[several]
+    found = np.sum(c[several] ** 2, axis=1) / spare
+    degrees = spare / alone[several]
+    if several.any() and chdtrc(degrees.sum(), float(found @ degrees) / coloured) < SIGNIFICANCE:
+        ratios[several] = np.maximum(found, 1.0)
+    return ratios
 
 
 def _solved(rows: Array, values: Array) -> Array:
