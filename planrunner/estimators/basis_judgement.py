@@ -238,8 +238,8 @@ class DriftWords:
 
 
 def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
-    """A note about a drift that the plan asks for, warnings about one that the segments show or do not exclude, and a note if they could
-    show none."""
+    """A note about a drift that the plan asks for, warnings about a drift that the segments show or do not exclude, and a note if they
+    could not show any."""
     drift = fit.drift
     if not drift.courses:
         doubted = tuple(_suspected(fit, one, basis) for one in drift.suspected)

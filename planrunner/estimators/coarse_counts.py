@@ -14,7 +14,7 @@ from planrunner.observation.screening import varies
 def coarse_counts(
     segments: Sequence[RecordedSegment], channels: Collection[str], sensor: SensorModel
 ) -> tuple[Said, ...]:
-    """A warning for each of these channels, or for each output of the sensor if none is given, that noise does not dither in some segment.
+    """A warning for each of these channels (by default each output of the sensor) whose noise does not dither the counts in some segment.
 
     Equal inputs then have equal rounding errors, which neither the noise within the segments nor the scatter of repeats shows.
     """

@@ -1,4 +1,4 @@
-"""What the estimates of a plan will give, from its schedule alone: nothing here reads samples."""
+"""Predicts the results of the estimates of a plan from its schedule alone; nothing in this module reads samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Segments that do not agree with the others, and segments that the others do not check.
+"""Segments that do not agree with the others, and segments whose errors the others would not reveal.
 
 The test is that of the mean-shift model: segment i of an output has an error δ, which is described by an additional column with a one at i.
 Its t value is the externally studentised residual (Cook and Weisberg, Residuals and Influence in Regression, 1982, 2.2.2; for correlated

@@ -1,7 +1,7 @@
 """Wrong declarations: axes, signs, units and senses of rotation that a plan or a bench file states differently from the recording.
 
-A diagnosis does not weigh the effects that change an output altogether; `gap/hypotheses/declarations.py` finds them before it weighs
-effects of the sensor. Added to a simulation, they give recordings with these mistakes.
+A diagnosis does not evaluate effects that change a whole output; `gap/hypotheses/declarations.py` finds them before it evaluates effects of
+the sensor. Added to a simulation, they give recordings with these mistakes.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds it, the estimator `error_model` fits its
 amplitudes to the means of segments, and the diagnosis decides whether the data support it. It may act on several channels at once, have a
-shape, or change the noise; an estimate takes effects without a shape, and those that outlast a segment.
+shape, or change the noise; an estimate fits effects without a shape, and effects that last longer than a segment.
 
     class MyEffect:
         id = "my_effect"                      # the entry point's name
@@ -129,7 +129,7 @@ class ShownInSome(Effect, Protocol):
 
 @runtime_checkable
 class NoHypothesis(Effect, Protocol):
-    """An effect for simulations and estimates, which the diagnosis does not weigh unless it is named."""
+    """An effect for simulations and estimates, which the diagnosis evaluates only if it is named."""
 
     hypothesis: Literal[False]
 

@@ -1,6 +1,6 @@
 """Bias, scale factor and misalignment of an accelerometer triad from many positions.
 
-Which reference to use when:
+When to use which reference:
 
     orientation         the attitudes are known (a table, a dividing head): a straight line in gravity's components for each axis
     gravity_magnitude   the attitudes are unknown (tumbled by hand): nine parameters from |f| = g alone

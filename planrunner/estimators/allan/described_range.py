@@ -1,6 +1,6 @@
 """The range of averaging times that the four kinds of noise describe, and whether a steady drift hides behind them.
 
-A record may hold more than noise: a filter or a periodic disturbance changes the deviations at short averaging times, a warm-up those at
+A record may contain more than noise: a filter or a periodic disturbance changes the deviations at short averaging times, a warm-up those at
 long ones, a steady drift imitates a random walk. The fit begins with all averaging times. If they contradict the model, the smallest
 number of them is left out at either end. If they show a random walk or a drift, which Allan variances cannot separate, Hadamard variances
 are fitted instead: their coefficients are right in both cases, and little less certain.
@@ -49,7 +49,7 @@ class DescribedRange:
 
     @property
     def fits(self) -> bool:
-        """Neither χ² nor squares that are more negative than chance makes them contradict the model."""
+        """Whether the model is not contradicted by χ², nor by squares that are significantly negative."""
         spreads = np.sqrt(np.diag(self.fit.covariance))
         return self.probability >= _DOUBT and bool(np.all(self.fit.squares >= -_NEGATIVE * spreads))
 
@@ -81,7 +81,8 @@ class _Ranges:
         self.whole = self.without(0, 0)
 
     def widest(self) -> DescribedRange:
-        """The largest range that fits; of equal ones that with the longer averaging times. The whole where none fits."""
+        """The largest range that fits; of several ranges of equal size, the one with the longer averaging times. If none fits, all
+        averaging times."""
         if self.whole.fits:
             return self.whole
         most = len(self.rows) - len(self.terms) - _SPARE

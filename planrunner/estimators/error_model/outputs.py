@@ -1,4 +1,4 @@
-"""Which effects act on which output, at which segments: the models of an estimate, or why there is none."""
+"""The models of an estimate: the effects that act on each output in each segment, or the reason why there is no model."""
 
 from __future__ import annotations
 

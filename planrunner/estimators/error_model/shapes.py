@@ -1,8 +1,8 @@
-"""The shape of an effect, such as a time constant, from the means of segments by variable projection.
+"""Fits the shape of an effect, such as a time constant, to the means of segments by variable projection.
 
 For each value of the shape the amplitudes are linear, and χ² of their fit is a function of the shape alone (G. Golub and V. Pereyra, SIAM
-J. Numer. Anal. 10, 1973). Its smallest value is sought within the bounds of the catalogue. There the derivative with respect to the shape
-becomes one more column of the fit, so that all uncertainties include that of the shape.
+J. Numer. Anal. 10, 1973). The fit searches for its smallest value within the bounds of the catalogue. There the derivative with respect to
+the shape becomes one more column of the fit, so that all uncertainties include that of the shape.
 """
 
 from __future__ import annotations

@@ -110,8 +110,8 @@ class _Fold:
 
 
 def closure(weighing: Weighing, choices: Sequence[FoldChoice], beyond: float) -> Closure:
-    """The closure for the effects and pairs among which each fold chooses again. beyond: probability that none of them is the whole
-    cause."""
+    """The closure for the effects and pairs among which each fold chooses again. beyond: probability that no effect or pair among them is
+    the whole cause."""
     if len(weighing.observed) < FEWEST or not choices:
         return NOT_RESOLVABLE
     folds = [_fold(weighing, choices, held) for held in held_out(weighing)]

@@ -1,4 +1,5 @@
-"""The diagnosis of a recording: where it differs from its simulation, which effect explains that, and how far the gap shrinks.
+"""The diagnosis of a recording: where it differs from its simulation, which effect explains the difference, and by how much the gap
+shrinks.
 
 Steps: spectra and noise, nominal parameters projected out (`weighing`); evidence for every installed effect (`candidates`), for pairs and
 for patterns outside the catalogue (`posterior`, `open_set`); a verdict that names no single member of a class that the plan cannot separate
@@ -50,7 +51,7 @@ _ABSORBED_SHARE = 0.05  # remaining share of a signature's energy below which an
 @dataclass(frozen=True, slots=True)
 class DiagnosisOptions:
     """nominal: terms that the nominal simulation fits, from `candidates.FULL`; effects: candidates, by default all that are installed.
-    given: effects that are known to act; they are fitted, and the rest is diagnosed beside them."""
+    given: effects that are known to act; they are fitted, and the remaining gap is diagnosed."""
 
     nominal: tuple[str, ...] = FULL
     effects: tuple[str, ...] | None = None
@@ -71,9 +72,9 @@ class Grounds:
 @dataclass(frozen=True)
 class Diagnosis:
     """gap: by channel, in its unit. noise: of every channel. posterior: of all hypotheses. absorbed: effect → share of its energy that
-    remains after the nominal parameters. unknown: form of what the catalogue does not contain, if the verdict says so. rest: what remains
-    beside the named effects; None if none is named, or if a random walk is among them. pictures: data for plots.
-    given: parameters of the effects that are known to act, fitted together with the named ones."""
+    remains after the nominal parameters. unknown: form of what the catalogue does not contain, if the verdict says so. rest: what the named
+    effects do not explain; None if none is named, or if a random walk is among them. pictures: data for plots. given: parameters of the
+    effects that are known to act, fitted together with the named ones."""
 
     gap: Mapping[str, Mapping[str, Json]]
     noise: tuple[NoiseFound, ...]

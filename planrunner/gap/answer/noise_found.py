@@ -1,5 +1,6 @@
-"""The noise of each channel as the recording shows it, beside its declaration. Noise is reported, but does not compete with the
-effects as an explanation."""
+"""The noise of each channel as the recording shows it, and as it is declared. Noise is reported, but does not compete with the
+effects as an explanation.
+"""
 
 from __future__ import annotations
 

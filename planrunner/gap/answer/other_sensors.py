@@ -1,4 +1,5 @@
-"""Instruments that a bench lacks and that would separate explanations that its segments cannot. They are evaluated like segments.
+"""Instruments that a bench lacks, and with which explanations could be separated that its segments cannot separate. They are evaluated like
+segments.
 
 Effects of the table and the site act on every instrument on the table, effects of the sensor and of its data only on the sensor.
 """

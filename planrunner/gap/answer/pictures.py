@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
-    """By channel: root mean square over the samples of the residual of the nominal simulation, as far as the coefficients show it, the
+    """By channel: root mean square over the samples of the residual of the nominal simulation (the part that the coefficients show), the
     value for noise alone, and the unit. It does not depend on the sampling rate: a constant offset counts with its size."""
     found = {}
     for index, channel in enumerate(weighing.observed.channels):

@@ -80,7 +80,7 @@ class Verdict:
 
 
 def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]) -> Verdict:
-    """The verdict. Nothing is named while P(none) is 5 % or more, nor a member of a class that the plan cannot separate."""
+    """The verdict. Nothing is named if P(none) is 5 % or more. A single member of a class that the plan cannot separate is never named."""
     probability = found.of_effects()
     if probability["none"] >= NAMEABLE:
         return Verdict("none")

@@ -1,6 +1,7 @@
 """Checks of a recording before its diagnosis, as findings.
 
-A finding is an error if a diagnosis would be empty or wrong; it is a warning if the diagnosis can continue but the user should know.
+A finding is an error if a diagnosis would be empty or wrong; it is a warning if the diagnosis can continue, but the user should know the
+problem.
 """
 
 from __future__ import annotations

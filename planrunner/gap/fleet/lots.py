@@ -1,4 +1,4 @@
-"""What the devices of one lot have in common, and no other device has."""
+"""Amplitudes that the devices of one lot have in common, and that differ from those of all other devices."""
 
 from __future__ import annotations
 

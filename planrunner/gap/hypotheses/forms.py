@@ -1,10 +1,11 @@
 """Effects as candidates: their forms on the grid of each effect, refined where the evidence has a sharp peak, and nonlinear where the
 effect is strong.
 
-An effect that is fully determined by its shape (a lag, a delay, a dead zone, a limit) has no amplitude. A weak one is weighed like the
-others, with an amplitude in addition to the shape, because the two are redundant; a strong one with the amplitude 1, its shape found
-exactly. If it acts on the output of the sensor, the nominal parameters are fitted together with it: fitted without the effect they would
-absorb part of it and give a wrong output (Gauss–Newton in those parameters, a search in the shape).
+An effect that is fully determined by its shape (a lag, a delay, a dead zone, a limit) has no amplitude. A weak effect of this kind is
+weighed like the others, with an amplitude in addition to the shape, because the two are redundant. A strong effect is weighed with the
+amplitude 1, and its shape is found exactly. If it acts on the output of the sensor, the nominal parameters are fitted together with it: if
+they were fitted without the effect, they would absorb a part of it and give a wrong output (Gauss–Newton in those parameters, a search in
+the shape).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Competitors outside the catalogue, so that a diagnosis can report "something that the catalogue does not hold".
+"""Competitors outside the catalogue, so that a diagnosis can report "something that the catalogue does not contain".
 
 Each is a pattern of the whitened residual: offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ
 at random from segment to segment, or change smoothly with rate, gravity, temperature or time, in one channel or in a triad; one odd
