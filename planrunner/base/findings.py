@@ -159,6 +159,11 @@ class InputError(Exception):
         self.findings = list(findings)
         super().__init__("\n".join(map(str, self.findings)))
 
+    @classmethod
+    def of_usage(cls, message: str, hint: str) -> InputError:
+        """The error for arguments of a command that do not fit together."""
+        return cls.at(COMMAND_LINE, "command-usage", message, hint)
+
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.findings,)
 

@@ -21,7 +21,7 @@ from typing import NoReturn
 from planrunner import __version__
 from planrunner.base.dataclass import dataclass
 from planrunner.base.exclusive import COMMAND
-from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.findings import InputError
 from planrunner.base.interruption import Interruption
 from planrunner.cli.exit_codes import DONE, WRONG_INPUT
 from planrunner.reporting.printable import printable_streams
@@ -112,7 +112,7 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         if self.asked.json:
             usage = " ".join(self.format_usage().split())
-            raise InputError.at(COMMAND_LINE, "command-usage", message, usage)
+            raise InputError.of_usage(message, usage)
         self.print_usage(sys.stderr)
         self.exit(WRONG_INPUT, f"{self.prog}: error: {message}\n    hint: `{self.prog} --help` lists the arguments\n")
 

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.cli import exit_codes
 from planrunner.cli.dates import day_of
-from planrunner.cli.printing import print_findings, print_json
+from planrunner.cli.printing import print_findings, print_json, print_line
 from planrunner.cli.signer import add_signer, signer_of
-from planrunner.reporting.printable import printable
 
 if TYPE_CHECKING:
     from planrunner.review.approvals import JudgedApproval
@@ -48,12 +47,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     if args.list and args.withdraw:
-        raise InputError.at(COMMAND_LINE, "command-usage", "--list and --withdraw exclude each other", "give one")
+        raise InputError.of_usage("--list and --withdraw exclude each other", "give one")
     if args.list:
         return _list(args)
     if not args.name.strip():
-        message = "the name of the reviewer is missing"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "write for example --name 'Anna Example'")
+        raise InputError.of_usage("the name of the reviewer is missing", "write for example --name 'Anna Example'")
     return _withdraw(args) if args.withdraw else _approve(args)
 
 
@@ -69,12 +67,12 @@ def _approve(args: argparse.Namespace) -> int:
     found = [approvals_on(args.plan, sound) for sound in prepared.sound]
     if args.json:
         print_json(next(one.to_json() for one in found[0].approvals if one.stated.file == file))
-    print(printable(f"approved by {args.name}: {file}", keep=""), file=out)
+    print_line(f"approved by {args.name}: {file}", out)
     for one in found:
         own = next(item for item in one.approvals if item.stated.file == file)
         if one.rule is not None:
             word = "it counts" if own.standing == "counts" else f"it does not count: {own.why}"
-            print(printable(f"bench '{one.bench}': {word}; {_enough(one)}", keep=""), file=out)
+            print_line(f"bench '{one.bench}': {word}; {_enough(one)}", out)
     return exit_codes.DONE
 
 
@@ -107,10 +105,10 @@ def _list(args: argparse.Namespace) -> int:
         )
         return exit_codes.DONE
     for one in found:
-        print(printable(f"bench '{one.bench}': {_enough(one)}", keep=""))
+        print_line(f"bench '{one.bench}': {_enough(one)}")
         for item in one.approvals:
             for line in _lines(item):
-                print(printable(f"    {line}", keep=""))
+                print_line(f"    {line}")
     return exit_codes.DONE
 
 
@@ -157,7 +155,7 @@ def _show(prepared: PreparedApproval, statement: str) -> None:
     facts.append(("until", "not limited" if what.until is None else what.until.isoformat()))
     facts.append(("statement", statement.strip() or DECLARED))
     for name, text in facts:
-        print(printable(f"{name + ':':<11}{text}", keep=""), file=sys.stderr)
+        print_line(f"{name + ':':<11}{text}", sys.stderr)
     _show_last(prepared)
 
 
@@ -170,12 +168,12 @@ def _show_last(prepared: PreparedApproval) -> None:
 
     before, compared = prepared.last
     said = f"Since the version that {before.name} approved on {before.signed:%Y-%m-%d}: {headline(compared)}"
-    print(printable(said, keep=""), file=sys.stderr)
+    print_line(said, sys.stderr)
     console = terminal.console(file=sys.stderr)
     for table in difference_tables(compared):
         console.print(terminal.data_table(table))
     for line in notes(compared):
-        print(printable(line, keep=""), file=sys.stderr)
+        print_line(line, sys.stderr)
 
 
 def _ask() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.findings import InputError
 from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done, each_run
 from planrunner.cli.printing import print_json
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
 
     if not is_url(args.url):
         message = f"'{args.url}' is not the URL of a remote archive"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "write for example s3://bucket/archive")
+        raise InputError.of_usage(message, "write for example s3://bucket/archive")
     return _push(args) if args.action == "push" else _pull(args)
 
 

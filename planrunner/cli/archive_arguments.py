@@ -10,32 +10,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner.cli import exit_codes
+from planrunner.cli.printing import print_line
 
 if TYPE_CHECKING:
     from planrunner.night.history.index import Index
     from planrunner.night.history.rows import FaultRow
 
 
-def folder_argument(text: str) -> Path:
-    """A folder of runs or a run. A URL is copied when the command line is read (`archive.remote`): commands read local folders only."""
+def folder_argument(text: str, *, anew: bool = False) -> Path:
+    """A folder of runs or a run. A URL is copied when the command line is read (`archive.remote`): commands read local folders only. anew:
+    copy also what has not changed since an earlier copy."""
     if "://" not in text:
         return Path(text)
     from planrunner.archive.remote import fetched
     from planrunner.cli.progress import reading_progress
 
     with reading_progress() as notice:
-        return fetched(text, notice=notice)
+        return fetched(text, anew=anew, notice=notice)
 
 
 def folder_to_verify(text: str) -> Path:
     """As `folder_argument`, but a URL is copied anew, because an older copy says nothing about what is there now."""
-    if "://" not in text:
-        return Path(text)
-    from planrunner.archive.remote import fetched
-    from planrunner.cli.progress import reading_progress
-
-    with reading_progress() as notice:
-        return fetched(text, anew=True, notice=notice)
+    return folder_argument(text, anew=True)
 
 
 def add_archive(parser: argparse.ArgumentParser) -> None:
@@ -47,6 +43,21 @@ def add_archive(parser: argparse.ArgumentParser) -> None:
         default=Path("runs"),
         help="folder that contains the run folders, or its URL, such as s3://bucket/archive (default: runs)",
     )
+
+
+def add_runs_folder(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--runs",
+        metavar="ARCHIVE",
+        type=folder_argument,
+        default=Path("runs"),
+        help="folder or URL of the runs (default: runs)",
+    )
+
+
+def add_period(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--since", default="", metavar="DATE", help="runs from this day or moment on (UTC)")
+    parser.add_argument("--until", default="", metavar="DATE", help="runs up to this day or moment (UTC)")
 
 
 def add_index(parser: argparse.ArgumentParser) -> None:
@@ -76,8 +87,7 @@ def opened_index(args: argparse.Namespace, archive: Path) -> Iterator[Index]:
 
 def report_left_out(faults: Sequence[FaultRow]) -> int:
     """Name the damaged runs that a command leaves out, on standard error. Returns the exit code that follows from them."""
-    from planrunner.reporting.printable import printable
 
     for fault in faults:
-        print(printable(f"not in the index: {fault.folder}: {fault.message}", keep=""), file=sys.stderr)
+        print_line(f"not in the index: {fault.folder}: {fault.message}", sys.stderr)
     return exit_codes.INTEGRITY if faults else exit_codes.DONE

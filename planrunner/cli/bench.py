@@ -12,7 +12,7 @@ from planrunner.base.findings import InputError, Mark
 from planrunner.bench.model import read_bench, shipped_benches
 from planrunner.cli import exit_codes
 from planrunner.cli.archive_arguments import add_index, report_left_out
-from planrunner.cli.printing import print_json
+from planrunner.cli.printing import print_json, print_line
 
 if TYPE_CHECKING:
     from planrunner.tasks.ping import Ping
@@ -63,11 +63,10 @@ def _check_standard(args: argparse.Namespace) -> int:
     else:
         from planrunner.reporting import terminal
         from planrunner.reporting.history_tables import control_table
-        from planrunner.reporting.printable import printable
 
         if state.coefficients:
-            terminal.console().print(terminal.data_table(control_table(state)))
-        print(printable(state.words(), keep=""))
+            terminal.print_tables(control_table(state))
+        print_line(state.words())
     return code or (exit_codes.DONE if state.in_control else exit_codes.LIMIT_FAILED)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from planrunner.base.documents import JsonObject
 from planrunner.cli import exit_codes
 from planrunner.cli.diagnose import add_nominal, add_recording, context_of, options_of, recorded_of
-from planrunner.cli.printing import print_findings, print_json, write_file
+from planrunner.cli.printing import name_file, print_findings, print_json, write_file
 from planrunner.cli.progress import reading_progress
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         from planrunner.reporting.diagnosis_page import render_page
 
         write_file(args.html, render_page(context_of(closed.first, found, "")))
-        print(args.html, file=sys.stderr if args.json else sys.stdout)
+        name_file(args.html, args.json)
     if args.write_bench is not None:
         out = sys.stderr if args.json else sys.stdout
         if closed.bench:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 
-from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.findings import InputError
 from planrunner.cli import exit_codes
 from planrunner.cli.archive_arguments import folder_argument
 from planrunner.cli.each_run import add_runs, run_folders
-from planrunner.cli.printing import print_json
+from planrunner.cli.printing import print_json, print_line
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,20 +22,18 @@ def run(args: argparse.Namespace) -> int:
 
     runs = run_folders(args.runs)
     if len(runs) < 2:
-        hint = "write `planrunner compare RUN RUN`"
-        raise InputError.at(COMMAND_LINE, "command-usage", "at least two runs are needed", hint)
+        raise InputError.of_usage("at least two runs are needed", "write `planrunner compare RUN RUN`")
     found = compare_runs(runs)
     if args.json:
         print_json(found.to_json())
     else:
         from planrunner.reporting import terminal
         from planrunner.reporting.history_tables import comparison_table
-        from planrunner.reporting.printable import printable
 
         for number, (name, row) in enumerate(zip(found.names, found.runs, strict=True), start=1):
             about = (
                 f"run {number}: {name} ({row.device or 'no device'}, {row.bench}, {row.created[:10]}, {row.verdict})"
             )
-            print(printable(about, keep=""))
-        terminal.console().print(terminal.data_table(comparison_table(found)))
+            print_line(about)
+        terminal.print_tables(comparison_table(found))
     return exit_codes.LIMIT_FAILED if found.differs else exit_codes.DONE

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.base.processes import processors
 from planrunner.cli import exit_codes
 from planrunner.cli.jobs import workers_of
-from planrunner.cli.printing import print_findings, print_json, write_file
+from planrunner.cli.printing import name_file, print_findings, print_json, write_file
 from planrunner.cli.progress import reading_progress
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ def run_fleet(args: argparse.Namespace, runs: list[Path], nominal: tuple[str, ..
     else:
         _show(found, made.origin)
     if args.html is not None:
-        print(args.html, file=sys.stderr if args.json else sys.stdout)
+        name_file(args.html, args.json)
     return exit_codes.DONE
 
 

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.findings import InputError
 from planrunner.cli import exit_codes
 from planrunner.cli.printing import print_json, write_file
 
@@ -43,8 +43,7 @@ def run(args: argparse.Namespace) -> int:
     if args.textconv is not None:
         return _textconv(args.textconv)
     if args.before is None or args.after is None:
-        hint = "write `planrunner diff A B`"
-        raise InputError.at(COMMAND_LINE, "command-usage", "two plans, benches or runs are needed", hint)
+        raise InputError.of_usage("two plans, benches or runs are needed", "write `planrunner diff A B`")
     from planrunner.reporting.difference_tables import difference_json, difference_tables, headline, notes
     from planrunner.tasks.diff import compare
 
@@ -64,9 +63,7 @@ def run(args: argparse.Namespace) -> int:
         from planrunner.reporting import terminal
 
         print(headline(compared))
-        console = terminal.console()
-        for table in difference_tables(compared):
-            console.print(terminal.data_table(table))
+        terminal.print_tables(*difference_tables(compared))
         for line in notes(compared):
             print(line)
     return DIFFERENT if compared.different else exit_codes.DONE

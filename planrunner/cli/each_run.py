@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import TypeVar
 
 from planrunner.base.documents import JsonObject
-from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.findings import InputError
 from planrunner.base.progress import Pace
 from planrunner.base.workers import Workers, results_in_order
 from planrunner.cli.failures import CommandFailure, unsaved_failure_of
-from planrunner.cli.printing import print_json
+from planrunner.cli.printing import print_json, print_line
 from planrunner.cli.progress import reading_progress
 from planrunner.night.record import holds_nights
-from planrunner.reporting.printable import printable
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -42,9 +41,7 @@ def run_folders(given: Sequence[Path]) -> list[Path]:
     """The given folders without those that hold the nights of an archive, which a pattern such as `runs/*` contains; a note names them."""
     nights = [] if len(given) < 2 else [folder for folder in given if holds_nights(folder)]
     for folder in nights:
-        print(
-            printable(f"note: {folder} is skipped: it holds the records of nights, not a run", keep=""), file=sys.stderr
-        )
+        print_line(f"note: {folder} is skipped: it holds the records of nights, not a run", sys.stderr)
     return [folder for folder in given if folder not in nights]
 
 
@@ -61,8 +58,7 @@ def runs_of(args: argparse.Namespace) -> list[Path]:
 def archive_of(runs: Sequence[Path]) -> Path:
     """The folder that was given with --all. Raises `InputError` if there are several."""
     if len(runs) > 1:
-        message = "--all takes one folder"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "give the folder that contains the runs")
+        raise InputError.of_usage("--all takes one folder", "give the folder that contains the runs")
     return runs[0]
 
 

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.findings import InputError
 from planrunner.cli import exit_codes
 from planrunner.cli.archive_arguments import folder_argument
 from planrunner.cli.each_run import Done, add_runs, each_result, each_run, runs_of
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     if args.analysis is not None and not args.prove:
-        raise InputError.at(COMMAND_LINE, "command-usage", "--analysis belongs to --prove", "add --prove")
+        raise InputError.of_usage("--analysis belongs to --prove", "add --prove")
     workers = workers_of(args)
     runs = runs_of(args)
     if args.prove:

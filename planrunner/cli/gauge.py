@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from planrunner.cli.archive_arguments import add_index, folder_argument, opened_index, report_left_out
-from planrunner.cli.printing import print_json
+from planrunner.cli.archive_arguments import add_index, add_period, add_runs_folder, opened_index, report_left_out
+from planrunner.cli.printing import print_json, print_line
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("coefficient", metavar="COEFFICIENT", help="estimate.coefficient")
-    parser.add_argument(
-        "--runs",
-        metavar="ARCHIVE",
-        type=folder_argument,
-        default=Path("runs"),
-        help="folder or URL of the runs (default: runs)",
-    )
+    add_runs_folder(parser)
     parser.add_argument(
         "--device", default="", metavar="SERIAL", help="devices of the study; * and ? stand for any characters"
     )
     parser.add_argument("--plan", default="", metavar="NAME", help="name of the plan, also as a pattern")
-    parser.add_argument("--since", default="", metavar="DATE", help="runs from this day or moment on (UTC)")
-    parser.add_argument("--until", default="", metavar="DATE", help="runs up to this day or moment (UTC)")
+    add_period(parser)
     add_index(parser)
     parser.add_argument("--json", action="store_true", help="print the study as JSON")
 
@@ -41,11 +33,10 @@ def run(args: argparse.Namespace) -> int:
     else:
         from planrunner.reporting import terminal
         from planrunner.reporting.history_tables import gauge_table
-        from planrunner.reporting.printable import printable
 
         counts = ", ".join(f"{count} {name}{'es' if name == 'bench' else 's'}" for name, count in found.levels.items())
-        print(printable(f"{args.coefficient}: {counts}, {found.repetitions} runs of each", keep=""))
-        terminal.console().print(terminal.data_table(gauge_table(found, unit)))
+        print_line(f"{args.coefficient}: {counts}, {found.repetitions} runs of each")
+        terminal.print_tables(gauge_table(found, unit))
         if found.unused:
             print(f"{found.unused} runs are not used, because the other combinations have fewer runs")
     return code

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import add_index, folder_argument, opened_index, report_left_out
-from planrunner.cli.printing import print_json, write_file
+from planrunner.cli.archive_arguments import add_index, add_runs_folder, opened_index, report_left_out
+from planrunner.cli.printing import name_file, print_json, print_line, write_file
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,13 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "coefficient", metavar="COEFFICIENT", nargs="?", help="estimate.coefficient; without it, the names are listed"
     )
-    parser.add_argument(
-        "--runs",
-        metavar="ARCHIVE",
-        type=folder_argument,
-        default=Path("runs"),
-        help="folder or URL of the runs (default: runs)",
-    )
+    add_runs_folder(parser)
     parser.add_argument(
         "--tolerance", metavar="QUANTITY", help="permissible deviation for the next calibration, such as '0.5 deg/h'"
     )
@@ -56,20 +49,19 @@ def run(args: argparse.Namespace) -> int:
         from planrunner.reporting.history_page import render_history
 
         write_file(args.html, render_history(found))
-        print(args.html, file=sys.stderr if args.json else sys.stdout)
+        name_file(args.html, args.json)
     if args.json:
         print_json(found.to_json())
     else:
         from planrunner.reporting import terminal
         from planrunner.reporting.history_tables import agreement_table, plot_lines, points_table, sentences
 
-        console = terminal.console()
-        console.print(terminal.data_table(points_table(found)))
+        terminal.print_tables(points_table(found))
         for line in (*plot_lines(found), *sentences(found)):
-            print(printable(line, keep=""))
+            print_line(line)
         for title, participants in (("benches", found.benches), ("laboratories", found.laboratories)):
             if participants:
-                console.print(terminal.data_table(agreement_table(title, participants, found.unit)))
+                terminal.print_tables(agreement_table(title, participants, found.unit))
     charts = found.charts
     out = charts is not None and charts.out_of_control
     return code or (exit_codes.LIMIT_FAILED if out else exit_codes.DONE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 
-from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.findings import InputError
 from planrunner.base.workers import Workers
 
 HERE = "processes"
@@ -51,5 +51,5 @@ def workers_of(args: argparse.Namespace, jobs: int | None = 1) -> Workers:
         return Workers(args.jobs)
     if args.jobs is not None:
         message = "--jobs is for the processes of this machine, not for a cluster"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "give --jobs or --scheduler")
+        raise InputError.of_usage(message, "give --jobs or --scheduler")
     return Workers(1, args.scheduler)

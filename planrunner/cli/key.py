@@ -8,8 +8,8 @@ from pathlib import Path
 from planrunner.base.findings import COMMAND_LINE, InputError, Mark
 from planrunner.cli import exit_codes
 from planrunner.cli.dates import day_of
-from planrunner.cli.passphrase import add_passphrase, passphrase
 from planrunner.cli.printing import print_json, write_file, write_new
+from planrunner.cli.signer import add_passphrase, passphrase
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,7 +58,7 @@ def _new_for_bench(args: argparse.Namespace) -> int:
 
     if args.passphrase_fd is not None:
         message = "the key of a bench has no passphrase, because nobody may be present when it signs"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "leave --passphrase-fd out")
+        raise InputError.of_usage(message, "leave --passphrase-fd out")
     name = str(args.file)
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,79}", name):
         message = f"'{name}' is not a name for the key of a bench"

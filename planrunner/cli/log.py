@@ -7,14 +7,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.findings import InputError
 from planrunner.base.regular_files import RefusedFileError, read_regular
 from planrunner.cli import exit_codes
 from planrunner.cli.each_run import run_folders
-from planrunner.cli.passphrase import add_passphrase, passphrase
-from planrunner.cli.printing import print_json, write_file
+from planrunner.cli.printing import print_json, print_line, write_file
+from planrunner.cli.signer import add_passphrase, passphrase
 from planrunner.plan.source import refused_input
-from planrunner.reporting.printable import printable
 
 if TYPE_CHECKING:
     from planrunner.archive.run_log import TreeHead
@@ -98,7 +97,7 @@ def _append(args: argparse.Namespace) -> int:
         head = append_run(log, run)
         heads.append({"run": str(run), "head": None if head is None else head.to_json()})
         if not args.json:
-            print(printable(f"{run}: {'in the log already' if head is None else f'entry {head.size}'}", keep=""))
+            print_line(f"{run}: {'in the log already' if head is None else f'entry {head.size}'}")
     if args.json:
         print_json(heads)
     return exit_codes.DONE
@@ -147,7 +146,7 @@ def _prove(args: argparse.Namespace) -> int:
 
     if (args.name is None) == (args.first is None):
         message = "give the name of a run, or an earlier tree head with --from"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "`planrunner log head` prints a tree head")
+        raise InputError.of_usage(message, "`planrunner log head` prints a tree head")
     log = require_log(args.archive)
     if args.name is not None:
         proof = inclusion_proof(log, args.name.rstrip("/").rpartition("/")[2])
@@ -162,8 +161,7 @@ def _prove(args: argparse.Namespace) -> int:
 
 def _check(args: argparse.Namespace) -> int:
     if (args.archive is None) == (args.proof is None):
-        message = "give an archive, or a proof with --proof"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "`planrunner log prove` makes a proof")
+        raise InputError.of_usage("give an archive, or a proof with --proof", "`planrunner log prove` makes a proof")
     if args.proof is not None:
         return _check_proof(args)
     from planrunner.tasks.run_log import require_log, verify_log
@@ -186,7 +184,7 @@ def _check_proof(args: argparse.Namespace) -> int:
     proof = parse_json(_read(args.proof, MOST_PROOF), args.proof, "log-proof", "planrunner_log_proof", PROOF_FORMAT)
     heads = list(heads_of(args.head, ring_of(args)).values())
     if len(heads) > 1:
-        raise InputError.at(COMMAND_LINE, "command-usage", "a proof is verified with one --head", "give one tree head")
+        raise InputError.of_usage("a proof is verified with one --head", "give one tree head")
     seal = None
     if args.run_folder is not None:
         from planrunner.archive.seal import MOST_BYTES, NAME
@@ -196,7 +194,7 @@ def _check_proof(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"proof": str(args.proof), "kind": proof["kind"], "head_given": bool(heads), "shows": shown})
     else:
-        print(printable(shown, keep=""))
+        print_line(shown)
         if not heads:
             print("NOT VERIFIED: the tree head is the one in the proof; give one from another source with --head")
     return exit_codes.DONE
@@ -230,17 +228,15 @@ def show_log(found: LogVerification) -> None:
     """Prints what was found about a log."""
     content = found.content
     told = "" if content is None else f", {_entries(len(content.entries))}, root {content.root(len(content.entries))}"
-    _say(f"log {found.path}: {'CHANGED' if found.changes else 'unchanged'}{told}")
+    print_line(f"log {found.path}: {'CHANGED' if found.changes else 'unchanged'}{told}")
     for change, finding in found.changes:
-        _say(f"    {change}: {finding.message}")
+        print_line(f"    {change}: {finding.message}")
     if found.signed is not None and found.signed.owner:
         one = found.signed
-        _say(f"    tree head of {_entries(one.head.size)} signed {one.head.at}: valid, key of {one.owner} ({one.key})")
+        print_line(
+            f"    tree head of {_entries(one.head.size)} signed {one.head.at}: valid, key of {one.owner} ({one.key})"
+        )
     for finding in found.remarks:
-        _say(f"    {finding.message}")
+        print_line(f"    {finding.message}")
     for hint in dict.fromkeys(finding.hint for _, finding in found.changes if finding.hint):
-        _say(f"    hint: {hint}")
-
-
-def _say(text: str) -> None:
-    print(printable(text, keep=""))
+        print_line(f"    hint: {hint}")

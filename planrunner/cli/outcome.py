@@ -10,8 +10,7 @@ from planrunner.base.documents import JsonObject
 from planrunner.base.findings import InputError
 from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done
-from planrunner.cli.printing import print_findings, print_json
-from planrunner.reporting.printable import printable
+from planrunner.cli.printing import print_findings, print_json, print_line
 
 if TYPE_CHECKING:
     from planrunner.estimators.analysis import Results
@@ -91,11 +90,11 @@ def _check_standard(run: Path) -> tuple[JsonObject, bool]:
         state = state_after(run)
     except InputError as error:
         message = f"warning: the state of the check standard cannot be determined: {error}"
-        print(printable(message, keep=""), file=sys.stderr)
+        print_line(message, sys.stderr)
         return {"check_standard": None}, False
     if state is None:
         return {}, True
-    print(printable(f"{'note' if state.in_control else 'warning'}: {state.words()}", keep=""), file=sys.stderr)
+    print_line(f"{'note' if state.in_control else 'warning'}: {state.words()}", sys.stderr)
     return {"check_standard": state.to_json()}, state.in_control
 
 

@@ -142,6 +142,16 @@ def _coloured(text: str, finding: Finding) -> str:
     return f"\033[{_COLOURS[finding.severity]}m{text}\033[0m"
 
 
+def print_line(text: str, file: TextIO | None = None) -> None:
+    """Print a line with text from files, such as a label. Its control characters and line breaks are shown as codes."""
+    print(printable(text, keep=""), file=file)
+
+
+def name_file(path: Path, as_json: bool) -> None:
+    """Print the name of a file that was written; with `--json` on standard error, because standard output is JSON."""
+    print(path, file=sys.stderr if as_json else sys.stdout)
+
+
 def write_file(path: Path, text: str) -> None:
     """Write a file named by the user, completely or, if the disk is full, not at all. Raises `InputError`."""
     if path.exists() and not path.is_file():  # such as /dev/stdout
@@ -155,10 +165,7 @@ def write_file(path: Path, text: str) -> None:
         finally:
             aside.unlink(missing_ok=True)
     except OSError as error:
-        message = f"the file cannot be written: {error.strerror or error}"
-        raise InputError.at(
-            Mark(str(path)), "file-unwritable", message, "make room, or choose a file in another folder"
-        ) from None
+        raise _unwritable(path, error) from None
 
 
 def write_new(path: Path, text: bytes) -> None:
@@ -174,9 +181,12 @@ def write_new(path: Path, text: bytes) -> None:
     except FileExistsError:
         raise InputError.at(Mark(str(path)), "new-exists", "this file exists already", "choose another name") from None
     except OSError as error:
-        message = f"the file cannot be written: {error.strerror or error}"
-        hint = "make room, or choose a file in another folder"
-        raise InputError.at(Mark(str(path)), "file-unwritable", message, hint) from None
+        raise _unwritable(path, error) from None
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    message = f"the file cannot be written: {error.strerror or error}"
+    return InputError.at(Mark(str(path)), "file-unwritable", message, "make room, or choose a file in another folder")
 
 
 def print_json(value: Json) -> None:

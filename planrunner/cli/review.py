@@ -7,9 +7,8 @@ from pathlib import Path
 
 from planrunner.cli import exit_codes
 from planrunner.cli.log import ring_of
-from planrunner.cli.printing import print_json, write_file
+from planrunner.cli.printing import print_json, print_line, write_file
 from planrunner.cli.progress import reading_progress
-from planrunner.reporting.printable import printable
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         return exit_codes.DONE
     for one in context.deviations:
         where = one.segment or one.estimate
-        print(printable(f"{one.kind}{f' ({where})' if where else ''}: {one.text}", keep=""))
+        print_line(f"{one.kind}{f' ({where})' if where else ''}: {one.text}")
     if not context.deviations:
         print("no deviations")
     if args.html is not None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner.base.documents import Json
-from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.findings import InputError
 from planrunner.cli.check import add_parameter, sound_plan
 from planrunner.cli.operator import add_live_page, operator_of
 from planrunner.cli.outcome import finish, tell
@@ -45,6 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=identity,
         help="end of the run folder's name, 6 to 32 hexadecimal digits (default: random)",
     )
+    add_new_runs(parser)
+
+
+def add_new_runs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--runs",
         metavar="DIR",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from planrunner.cli.archive_arguments import add_archive, add_index, opened_index, report_left_out
+from planrunner.cli.archive_arguments import add_archive, add_index, add_period, opened_index, report_left_out
 from planrunner.cli.printing import print_json
 
 
@@ -23,8 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("pass", "warned", "fail", "none", "not analysed"),
         help="verdict on the limits",
     )
-    parser.add_argument("--since", default="", metavar="DATE", help="runs from this day or moment on (UTC)")
-    parser.add_argument("--until", default="", metavar="DATE", help="runs up to this day or moment (UTC)")
+    add_period(parser)
     parser.add_argument("--limit", type=int, metavar="N", help="list only the newest N runs")
     parser.add_argument(
         "--export",
@@ -57,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         from planrunner.reporting.history_tables import runs_table
 
         if found.runs:
-            terminal.console().print(terminal.data_table(runs_table(found.runs)))
+            terminal.print_tables(runs_table(found.runs))
         more = f", {len(found.runs)} shown" if len(found.runs) < found.total else ""
         print(f"{found.total} run{'' if found.total == 1 else 's'}{more}")
         if args.export is not None:

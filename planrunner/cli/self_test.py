@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from planrunner.archive.provenance import versions
-    from planrunner.tasks.self_test import validate
+    from planrunner.tasks.self_test import Comparison, validate
 
     with tempfile.TemporaryDirectory(prefix="planrunner-") as folder:
         rows = list(validate(Path(folder)))
@@ -33,26 +33,20 @@ def run(args: argparse.Namespace) -> int:
             }
         )
         return exit_codes.DONE if passed else exit_codes.LIMIT_FAILED
-    from planrunner.estimators.interface import Role, Table, TableColumn
+    from planrunner.estimators.interface import Role, TableColumn
     from planrunner.reporting import terminal
-    from planrunner.reporting.columns import alike
+    from planrunner.reporting.columns import Shown, table_of
 
-    figures = alike(Role.VALUE, "known answer", "found", "relative difference", "allowed")
-    columns = (*alike(Role.LABEL, "case", "quantity"), *figures, TableColumn("verdict"))
-    cells = tuple(
-        (
-            row.case,
-            row.quantity,
-            row.known,
-            row.found,
-            f"{row.difference:.1e}",
-            f"{row.allowed:.0e}",
-            "passed" if row.passed else "FAILED",
-        )
-        for row in rows
+    columns: tuple[Shown[Comparison], ...] = (
+        Shown(TableColumn("case"), lambda row: row.case),
+        Shown(TableColumn("quantity"), lambda row: row.quantity),
+        Shown(TableColumn("known answer", Role.VALUE), lambda row: row.known),
+        Shown(TableColumn("found", Role.VALUE), lambda row: row.found),
+        Shown(TableColumn("relative difference", Role.VALUE), lambda row: f"{row.difference:.1e}"),
+        Shown(TableColumn("allowed", Role.VALUE), lambda row: f"{row.allowed:.0e}"),
+        Shown(TableColumn("verdict"), lambda row: "passed" if row.passed else "FAILED"),
     )
-    console = terminal.console()
-    console.print(terminal.data_table(Table("Self-test", columns, cells)))
-    console.print(", ".join(f"{name} {version}" for name, version in versions().items()))
+    terminal.print_tables(table_of("Self-test", columns, rows))
+    terminal.console().print(", ".join(f"{name} {version}" for name, version in versions().items()))
     print(f"{sum(row.passed for row in rows)} of {len(rows)} comparisons passed")
     return exit_codes.DONE if passed else exit_codes.LIMIT_FAILED

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.findings import InputError
 from planrunner.cli import exit_codes
 from planrunner.cli.printing import print_json
 from planrunner.cli.signer import add_signer, signer_of
@@ -32,8 +32,7 @@ def run(args: argparse.Namespace) -> int:
     by_bench = args.meaning == "recorded"
     if by_bench != (args.name is None):
         message = "the bench signs under its own name" if by_bench else "--name is missing"
-        hint = "leave out --name" if by_bench else "give your name, as it is to be printed"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, hint)
+        raise InputError.of_usage(message, "leave out --name" if by_bench else "give your name, as it is to be printed")
     if by_bench:
         given = args.by is not None or args.agent is not None
         found = sign_later(args.run_folder, signer_of(args) if given else None)

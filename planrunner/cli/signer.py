@@ -1,16 +1,55 @@
-"""The key that signs: a file, or a key of the running ssh-agent."""
+"""The key that signs: a file, or a key of the running ssh-agent.
+
+The passphrase of a key comes from a file descriptor, the environment or the terminal, never from the command line, which others can see.
+"""
 
 from __future__ import annotations
 
 import argparse
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner.base.findings import COMMAND_LINE, InputError
-from planrunner.cli.passphrase import add_passphrase, passphrase
+from planrunner.signing.passphrase import VARIABLE, of_environment
 
 if TYPE_CHECKING:
     from planrunner.signing.keys import Signer
+
+
+_MOST = 1024  # bytes
+
+
+def add_passphrase(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--passphrase-fd",
+        type=int,
+        metavar="N",
+        help=f"read the passphrase from this file descriptor (default: {VARIABLE} in the environment, or the terminal)",
+    )
+
+
+def passphrase(args: argparse.Namespace, *, twice: bool = False) -> bytes:
+    """The passphrase, without the end of its line. twice: ask again at the terminal. Raises `InputError`."""
+    if args.passphrase_fd is not None:
+        try:
+            data = os.read(args.passphrase_fd, _MOST)
+        except OSError as error:
+            message = f"the file descriptor {args.passphrase_fd} cannot be read: {error.strerror}"
+            raise InputError.at(COMMAND_LINE, "key-passphrase", message, "redirect a file to it") from None
+        return data.partition(b"\n")[0]
+    if (stated := of_environment()) is not None:
+        return stated
+    if sys.stdin is None or not sys.stdin.isatty():
+        hint = f"set {VARIABLE} in the environment, or give --passphrase-fd"
+        raise InputError.at(COMMAND_LINE, "key-passphrase", "there is no terminal to ask for the passphrase", hint)
+    from getpass import getpass
+
+    text = getpass("Passphrase: ")
+    if twice and getpass("Again: ") != text:
+        raise InputError.at(COMMAND_LINE, "key-passphrase", "the two passphrases differ", "type them again")
+    return text.encode()
 
 
 def add_signer(parser: argparse.ArgumentParser) -> None:
@@ -26,8 +65,7 @@ def signer_of(args: argparse.Namespace) -> Signer:
     from planrunner.signing.keys import is_encrypted, read_private, read_public
 
     if (args.by is None) == (args.agent is None):
-        message = "give one key: --by KEY or --agent KEY.pub"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "`planrunner key new` makes a key")
+        raise InputError.of_usage("give one key: --by KEY or --agent KEY.pub", "`planrunner key new` makes a key")
     if args.agent is not None:
         from planrunner.signing.ssh_agent import AgentKey
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from planrunner.cli.outcome import finish, tell
 from planrunner.cli.printing import print_findings
 from planrunner.cli.progress import reading_progress, run_progress
-from planrunner.cli.run import add_run_arguments, seed
+from planrunner.cli.run import add_new_runs, add_run_arguments, seed
 from planrunner.plan.run_information import gather
 
 
@@ -34,13 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--write-bench", metavar="FILE", type=Path, help="write the bench with its effects, for later runs"
     )
     add_run_arguments(parser)
-    parser.add_argument(
-        "--runs",
-        metavar="DIR",
-        type=Path,
-        default=Path("runs"),
-        help="folder in which run folders are created (default: runs)",
-    )
+    add_new_runs(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 
 from planrunner.archive.schema_check import FIRST_YEAR, LAST_YEAR
-from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.findings import InputError
 from planrunner.cli.jobs import workers_of
 from planrunner.cli.printing import columns, write_file
 from planrunner.reporting.night_timetable import Timetable, timetable_lines, timetable_page
@@ -47,17 +47,14 @@ def require_usable(args: argparse.Namespace) -> None:
     """Raises `InputError` if arguments for suites are given without one, or the reverse."""
     suites = [plan for plan in args.plans if is_suite(Path(plan))]
     if args.html is not None and (len(args.plans) != 1 or not suites):
-        raise InputError.at(
-            COMMAND_LINE, "command-usage", "--html needs exactly one suite", "use `planrunner show` for a plan"
-        )
+        raise InputError.of_usage("--html needs exactly one suite", "use `planrunner show` for a plan")
     if args.at is not None and not suites:
-        raise InputError.at(COMMAND_LINE, "command-usage", "--at applies to a suite", "leave it out")
+        raise InputError.of_usage("--at applies to a suite", "leave it out")
     if suites and args.parameter:
         message = "a suite gives the parameters of its plans itself"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "leave --parameter out, or change the suite")
+        raise InputError.of_usage(message, "leave --parameter out, or change the suite")
     if suites and args.bench is not None:
-        message = "a suite names its benches itself"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "leave --bench out, or change the suite")
+        raise InputError.of_usage("a suite names its benches itself", "leave --bench out, or change the suite")
 
 
 def checked_suite(args: argparse.Namespace, file: Path) -> CheckedSuite:

@@ -9,14 +9,14 @@ from functools import partial
 from pathlib import Path
 
 from planrunner.base.documents import JsonObject
-from planrunner.base.findings import COMMAND_LINE, InputError, Mark
+from planrunner.base.findings import InputError, Mark
 from planrunner.cli import exit_codes
 from planrunner.cli.archive_arguments import folder_to_verify
 from planrunner.cli.each_run import Done, add_runs, archive_of, each_result, run_folders
 from planrunner.cli.jobs import add_workers, workers_of
 from planrunner.cli.log import add_heads, heads_of, ring_of, show_log
+from planrunner.cli.printing import print_line
 from planrunner.plan.source import read_bytes
-from planrunner.reporting.printable import printable
 from planrunner.signing.key_ring import KeyRing
 from planrunner.signing.run_signatures import RunSignature
 from planrunner.signing.time_stamps import StampAuthority, parse_authority
@@ -49,13 +49,12 @@ def run(args: argparse.Namespace) -> int:
         runs = runs_beneath(archive) if log_of(archive) is None else runs_in(archive)
     elif args.head:
         message = "--head belongs to the log of an archive"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "give the folder that contains the runs, and --all")
+        raise InputError.of_usage(message, "give the folder that contains the runs, and --all")
     runs = run_folders(runs)
     ring = ring_of(args)
     heads = heads_of(args.head, ring)
     if args.revoked is not None and args.authority is None:
-        message = "--revoked belongs to --authority"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "give the certificate of the authority too")
+        raise InputError.of_usage("--revoked belongs to --authority", "give the certificate of the authority too")
     authority = None if args.authority is None else _authority(args.authority, args.revoked)
     workers = workers_of(args)
     examined: list[LoggedRun] = []
@@ -66,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         examined.append(verified.run)
         bad += verified.changed
         for line in () if args.json else verified.lines:
-            _say(line)
+            print_line(line)
         return Done(exit_codes.INTEGRITY if verified.changed else exit_codes.DONE, verified.found)
 
     def of_all() -> Done | None:
@@ -170,7 +169,3 @@ def _covered(one: RunSignature) -> str:
 def _analyses(verification: Verification) -> str:
     numbers = [one.number for one in verification.found.analyses]
     return f"{len(numbers)} {'analysis' if len(numbers) == 1 else 'analyses'}"
-
-
-def _say(text: str) -> None:
-    print(printable(text, keep=""))

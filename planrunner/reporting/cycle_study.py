@@ -11,7 +11,7 @@ from planrunner.design.study import FoundCycles, Study, Subject
 from planrunner.estimators.interface import Plot, Role, Table, TableColumn
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.reporting import words
-from planrunner.reporting.columns import alike
+from planrunner.reporting.columns import Shown, alike, table_of
 
 POINTS = 1500  # of a plotted curve
 ROUNDS = 3  # number of plotted periods of the longest cycle
@@ -54,27 +54,26 @@ def facts(found: FoundCycles) -> dict[str, str]:
 
 
 def _left(found: FoundCycles) -> Table:
-    columns = (
-        TableColumn("Cycle"),
-        TableColumn("Moves", Role.COUNT),
-        *alike(Role.LABEL, "Period", "Stops leave", "Turns leave"),
-        TableColumn("Not modulated", Role.SHARE),
-        TableColumn("Mean angle", Role.VALUE, "°"),
-        TableColumn("Cable from … to", unit="°"),
-        TableColumn("Schuler drive", Role.VALUE),
+    columns: tuple[Shown[tuple[str, StudiedCycle]], ...] = (
+        Shown(TableColumn("Cycle"), lambda item: TITLES[item[0]]),
+        Shown(TableColumn("Moves", Role.COUNT), lambda item: len(item[1].moves)),
+        Shown(TableColumn("Period"), lambda item: f"{item[1].cycle.period:.1f} s"),
+        Shown(TableColumn("Stops leave"), lambda item: vector(item[1].cycle.integral()[0])),
+        Shown(TableColumn("Turns leave"), lambda item: vector(item[1].cycle.integral()[1])),
+        Shown(TableColumn("Not modulated", Role.SHARE), lambda item: _not_modulated(item[1].cycle)),
+        Shown(TableColumn("Mean angle", Role.VALUE, "°"), lambda item: _degrees(item[1].cycle.mean_angle)),
+        Shown(TableColumn("Cable from … to", unit="°"), lambda item: " … ".join(map(_degrees, item[1].cycle.reach))),
+        Shown(TableColumn("Schuler drive", Role.VALUE), lambda item: f"{item[1].drive:.2f}"),
     )
-    rows = []
-    for name, one in found.cycles.items():
-        stops, turns = one.cycle.integral()
-        low, high = (f"{round(math.degrees(angle), 6):g}" for angle in one.cycle.reach)
-        rows.append(
-            (
-                TITLES[name], len(one.moves), f"{one.cycle.period:.1f} s", vector(stops), vector(turns),
-                f"{100 * abs(one.cycle.residual) / one.cycle.period:.3f} %",
-                words.number(round(math.degrees(one.cycle.mean_angle), 6)), f"{low} … {high}", f"{one.drive:.2f}",
-            )
-        )  # fmt: skip
-    return Table("Residual of a constant horizontal error after one cycle", columns, tuple(rows))
+    return table_of("Residual of a constant horizontal error after one cycle", columns, list(found.cycles.items()))
+
+
+def _not_modulated(cycle: RotationCycle) -> str:
+    return f"{100 * abs(cycle.residual) / cycle.period:.3f} %"
+
+
+def _degrees(angle: float) -> str:
+    return words.number(round(math.degrees(angle), 6))
 
 
 def _moves(found: FoundCycles) -> Table:

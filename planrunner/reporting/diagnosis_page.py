@@ -13,7 +13,7 @@ from pathlib import Path
 from planrunner.base.documents import Json
 from planrunner.estimators.interface import Role, Table, TableColumn
 from planrunner.estimators.results import DataOrigin
-from planrunner.reporting.columns import alike
+from planrunner.reporting.columns import Shown, alike, table_of
 from planrunner.reporting.diagnosis_pictures import ranked
 from planrunner.reporting.templates import render
 from planrunner.reporting.view import named, stamped, table_view
@@ -313,39 +313,30 @@ def _unknown_form(found: Data) -> Table:
 
 
 def _gap(found: Data) -> Table:
-    rows = tuple(
-        (
-            name,
-            _short(one["before"]),
-            _short(one["noise_floor"]),
-            _times(one["before"], one["noise_floor"]),
-            one["unit"],
-        )
-        for name, one in found["gap"].items()
+    columns: tuple[Shown[tuple[str, Data]], ...] = (
+        Shown(TableColumn("Channel"), lambda item: item[0]),
+        Shown(TableColumn("gap", Role.VALUE), lambda item: _short(item[1]["before"])),
+        Shown(TableColumn("for noise alone", Role.VALUE), lambda item: _short(item[1]["noise_floor"])),
+        Shown(TableColumn("times noise", Role.VALUE), lambda item: _times(item[1]["before"], item[1]["noise_floor"])),
+        Shown(TableColumn("Unit"), lambda item: item[1]["unit"]),
     )
-    figures = alike(Role.VALUE, "gap", "for noise alone", "times noise")
-    return Table("Gap by channel", (TableColumn("Channel"), *figures, TableColumn("Unit")), rows)
+    return table_of("Gap by channel", columns, list(found["gap"].items()))
 
 
 def _closure(found: Data) -> Table:
     """The closure by channel, of channels whose data determine it."""
-    rows = tuple(
-        (
-            one["channel"],
-            _short(one["before"]),
-            _short(one["after"]),
-            _short(one["before_value"]),
-            _short(one["after_value"]),
-            one["unit"],
-            _percent(one["shrinks_by"]),
-            " to ".join(map(_percent, one["interval_90"])),
-        )
-        for one in found["closure"].get("channels", ())
+    columns: tuple[Shown[Data], ...] = (
+        Shown(TableColumn("Channel"), lambda one: one["channel"]),
+        Shown(TableColumn("before [σ]", Role.VALUE), lambda one: _short(one["before"])),
+        Shown(TableColumn("after [σ]", Role.VALUE), lambda one: _short(one["after"])),
+        Shown(TableColumn("before", Role.VALUE), lambda one: _short(one["before_value"])),
+        Shown(TableColumn("after", Role.VALUE), lambda one: _short(one["after_value"])),
+        Shown(TableColumn("Unit"), lambda one: one["unit"]),
+        Shown(TableColumn("shrinks by", Role.VALUE), lambda one: _percent(one["shrinks_by"])),
+        Shown(TableColumn("90 % interval", Role.VALUE), lambda one: " to ".join(map(_percent, one["interval_90"]))),
     )
-    figures = alike(Role.VALUE, "before [σ]", "after [σ]", "before", "after")
-    shares = alike(Role.VALUE, "shrinks by", "90 % interval")
     title = "Gap of withheld segments without and with the effect"
-    return Table(title, (TableColumn("Channel"), *figures, TableColumn("Unit"), *shares), rows)
+    return table_of(title, columns, found["closure"].get("channels", ()))
 
 
 def comparison(found: Data) -> Table:
@@ -404,38 +395,27 @@ def _departures(noise: Data) -> tuple[str, str, str, str, str]:
 
 
 def _where(found: Data) -> Table:
-    rows = tuple(
-        (
-            one["channel"],
-            _spaced(one["factor"]),
-            _plain(one["level"]),
-            f"{_percent(one['share'])} of the noise" if one.get("of") == "noise" else _percent(one["share"]),
-            _p(one["p"]),
-        )
-        for one in found["where"][:MOST_PLACES]
-        if one["p"] < CONSPICUOUS
+    columns: tuple[Shown[Data], ...] = (
+        Shown(TableColumn("Channel"), lambda one: one["channel"]),
+        Shown(TableColumn("factor"), lambda one: _spaced(one["factor"])),
+        Shown(TableColumn("level"), lambda one: _plain(one["level"])),
+        Shown(TableColumn("share of the gap", Role.SHARE), _share_of_gap),
+        Shown(TableColumn("p", Role.VALUE), lambda one: _p(one["p"])),
     )
-    return Table(
-        WHERE,
-        (
-            *alike(Role.LABEL, "Channel", "factor", "level"),
-            *alike(Role.SHARE, "share of the gap"),
-            *alike(Role.VALUE, "p"),
-        ),
-        rows,
-    )
+    return table_of(WHERE, columns, [one for one in found["where"][:MOST_PLACES] if one["p"] < CONSPICUOUS])
+
+
+def _share_of_gap(one: Data) -> str:
+    return f"{_percent(one['share'])} of the noise" if one.get("of") == "noise" else _percent(one["share"])
 
 
 def _hypotheses(found: Data) -> Table:
-    rows = tuple(
-        (name.replace("+", " + "), f"{p:.3f}", "yes" if name in found["ambiguity_set"] else "")
-        for name, p in ranked(found)
+    columns: tuple[Shown[tuple[str, float]], ...] = (
+        Shown(TableColumn("Hypothesis"), lambda item: item[0].replace("+", " + ")),
+        Shown(TableColumn("probability", Role.VALUE), lambda item: f"{item[1]:.3f}"),
+        Shown(TableColumn("in the 95 % set"), lambda item: "yes" if item[0] in found["ambiguity_set"] else ""),
     )
-    return Table(
-        "Which effect",
-        (*alike(Role.LABEL, "Hypothesis"), *alike(Role.VALUE, "probability"), *alike(Role.LABEL, "in the 95 % set")),
-        rows,
-    )
+    return table_of("Which effect", columns, ranked(found))
 
 
 def _parameters(found: Data) -> Table:
@@ -459,9 +439,11 @@ def _parameters(found: Data) -> Table:
 
 
 def _absorbed(found: Data) -> Table:
-    rows = tuple((one["effect"], _percent(one["kept_share"])) for one in found["absorbed"])
-    title = "Absorbed by the fitted nominal parameters"
-    return Table(title, (*alike(Role.LABEL, "Effect"), *alike(Role.SHARE, "remaining share of its energy")), rows)
+    columns: tuple[Shown[Data], ...] = (
+        Shown(TableColumn("Effect"), lambda one: one["effect"]),
+        Shown(TableColumn("remaining share of its energy", Role.SHARE), lambda one: _percent(one["kept_share"])),
+    )
+    return table_of("Absorbed by the fitted nominal parameters", columns, found["absorbed"])
 
 
 # -- words -----------------------------------------------------------------------------------------------------------

@@ -13,10 +13,12 @@ from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.reporting import words
 from planrunner.reporting.budgets import shown_unit, two_digits
+from planrunner.reporting.columns import Shown, table_of
 from planrunner.reporting.show_page import labels_in_short
 from planrunner.review.compared import Compared
 from planrunner.review.consequences import Consequences, Demand, Undetermined
 from planrunner.review.difference import PartChange, SegmentChange
+from planrunner.review.runs import CoefficientDifference
 
 FORMAT = 1
 MOST_TEXT = 160
@@ -235,33 +237,18 @@ def _findings(title: str, findings: Sequence[Finding]) -> Table:
 
 def _coefficients(compared: Compared) -> Table:
     assert compared.runs is not None
-    rows: list[tuple[Cell, ...]] = []
-    for item in compared.runs.coefficients:
-        rows.append(
-            (
-                f"{item.estimate}.{item.coefficient}",
-                item.values[0],
-                item.values[1],
-                item.difference,
-                item.standard_uncertainty,
-                shown_unit(item.unit),
-                _share(item.common),
-                _probability(item.p),
-                _probability(item.holm),
-            )
-        )
-    columns = (
-        TableColumn("Coefficient"),
-        TableColumn("First", Role.VALUE),
-        TableColumn("Second", Role.VALUE),
-        TableColumn("Difference", Role.VALUE),
-        TableColumn("u of the difference", Role.STANDARD_UNCERTAINTY),
-        TableColumn("Unit"),
-        TableColumn("In common"),
-        TableColumn("p"),
-        TableColumn("p (Holm)"),
+    columns: tuple[Shown[CoefficientDifference], ...] = (
+        Shown(TableColumn("Coefficient"), lambda item: f"{item.estimate}.{item.coefficient}"),
+        Shown(TableColumn("First", Role.VALUE), lambda item: item.values[0]),
+        Shown(TableColumn("Second", Role.VALUE), lambda item: item.values[1]),
+        Shown(TableColumn("Difference", Role.VALUE), lambda item: item.difference),
+        Shown(TableColumn("u of the difference", Role.STANDARD_UNCERTAINTY), lambda item: item.standard_uncertainty),
+        Shown(TableColumn("Unit"), lambda item: shown_unit(item.unit)),
+        Shown(TableColumn("In common"), lambda item: _share(item.common)),
+        Shown(TableColumn("p"), lambda item: _probability(item.p)),
+        Shown(TableColumn("p (Holm)"), lambda item: _probability(item.holm)),
     )
-    return Table("Coefficients", columns, tuple(rows))
+    return table_of("Coefficients", columns, compared.runs.coefficients)
 
 
 def _share(common: float) -> str:

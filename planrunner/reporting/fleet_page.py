@@ -11,7 +11,7 @@ from pathlib import Path
 from planrunner.base.documents import Json
 from planrunner.estimators.interface import Plot, Role, Table, TableColumn
 from planrunner.estimators.results import DataOrigin
-from planrunner.reporting.columns import alike
+from planrunner.reporting.columns import Shown, alike, table_of
 from planrunner.reporting.diagnosis_page import probability
 from planrunner.reporting.rounding import format_pair
 from planrunner.reporting.templates import render
@@ -226,21 +226,14 @@ def _verdict(amplitude: Data) -> str:
 
 
 def _runs(found: Data) -> Table:
-    rows = tuple(
-        (
-            Path(str(one["run"])).name,
-            one["device"],
-            one["bench"],
-            one["occasion"],
-            ", ".join(one["effects"]) or one["verdict"],
-        )
-        for one in found["runs"]
+    columns: tuple[Shown[Data], ...] = (
+        Shown(TableColumn("Run"), lambda run: Path(str(run["run"])).name),
+        Shown(TableColumn("device"), lambda run: run["device"]),
+        Shown(TableColumn("bench"), lambda run: run["bench"]),
+        Shown(TableColumn("occasion"), lambda run: run["occasion"]),
+        Shown(TableColumn("diagnosis of this run"), lambda run: ", ".join(run["effects"]) or run["verdict"]),
     )
-    return Table(
-        "Runs",
-        tuple(TableColumn(name) for name in ("Run", "device", "bench", "occasion", "diagnosis of this run")),
-        rows,
-    )
+    return table_of("Runs", columns, found["runs"])
 
 
 def plots(found: Data) -> list[Plot]:

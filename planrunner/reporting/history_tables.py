@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 
-from planrunner.estimators.interface import Cell, Role, Table, TableColumn
+from planrunner.estimators.interface import Role, Table, TableColumn
 from planrunner.instruments.models import DataOrigin
 from planrunner.night.history.agreement import ParticipantAgreement
 from planrunner.night.history.check_standard import ControlState, ControlTest
 from planrunner.night.history.comparison import RunComparison
 from planrunner.night.history.control_charts import EWMA_WIDTH, SHEWHART
 from planrunner.night.history.drift import HORIZON
-from planrunner.night.history.gauge import GaugeStudy
+from planrunner.night.history.gauge import GaugeStudy, VarianceComponent
 from planrunner.night.history.rows import RunRow
 from planrunner.night.history.trend import Trend
 from planrunner.reporting import words
+from planrunner.reporting.columns import Shown, table_of
 from planrunner.reporting.verdict import stamp
 
 _NOT_MEASURED: tuple[DataOrigin, ...] = ("simulated", "replayed")
@@ -24,51 +25,41 @@ HEIGHT, WIDTH = 13, 72
 
 
 def runs_table(runs: Sequence[RunRow]) -> Table:
-    titles = ("run", "made (UTC)", "device", "bench", "operator", "plan", "verdict", "state")
-    rows = tuple(
-        (
-            run.folder,
-            run.created[:16].replace("T", " "),
-            run.device,
-            run.bench,
-            run.operator,
-            run.plan,
-            run.verdict,
-            run.state,
-        )
-        for run in runs
+    columns: tuple[Shown[RunRow], ...] = (
+        Shown(TableColumn("run"), lambda run: run.folder),
+        Shown(TableColumn("made (UTC)"), _made),
+        Shown(TableColumn("device"), lambda run: run.device),
+        Shown(TableColumn("bench"), lambda run: run.bench),
+        Shown(TableColumn("operator"), lambda run: run.operator),
+        Shown(TableColumn("plan"), lambda run: run.plan),
+        Shown(TableColumn("verdict"), lambda run: run.verdict),
+        Shown(TableColumn("state"), lambda run: run.state),
     )
-    return Table("Runs", tuple(map(TableColumn, titles)), rows)
+    return table_of("Runs", columns, runs)
+
+
+def _made(run: RunRow) -> str:
+    """When a run was made, to the minute."""
+    return run.created[:16].replace("T", " ")
 
 
 def points_table(found: Trend) -> Table:
     """One row for each value, with its place in the control charts."""
-    columns = (
-        TableColumn("made (UTC)"),
-        TableColumn("bench"),
-        TableColumn("operator"),
-        TableColumn("value", Role.VALUE, found.unit),
-        TableColumn("u", Role.STANDARD_UNCERTAINTY, found.unit),
-        TableColumn("verdict"),
-        TableColumn("alarms"),
-        TableColumn("run"),
+    runs = [point.run for point in found.points]
+    columns: tuple[Shown[int], ...] = (
+        Shown(TableColumn("made (UTC)"), lambda k: _made(runs[k])),
+        Shown(TableColumn("bench"), lambda k: runs[k].bench),
+        Shown(TableColumn("operator"), lambda k: runs[k].operator),
+        Shown(TableColumn("value", Role.VALUE, found.unit), lambda k: found.values[k]),
+        Shown(TableColumn("u", Role.STANDARD_UNCERTAINTY, found.unit), lambda k: found.standard_uncertainties[k]),
+        Shown(TableColumn("verdict"), lambda k: runs[k].verdict),
+        Shown(TableColumn("alarms"), lambda k: ", ".join(alarms(found, k))),
+        Shown(TableColumn("run"), lambda k: runs[k].folder),
     )
-    rows: list[tuple[Cell, ...]] = []
-    for k, point in enumerate(found.points):
-        run = point.run
-        rows.append(
-            (
-                run.created[:16].replace("T", " "),
-                run.bench,
-                run.operator,
-                found.values[k],
-                found.standard_uncertainties[k],
-                run.verdict,
-                ", ".join(alarms(found, k)),
-                run.folder,
-            )
-        )
-    return Table(f"{found.quantity} of {found.device}", columns, tuple(rows))
+    title = f"{found.quantity} of {found.device}"
+    return (
+        table_of(title, columns, range(len(runs))) if runs else Table(title, tuple(one.column for one in columns), ())
+    )
 
 
 def alarms(found: Trend, k: int) -> list[str]:
@@ -105,28 +96,16 @@ def control_table(state: ControlState) -> Table:
 
 
 def agreement_table(title: str, found: Sequence[ParticipantAgreement], unit: str) -> Table:
-    columns = (
-        TableColumn(title),
-        TableColumn("runs", Role.COUNT),
-        TableColumn("mean", Role.VALUE, unit),
-        TableColumn("u", Role.STANDARD_UNCERTAINTY, unit),
-        TableColumn("mean of the others", Role.NUMBER, unit),
-        TableColumn("E_n"),
-        TableColumn("agreement"),
+    columns: tuple[Shown[ParticipantAgreement], ...] = (
+        Shown(TableColumn(title), lambda one: one.name),
+        Shown(TableColumn("runs", Role.COUNT), lambda one: float(one.runs)),
+        Shown(TableColumn("mean", Role.VALUE, unit), lambda one: one.value),
+        Shown(TableColumn("u", Role.STANDARD_UNCERTAINTY, unit), lambda one: one.standard_uncertainty),
+        Shown(TableColumn("mean of the others", Role.NUMBER, unit), lambda one: one.reference),
+        Shown(TableColumn("E_n"), lambda one: f"{one.en:.2f}"),
+        Shown(TableColumn("agreement"), lambda one: "yes" if one.agrees else "NO"),
     )
-    rows = tuple(
-        (
-            one.name,
-            float(one.runs),
-            one.value,
-            one.standard_uncertainty,
-            one.reference,
-            f"{one.en:.2f}",
-            "yes" if one.agrees else "NO",
-        )
-        for one in found
-    )
-    return Table(f"Agreement of {title} (ISO 13528: |E_n| ≤ 1)", columns, rows)
+    return table_of(f"Agreement of {title} (ISO 13528: |E_n| ≤ 1)", columns, found)
 
 
 def comparison_table(found: RunComparison) -> Table:
@@ -147,24 +126,14 @@ def comparison_table(found: RunComparison) -> Table:
 def gauge_table(found: GaugeStudy, unit: str) -> Table:
     """Standard deviations of the components with their intervals, and the share of the total variance."""
     total = found.components[-1].variance
-    columns = (
-        TableColumn("component"),
-        TableColumn("standard deviation", Role.NUMBER, unit),
-        TableColumn("95 % from", Role.NUMBER, unit),
-        TableColumn("to", Role.NUMBER, unit),
-        TableColumn("share of variance", Role.SHARE),
+    columns: tuple[Shown[VarianceComponent], ...] = (
+        Shown(TableColumn("component"), lambda one: one.name),
+        Shown(TableColumn("standard deviation", Role.NUMBER, unit), lambda one: one.standard_deviation),
+        Shown(TableColumn("95 % from", Role.NUMBER, unit), lambda one: one.lower**0.5),
+        Shown(TableColumn("to", Role.NUMBER, unit), lambda one: one.upper**0.5),
+        Shown(TableColumn("share of variance", Role.SHARE), lambda one: one.variance / total if total else 0.0),
     )
-    rows = tuple(
-        (
-            one.name,
-            one.standard_deviation,
-            one.lower**0.5,
-            one.upper**0.5,
-            one.variance / total if total else 0.0,
-        )
-        for one in found.components
-    )
-    return Table("Gauge R&R", columns, rows)
+    return table_of("Gauge R&R", columns, found.components)
 
 
 def sentences(found: Trend) -> list[str]:

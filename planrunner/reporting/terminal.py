@@ -101,6 +101,13 @@ def data_table(given: Table) -> RenderableType:
     return _Columns(view["title"], columns, rows, view["more"])
 
 
+def print_tables(*tables: Table) -> None:
+    """Prints tables to standard output."""
+    output = console()
+    for table in tables:
+        output.print(data_table(table))
+
+
 def schedule_table(schedule: Schedule, title: str = "Timeline") -> RenderableType:
     """The timeline, then the totals."""
     from rich.console import Group

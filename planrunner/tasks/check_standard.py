@@ -9,7 +9,7 @@ from pathlib import Path
 
 from planrunner.archive.run_reader import RunReader
 from planrunner.base.documents import Json, JsonObject
-from planrunner.base.findings import COMMAND_LINE, Finding, Findings, InputError, closest
+from planrunner.base.findings import Finding, Findings, InputError, closest
 from planrunner.base.progress import Announce
 from planrunner.bench.model import Bench, bench_of
 from planrunner.night.history.check_standard import ControlStanding, ControlState, judge, state_in
@@ -110,8 +110,7 @@ def admit(
     rule = bench.check_standard
     if rule is None:
         if override is not None:
-            message = f"bench '{bench.name}' has no check standard"
-            raise InputError.at(COMMAND_LINE, "command-usage", message, "leave the override out")
+            raise InputError.of_usage(f"bench '{bench.name}' has no check standard", "leave the override out")
         return Admission()
     if override is not None and override.by not in rule.may_override:
         message = f"'{override.by}' may not override the check standard of bench '{bench.name}'"

@@ -115,4 +115,4 @@ def _tolerance(text: str, unit: str) -> float:
     except ValueError:
         pass
     message = f"'{text[:40]}' is not a permissible deviation in {unit}"
-    raise InputError.at(COMMAND_LINE, "command-usage", message, f"write for example --tolerance '0.5 {unit}'")
+    raise InputError.of_usage(message, f"write for example --tolerance '0.5 {unit}'")

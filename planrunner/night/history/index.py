@@ -19,7 +19,7 @@ from typing import TypeVar, cast
 
 from planrunner.archive.finding_runs import find_runs
 from planrunner.archive.schema_check import FIRST_YEAR, LAST_YEAR
-from planrunner.base.findings import COMMAND_LINE, InputError, Mark
+from planrunner.base.findings import InputError, Mark
 from planrunner.base.processes import shared_out
 from planrunner.base.progress import Announce, Pace
 from planrunner.estimators.interface import CoefficientRole
@@ -392,8 +392,7 @@ def _moment(text: str) -> datetime:
             return datetime(FIRST_YEAR - 1 if moment.year < FIRST_YEAR else LAST_YEAR + 1, 1, 1, tzinfo=UTC)
         return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
     except ValueError:
-        message = f"'{text[:40]}' is not a date"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "write for example 2026-03-01") from None
+        raise InputError.of_usage(f"'{text[:40]}' is not a date", "write for example 2026-03-01") from None
 
 
 def _named(columns: str, table: str) -> str:
