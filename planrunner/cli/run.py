@@ -80,7 +80,7 @@ def override_of(args: argparse.Namespace) -> Override | None:
     why, by = args.override_check_standard, args.override_by
     if bool(why) != bool(by):
         message = "--override-check-standard and --override-by belong together"
-        raise InputError.at(COMMAND_LINE, "command-usage", message, "give both or neither")
+        raise InputError.of_usage(message, "give both or neither")
     if not why:
         return None
     from planrunner.tasks.check_standard import Override
