@@ -66,6 +66,7 @@ def _chart(found: Trend, key: str, y_title: str, series: list[tuple[str, Chart]]
     days = [float(date2num(datetime.fromisoformat(point.run.created))) for point in found.points]  # type: ignore[no-untyped-call]
     with drawing(WIDTH, 3.1) as (figure, save):
         axes = figure.add_subplot()
+        ringed = False
         for place, (name, chart) in enumerate(series):
             colour = COLOURS[place]
             if bars:
@@ -79,7 +80,8 @@ def _chart(found: Trend, key: str, y_title: str, series: list[tuple[str, Chart]]
             axes.plot(days, chart.lower, "--", color=COLOURS[4], linewidth=0.9, label=label)
             axes.plot(days, chart.upper, "--", color=COLOURS[4], linewidth=0.9)
             rings = [k for k in range(len(days)) if chart.alarms[k]]
-            ring = "alarm" if rings and place == 0 else None
+            ring = "alarm" if rings and not ringed else None
+            ringed = ringed or bool(rings)
             axes.plot(
                 [days[k] for k in rings],
                 [chart.statistic[k] for k in rings],
@@ -96,7 +98,8 @@ def _chart(found: Trend, key: str, y_title: str, series: list[tuple[str, Chart]]
         axes.xaxis.set_major_locator(locator)
         axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
         axes.set_ylabel(y_title)
-        axes.legend(loc="best")
+        # Above the axes: inside, it could cover a value.
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=3 if len(series) == 1 else 2, borderaxespad=0.2)
         described = (
             f"{y_title} of {len(days)} runs with control limits; {sum(one.alarms.sum() for _, one in series)} alarms"
         )

@@ -4,9 +4,10 @@ every amplitude to device, bench or occasion.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -14,10 +15,12 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from planrunner.archive import seal as seals
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.run_reader import RunReader
+from planrunner.archive.storage import digest
 from planrunner.base import plugins
-from planrunner.base.documents import JsonObject
+from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
 from planrunner.base.guarded_folder import NotOrdinaryError
 from planrunner.base.processes import processors
@@ -32,6 +35,7 @@ from planrunner.plan.model import NOMINAL_TERMS
 from planrunner.plan.run_information import DEVICE, device_of
 from planrunner.plan.source import read_text
 from planrunner.tasks.diagnose import observe, recorded_run
+from planrunner.tasks.kept_diagnoses import KeptDiagnoses, key_of
 
 if TYPE_CHECKING:
     from planrunner.gap.answer.diagnosis import Diagnosis
@@ -49,12 +53,14 @@ _LEAST = 1e-12  # probability with which a run counts that gives an effect none
 
 @dataclass(frozen=True, slots=True)
 class RunOrigin:
-    """A run with the labels of its device, bench and occasion. created: when it was made, UTC, ISO 8601. lot: of the device, if stated."""
+    """A run with the labels of its device, bench and occasion. created: when it was made, UTC, ISO 8601. lot: of the device, if stated.
+    seal: SHA-256 of the seal; empty for a run that is not sealed."""
 
     run: Path
     labels: Mapping[Source, str]
     created: str = ""
     lot: str = ""
+    seal: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,10 +228,12 @@ def diagnose_fleet(
     notice: Announce | None = None,
     *,
     skip: bool = False,
+    kept: KeptDiagnoses | None = None,
 ) -> FleetDiagnosis:
     """Diagnoses runs together. nominal: terms that the simulations fit, by default those of the plans; origins: a CSV table that states
     device, bench or occasion of runs; workers: share the runs, by default processes of this machine. notice: receives the progress. skip:
-    runs that cannot be diagnosed are left out with a note, instead of being an error.
+    runs that cannot be diagnosed are left out with a note, instead of being an error. kept: results of sealed runs from before, which are
+    used and added to.
 
     Raises `InputError` with all obstacles and, without `skip`, `IntegrityError`.
     """
@@ -234,7 +242,15 @@ def diagnose_fleet(
     workers = workers or Workers(processors())
     given = None if nominal is None else tuple(nominal)
     pace = Pace("diagnosing the runs", 1.0, notice).reached
-    found = results_of(partial(_verdict, given, skip), [one.run for one in labelled], workers, pace)
+    kept = kept or KeptDiagnoses(None)
+    verdict_keys = [_key(one, "verdict", list(given or ())) for one in labelled]
+    found = _from_kept(
+        kept,
+        verdict_keys,
+        lambda missing: results_of(partial(_verdict, given, skip), [labelled[k].run for k in missing], workers, pace),
+        _verdict_plain,
+        _verdict_of,
+    )
     findings = Findings()
     obstacles = [one for one in (*listed, *found) if not isinstance(one, RunOrigin | RunVerdict)]
     if not skip:
@@ -255,7 +271,16 @@ def diagnose_fleet(
     effects, left = _with_amplitudes(named)
     chosen = tuple((name, _shape(name, verdicts)) for name in effects)
     fitting = Pace("fitting the named effects in every run", 1.0, notice).reached
-    fits = results_of(partial(_fitted, verdicts[0].nominal, chosen), runs, workers, fitting)
+    fit_keys = [_key(one, "amplitudes", [list(verdicts[0].nominal), [list(pair) for pair in chosen]]) for one in known]
+    fits = _from_kept(
+        kept,
+        fit_keys,
+        lambda missing: results_of(
+            partial(_fitted, verdicts[0].nominal, chosen), [runs[k] for k in missing], workers, fitting
+        ),
+        _fit_plain,
+        _fit_of,
+    )
     attributed = _attributed(fits, known, workers)
     if not attributed:
         message = "no amplitude is determined by two or more of the runs"
@@ -268,6 +293,101 @@ def diagnose_fleet(
     return FleetDiagnosis(known, verdicts, effects, attributed, left, _shared(attributed, known), findings)
 
 
+# -- results from before -----------------------------------------------------------------------------------------------
+
+
+def _key(origin: RunOrigin, kind: str, asked: Json) -> str:
+    """Under which a result is kept; empty for a run that is not sealed, which may change."""
+    return key_of(kind, origin.seal, asked) if origin.seal else ""
+
+
+def _from_kept(
+    kept: KeptDiagnoses,
+    keys: Sequence[str],
+    compute: Callable[[Sequence[int]], Sequence[T]],
+    plain: Callable[[T], Json],
+    of_plain: Callable[[Json], T],
+) -> list[T]:
+    """The results for all keys: those from before, and those of `compute` for the other places, which are then kept. plain: a result as
+    JSON data; null for one that is not kept."""
+    found: dict[int, T] = {}
+    for place, key in enumerate(keys):
+        held = kept.get(key) if key else None
+        if held is not None:
+            with contextlib.suppress(KeyError, TypeError, ValueError):
+                found[place] = of_plain(held)
+    missing = [place for place in range(len(keys)) if place not in found]
+    for place, made in zip(missing, compute(missing) if missing else (), strict=True):
+        found[place] = made
+        data = plain(made)
+        if keys[place] and data is not None:
+            kept.put(keys[place], data)
+    return [found[place] for place in range(len(keys))]
+
+
+def _verdict_plain(one: RunVerdict | Obstacles) -> Json:
+    """Obstacles are not kept: they may vanish, for example when a package is installed."""
+    if not isinstance(one, RunVerdict):
+        return None
+    made: JsonObject = {item.name: getattr(one, item.name) for item in fields(one)}
+    return {
+        **made,
+        **{name: list(made[name]) for name in ("nominal", "effects", "members")},
+        "probability": dict(one.probability),
+        "shapes": {name: list(pair) for name, pair in one.shapes.items()},
+        "findings": [finding.to_json() for finding in one.findings],
+    }
+
+
+def _verdict_of(held: Json) -> RunVerdict | Obstacles:
+    return RunVerdict(
+        **{
+            **held,
+            **{name: tuple(held[name]) for name in ("nominal", "effects", "members")},
+            "shapes": {name: (pair[0], pair[1]) for name, pair in held["shapes"].items()},
+            "findings": tuple(
+                Finding(
+                    Mark(one["file"], one["line"], one["column"]),
+                    *(one[key] for key in ("code", "severity", "message", "hint")),
+                )
+                for one in held["findings"]
+            ),
+        }
+    )
+
+
+def _fit_plain(fit: Sequence[AmplitudeEstimate]) -> Json:
+    return [
+        {
+            "effect": one.key.effect,
+            "name": one.key.name,
+            "unit": one.key.unit,
+            "shape": one.key.shape,
+            "orientations": [list(axes) for axes in one.key.orientations],
+            "value": float(one.value).hex(),
+            "standard_uncertainty": float(one.standard_uncertainty).hex(),
+        }
+        for one in fit
+    ]
+
+
+def _fit_of(held: Json) -> list[AmplitudeEstimate]:
+    return [
+        AmplitudeEstimate(
+            AmplitudeKey(
+                one["effect"],
+                one["name"],
+                one["unit"],
+                one["shape"],
+                tuple(tuple(axes) for axes in one["orientations"]),
+            ),
+            float.fromhex(one["value"]),
+            float.fromhex(one["standard_uncertainty"]),
+        )
+        for one in held
+    ]
+
+
 # -- which device, bench and occasion ----------------------------------------------------------------------------------
 
 
@@ -278,6 +398,7 @@ class _Opened:
     run: JsonObject
     bench: str
     table: str
+    seal: str
 
 
 def _opened(run: Path) -> _Opened:
@@ -285,10 +406,11 @@ def _opened(run: Path) -> _Opened:
 
     reader = RunReader.open(run)
     bench = sound_run(reader).bench
+    seal = digest(reader.folder.read(seals.NAME, seals.MOST_BYTES)) if reader.sealed else ""
     if "table" not in bench.instruments:
-        return _Opened(reader.run, bench.name, "")
+        return _Opened(reader.run, bench.name, "", seal)
     table = bench.instruments["table"].asset or reader.instruments.get("table", {}).get("serial", "")
-    return _Opened(reader.run, bench.name, table)
+    return _Opened(reader.run, bench.name, table, seal)
 
 
 def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[RunOrigin | Obstacles]:
@@ -333,7 +455,7 @@ def _labelled(run: Path, opened: _Opened, stated: Mapping[Source, str], several:
         Source.BENCH: stated.get(Source.BENCH) or f"{opened.bench}{table}",
         Source.OCCASION: stated.get(Source.OCCASION) or run.resolve().name,
     }
-    return RunOrigin(run, labels, str(opened.run["created"]), str(info.get(LOT) or ""))
+    return RunOrigin(run, labels, str(opened.run["created"]), str(info.get(LOT) or ""), opened.seal)
 
 
 def _stated(path: Path, runs: Sequence[Path], log: Findings) -> dict[Path, dict[Source, str]]:

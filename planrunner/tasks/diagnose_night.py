@@ -12,9 +12,11 @@ from planrunner.base.findings import InputError
 from planrunner.base.workers import Workers
 from planrunner.night.history.rows import RunFilter, RunRow
 from planrunner.night.suite import NightDiagnosis
+from planrunner.plan.run_information import DEVICE
 from planrunner.reporting.fleet_page import statements
 from planrunner.tasks.diagnose_fleet import diagnose_fleet
 from planrunner.tasks.history import Freshness, opened
+from planrunner.tasks.kept_diagnoses import KeptDiagnoses
 
 LEAST = 4
 """Runs from which a change can be seen: two before it and two after it."""
@@ -24,14 +26,15 @@ def diagnose_night(
     archive: Path, runs: Sequence[str], asked: NightDiagnosis, workers: Workers | None = None
 ) -> Iterator[tuple[JsonObject | None, str]]:
     """For each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json), and why there is none or which runs are left out;
-    a last remark names the damaged runs of the archive.
+    the last remarks name runs of the night that name no device, and the damaged runs of the archive.
 
     runs: names of the folders of the night's runs. Raises `InputError` if the index cannot be used.
     """
     since = (datetime.now(UTC) - timedelta(seconds=asked.within.value)).isoformat()
     with opened(archive, None, Freshness()) as index:
-        known = [run for run in index.runs(RunFilter(since=since)) if run.state == "sealed" and run.device]
+        every = index.runs(RunFilter(since=since))
         damaged = ", ".join(fault.folder for fault in index.faults())
+    known = [run for run in every if run.state == "sealed" and run.device]
     own = [run for run in known if run.folder in runs]
     for key in dict.fromkeys((run.plan, run.title) for run in own):
         group = [run for run in known if (run.plan, run.title) == key][: asked.recent]
@@ -39,6 +42,9 @@ def diagnose_night(
             yield _of_plan(archive, group, [run.folder for run in own], workers or Workers())
         else:
             yield None, f"{key[0]}: {len(group)} runs are too few to be diagnosed together"
+    unknown = ", ".join(run.folder for run in every if run.folder in runs and not run.device)
+    if unknown:
+        yield None, f"the night: runs that name no device ({' or '.join(DEVICE)}) are left out: {unknown}"
     if damaged:
         yield None, f"the night: damaged runs are left out: {damaged}"
 
@@ -48,7 +54,7 @@ def _of_plan(
 ) -> tuple[JsonObject | None, str]:
     plan, folders = group[0].title or group[0].plan, [archive / run.folder for run in reversed(group)]
     try:
-        made = diagnose_fleet(folders, workers=workers, skip=True)
+        made = diagnose_fleet(folders, workers=workers, skip=True, kept=KeptDiagnoses.of_user())
     except (InputError, IntegrityError) as error:
         return None, f"{plan}: the runs cannot be diagnosed together: {error}"
     found = made.to_json()

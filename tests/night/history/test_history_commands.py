@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +17,8 @@ from planrunner.cli import main
 from planrunner.night.history.databases import INDEX
 from planrunner.night.history.index import Index
 from planrunner.night.history.trend import Trend, trend
+from planrunner.reporting import history_page
+from planrunner.reporting.plots import drawing
 from tests.night.history.made_runs import MadeRun, make_run
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -230,3 +234,34 @@ def test_values_without_number_are_left_out(tmp_path: Path) -> None:
     make_run(tmp_path / "runs", replace(BASE, values={"bias": ("nan", 0.1)}, days=5, limit=None), 7)  # type: ignore[dict-item]
     found = history_of(tmp_path, [1.0, 1.1])
     assert found.values == (1.0, 1.1) and found.left_out == ("0007-calibration",)
+
+
+def test_the_legends_of_the_charts_cover_no_value_and_are_not_cut(
+    archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    drawn, draw = [], drawing
+
+    @contextmanager
+    def observed(width: float, height: float) -> Iterator[tuple[Figure, Callable[[str, str, str], str]]]:
+        with draw(width, height) as (figure, save):
+            yield figure, save
+        drawn.append(figure)
+
+    monkeypatch.setattr(history_page, "drawing", observed)
+    monkeypatch.setenv(INDEX, str(tmp_path / "index.sqlite"))
+    page = tmp_path / "page.html"
+    assert main(["history", "FG-7", "drift.bias", "--runs", str(archive), "--html", str(page), "--quiet"]) in (0, 1)
+    assert len(drawn) == 3  # values, moving average, sums
+    for figure in drawn:
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        (axes,) = figure.axes
+        legend = axes.get_legend()
+        assert legend is not None
+        words = [text.get_window_extent(canvas.get_renderer()) for text in legend.get_texts()]
+        top = axes.get_window_extent().y1
+        assert all(word.y0 >= top for word in words)
+        assert all(word.x1 <= figure.bbox.x1 and word.y1 <= figure.bbox.y1 for word in words)

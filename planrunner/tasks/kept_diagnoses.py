@@ -1,0 +1,93 @@
+"""What diagnoses of sealed runs gave, kept on this computer, so that the next night computes only what is new.
+
+A diagnosis of a run is a function of the run, of the program with its libraries and plug-ins, and of what is asked. The digest of all three
+is the name of the file with its result; any change gives another name. The files are in a folder that only the user can change, and can be
+deleted at any time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import sys
+import time
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from planrunner.archive.formats import from_bytes, to_bytes
+from planrunner.archive.storage import Storage
+from planrunner.base import plugins
+from planrunner.base.cluster import versions
+from planrunner.base.documents import Json
+from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.base.trusted_folders import UntrustedFolderError, make_private, trusted, user_data
+
+FOLDER = "PLANRUNNER_DIAGNOSES"
+"""Environment variable for another folder."""
+_MOST = 2**22
+_LIFE = 180 * 86400.0
+"""Seconds after which a result is removed."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeptDiagnoses:
+    """The folder of kept results; None if there is no folder that only the user can change: nothing is kept then."""
+
+    folder: GuardedFolder | None
+
+    @classmethod
+    def of_user(cls) -> KeptDiagnoses:
+        """Results that are too old are removed."""
+        place = _place()
+        try:
+            make_private(place)
+            folder = GuardedFolder.open(trusted(place))
+            for name, entry in folder.entries().items():
+                if time.time() - entry.modified / 1e9 > _LIFE:
+                    folder.remove(name)
+        except (OSError, UntrustedFolderError):
+            return cls(None)
+        return cls(folder)
+
+    def get(self, key: str) -> Json:
+        """The result under a key; None without one."""
+        if self.folder is None:
+            return None
+        try:
+            return from_bytes(self.folder.read(key, _MOST))
+        except (OSError, ValueError):
+            return None
+
+    def put(self, key: str, result: Json) -> None:
+        """A result that cannot be written is not kept."""
+        if self.folder is not None:
+            with contextlib.suppress(OSError, ValueError):
+                Storage("flushed").write_whole(self.folder, key, to_bytes(result))
+
+
+def key_of(kind: str, run: str, asked: Json) -> str:
+    """run: SHA-256 of the seal of the run. asked: all else that the result depends on."""
+    return hashlib.sha256(to_bytes([kind, run, asked, _program()])).hexdigest()
+
+
+@cache
+def _program() -> Json:
+    """The program, its libraries, and the packages with plug-ins."""
+    found = dict(versions())
+    for group in (plugins.EFFECTS, plugins.ESTIMATORS, plugins.INSTRUMENTS):
+        for entry in entry_points(group=group):
+            if entry.dist is not None and entry.dist.name != "planrunner":
+                found[entry.dist.name] = entry.dist.version
+    return dict(sorted(found.items()))
+
+
+def _place() -> Path:
+    stated = os.environ.get(FOLDER)
+    if stated:
+        return Path(stated)
+    if sys.platform == "win32":
+        return user_data() / "planrunner" / "diagnoses"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "planrunner" / "diagnoses"
