@@ -202,7 +202,7 @@ def test_a_night_says_what_three_devices_of_a_lot_share_and_computes_it_once(
 
     monkeypatch.setattr(diagnose_fleet, "_verdict", never)
     monkeypatch.setattr(diagnose_fleet, "_fitted", never)
-    ((again, _), _) = diagnose_night(Path("runs"), list(runs), NightDiagnosis(), ALONE)
+    ((again, _),) = diagnose_night(Path("runs"), list(runs), NightDiagnosis(), ALONE)
     assert again == fleet
 
 
