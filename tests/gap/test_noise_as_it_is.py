@@ -142,6 +142,17 @@ def test_coarse_counts_without_a_declaration_name_no_effect(counts: float) -> No
         assert found.verdict.effects == ("gyro_g_sensitivity",)
 
 
+def test_readings_at_rest_that_alternate_between_two_counts_name_no_effect() -> None:
+    plain = noisy(white(1.0))
+    step = 8.0 * SAMPLE
+    still = plain.values[: plain.bounds[1]].mean(0)
+    between = plain.values + np.floor(still / step) * step + step / 2 - still
+    values = np.round(between / step) * step
+    assert values[: plain.bounds[1]].std(0) / step == pytest.approx(0.5, abs=0.1)  # as if by noise of half a count
+    found = diagnose(replace(plain, values=values))
+    assert found.posterior.probability["none"] > 0.5
+
+
 def faint_tone(observed: Observed, draw: np.random.Generator) -> Array:
     """A sine of 0.15 standard deviations, 50 times above the noise of a periodogram: it makes the noise 0.6 % larger."""
     line = 0.15 * np.sin(2 * np.pi * 3.3 * observed.time)[:, None] * np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])

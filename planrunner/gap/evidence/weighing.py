@@ -89,16 +89,6 @@ def lasting(observed: Observed) -> tuple[Array, Array]:
     return observed.time[observed.bounds[:-1]] - (size - 1) / twice, last
 
 
-def rounding_variance(count: float, sigma: float) -> float:
-    """Variance of the error of a long mean by rounding to counts, for noise of standard deviation `sigma` before the rounding, in the
-    squared unit of the count.
-
-    The error is a periodic function of the mean's position within a count, and Gaussian noise multiplies its first harmonic by
-    exp(−2π²σ²/count²) (Widrow and Kollár, Quantization Noise, 2008, section 19.3); without noise its variance is count²/12.
-    """
-    return count**2 / 12 * float(np.exp(-4 * (np.pi * sigma / count) ** 2)) if count > 0 else 0.0
-
-
 def _sharing(readings: Array, count: float) -> Array:
     """Number of segments (S,) whose mean readings (S,) are rounded alike. Their errors by rounding are equal, so that their mean has the
     error of one of them."""
@@ -134,7 +124,8 @@ class ChannelWeights:
     """One channel under one level of flicker, relative to the declared level, and of a random walk. `whiten` scales coefficients (M, …) to
     unit noise; `project` also projects out the nominal parameters.
 
-    relative: (M,), variance of the noise of each coefficient, relative to white². log_likelihood: REML of the data without any effect.
+    relative: (M,), variance of the noise of each coefficient, relative to white². undithered: variance of the error of
+    a mean by rounding. log_likelihood: REML of the data without any effect.
     basis: (M, q), orthonormal, of the whitened nominal columns. scale: (M,), of the coefficients that are whitened one by one: all of them
     where there is no slow noise, else those above order 0.
     """
@@ -151,11 +142,10 @@ class ChannelWeights:
         nominal: Array,
         noise: NoiseWithin,
         relative: Array,
+        undithered: float,
     ):
         declared = observed.channels[channel]
         counts = observed.counts.astype(float)
-        before = np.sqrt(max(white**2 - declared.resolution**2 / 12, 0.0))
-        undithered = rounding_variance(declared.resolution, before)
         fast = white**2 * relative
         covariance = np.diag(fast[spectrum.means] / counts)
         if undithered > 0:

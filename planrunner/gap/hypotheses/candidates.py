@@ -22,6 +22,7 @@ from planrunner.gap.evidence.bayes_factors import (
 )
 from planrunner.gap.evidence.noise_levels import counts
 from planrunner.gap.evidence.noise_within import noise_within
+from planrunner.gap.evidence.rounding import undithered
 from planrunner.gap.evidence.slow_noise import SlowMeans
 from planrunner.gap.evidence.spectrum import Spectrum, spectrum, white_level
 from planrunner.gap.evidence.weighing import (
@@ -163,6 +164,7 @@ class Weighing:
         self.nominal = [independent(columns) for columns in self.whole]
         self.observed = self.seen()
         relative = self.noise.of_coefficients(observed, self.spectrum)
+        rounding = undithered(observed, self.white, self.coarse)
         self.weights: list[list[ChannelWeights]] = []
         self.log_likelihood: list[Array] = []
         for index, channel in enumerate(observed.channels):
@@ -178,6 +180,7 @@ class Weighing:
                     fitted,
                     self.noise,
                     relative[:, index],
+                    float(rounding[index]),
                 )
                 for level in dict.fromkeys((setting.flicker, setting.walk) for setting in settings)
             }

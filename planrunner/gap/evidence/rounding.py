@@ -1,0 +1,92 @@
+"""Errors of long means by rounding to counts.
+
+Noise of half a count or more dithers the rounding: its errors average out. Smaller noise leaves an error that depends on the mean's position
+within a count, and repeats do not average it. The scatter of rounded samples does not show how small the noise is: readings that alternate
+between two counts scatter by half a count whatever the noise. The numbers of samples at every count show it, because only noise that is
+large enough reaches a third count.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.observed import Observed
+from planrunner.plan.schedule import Rest
+
+Array = NDArray[np.float64]
+NOISES = np.geomspace(0.02, 1.0, 24)  # standard deviations that are compared, in counts
+PLACES = np.linspace(-1.0, 1.0, 801)  # positions of a true mean about a count, in counts
+DOUBT = float(np.log(2.0))  # standard deviation of the logarithm of the declared noise
+STRAY = 1e-4  # share of samples that are not explained by the noise
+HARMONICS = np.arange(1, 101)
+_MOST = 60  # counts that a segment at rest may reach
+
+
+def dithering(sigma: Array | float) -> Array:
+    """Factor of the variance of a long mean's rounding error by noise of standard deviation `sigma`, in counts.
+
+    The error is a saw-tooth of the mean's position within a count, and Gaussian noise multiplies its harmonic k by exp(−2π²k²σ²) (Widrow
+    and Kollár, Quantization Noise, 2008, section 19.3). Without noise the variance is 1/12 of a squared count.
+    """
+    weight = 6 / (np.pi * HARMONICS) ** 2
+    return np.asarray(np.exp(-4 * (np.pi * np.multiply.outer(sigma, HARMONICS)) ** 2) @ weight)
+
+
+def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> Array:
+    """Variance (K,) of the error of a long mean by rounding, SI². white: (K,), SI, standard deviation of a rounded sample; coarse: (K,),
+    channels whose noise is too small to show in it. For these, the expectation over what the counts at rest and the declared noise leave
+    open. If samples were averaged, their counts are not known."""
+    found = np.zeros(len(observed.channels))
+    for index, channel in enumerate(observed.channels):
+        count = channel.resolution
+        if count <= 0:
+            continue
+        if coarse[index] and (observed.bins is None or channel.white > 0):
+            log = _of_declared(channel.white * np.sqrt(observed.sample_rate) / count) + _of_counts(observed, index)
+            share = np.exp(log - log.max())
+            factor = float(share @ dithering(NOISES) / share.sum())
+        else:
+            before = np.sqrt(max(white[index] ** 2 - count**2 / 12, 0.0)) / count
+            factor = float(dithering(before))
+        found[index] = count**2 / 12 * factor
+    return found
+
+
+def _of_declared(sigma: float) -> Array:
+    """Log prior (S,) of the noises: about the declared one, in counts; uniform if none is declared."""
+    return np.zeros(len(NOISES)) if sigma <= 0 else -0.5 * (np.log(NOISES / sigma) / DOUBT) ** 2
+
+
+def _of_counts(observed: Observed, index: int) -> Array:
+    """Log likelihood (S,) of the noises: the numbers of samples at every count in segments at rest, whose true mean is the one that gives
+    their mean reading."""
+    found = np.zeros(len(NOISES))
+    if observed.bins is not None:
+        return found
+    count = observed.channels[index].resolution
+    readings = [_reading(sigma) for sigma in NOISES]
+    for motion, part in zip(observed.motions, observed.segments(), strict=True):
+        levels = np.round(observed.values[part, index] / count)
+        reached, times = np.unique(levels, return_counts=True)
+        if not isinstance(motion, Rest) or len(reached) > _MOST:
+            continue
+        mean = float(levels.mean())
+        nearest = np.round(mean)
+        for place, sigma in enumerate(NOISES):
+            true = nearest + np.interp(mean - nearest, readings[place], PLACES)
+            found[place] += np.log(STRAY + (1 - STRAY) * _chances(reached - true, sigma)) @ times
+    return found
+
+
+def _reading(sigma: float) -> Array:
+    """Mean readings (P,) at `PLACES`, in counts."""
+    levels = np.arange(-4, 5) - PLACES[:, None]
+    return np.asarray(PLACES + (_chances(levels, sigma) * levels).sum(axis=1))
+
+
+def _chances(away: Array, sigma: float) -> Array:
+    """Probability that a sample is rounded to a count this far from its mean, in counts."""
+    from scipy.special import ndtr
+
+    return np.asarray(ndtr((away + 0.5) / sigma) - ndtr((away - 0.5) / sigma))
