@@ -1,9 +1,9 @@
 """Errors of long means by rounding to counts.
 
-Noise of half a count or more dithers the rounding: its errors average out. Smaller noise leaves an error that depends on the mean's position
-within a count, and repeats do not average it. The scatter of rounded samples does not show how small the noise is: readings that alternate
-between two counts scatter by half a count whatever the noise. The numbers of samples at every count show it, because only noise that is
-large enough reaches a third count.
+Noise of half a count or more dithers the rounding: its errors average out. Smaller noise leaves an error that depends on the position of
+the mean within a count, and repeats do not average it. The scatter of rounded samples does not show how small the noise is: readings that
+alternate between two counts scatter by half a count whatever the noise. The numbers of samples at every count show it, because only noise
+that is large enough reaches a third count.
 """
 
 from __future__ import annotations
