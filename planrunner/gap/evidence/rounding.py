@@ -19,7 +19,7 @@ NOISES = np.geomspace(0.02, 1.0, 24)  # standard deviations that are compared, i
 PLACES = np.linspace(-1.0, 1.0, 801)  # positions of a true mean about a count, in counts
 DOUBT = float(np.log(2.0))  # standard deviation of the logarithm of the declared noise
 STRAY = 1e-4  # share of samples that are not explained by the noise
-HARMONICS = np.arange(1, 101)
+HARMONICS = np.arange(1, 101)  # of the saw-tooth
 _MOST = 60  # counts that a segment at rest may reach
 
 
@@ -67,7 +67,7 @@ def _of_counts(observed: Observed, index: int) -> Array:
     count = observed.channels[index].resolution
     readings = [_reading(sigma) for sigma in NOISES]
     for motion, part in zip(observed.motions, observed.segments(), strict=True):
-        levels = np.round(observed.values[part, index] / count)
+        levels = np.round((observed.values[part, index] - observed.values[part.start, index]) / count)
         reached, times = np.unique(levels, return_counts=True)
         if not isinstance(motion, Rest) or len(reached) > _MOST:
             continue
