@@ -93,6 +93,21 @@ def test_two_effects_are_named_together() -> None:
     assert tilt["about_east"] == pytest.approx(-1e-4 / DEG * 3600, rel=0.2)
 
 
+def test_parameters_beside_a_random_walk_have_its_uncertainty() -> None:
+    def both(
+        observed: Observed, omega: Array, force: Array, draw: np.random.Generator
+    ) -> tuple[Array | float, Array | float]:
+        walk = _walk(observed, omega, force, draw)[0]
+        return 5 * (walk + _unbalance(observed, omega, force, draw)[0]), 0.0
+
+    found = diagnose(record(seed=18, fault=both))
+    assert found.verdict.effects == ("gyro_bias_random_walk", "gyro_g_sensitivity")
+    estimates = [p for p in found.parameters if p.effect == "gyro_g_sensitivity"]
+    true = {"K_x_y": 15e-3, "K_y_x": -10e-3, "K_z_y": 5e-3, "K_y_z": 5e-3}
+    away = [(p.value - true.get(p.name, 0.0)) / p.standard_uncertainty for p in estimates]
+    assert chi2.sf(np.square(away).sum(), len(away)) > 1e-3
+
+
 @pytest.mark.parametrize(("fault", "kind"), [(_tone, "a tone"), (_offsets, "offset per segment")])
 def test_what_is_not_in_the_catalogue_is_said_to_be(fault: Fault, kind: str) -> None:
     found = diagnose(record(seed=14, fault=fault))

@@ -240,7 +240,7 @@ def _parameters_of_given(
     begin = 0
     for member in given:
         end = begin + len(member.form.variant.columns)
-        listed += estimates.amplitudes(member.id, whole, slice(begin, end)) + estimates.shape(member.candidate)
+        listed += estimates.amplitudes(weighing, member.id, whole, slice(begin, end)) + estimates.shape(member.candidate)
         begin = end
     return listed
 
@@ -299,6 +299,7 @@ def _parameters(
 ) -> list[ParameterEstimate]:
     """Estimates for the likeliest effects. The effects of a set are fitted together."""
     listed: list[ParameterEstimate] = []
+    walking = any(isinstance(e, ActsOnNoise) and e.noise == "random walk" and e.id in said.effects for e in effects)
     together = found.sets.get(key_of(name for name in said.effects if name in by_id))
     for name in said.effects:
         if name not in by_id:
@@ -314,10 +315,11 @@ def _parameters(
             listed += estimates.opposite(shaped, by_id[name].best)
             continue
         if together is None:
-            listed += estimates.amplitudes(name, by_id[name].best, slice(None)) + estimates.shape(by_id[name])
+            listed += estimates.amplitudes(weighing, name, by_id[name].best, walking=walking)
+            listed += estimates.shape(by_id[name])
         else:
             (member,) = (one for one in together.members if one.id == name)
-            listed += estimates.amplitudes(name, together.weighed, together.columns(name))
+            listed += estimates.amplitudes(weighing, name, together.weighed, together.columns(name), walking)
             listed += estimates.shape(member.candidate)
     return listed
 

@@ -24,12 +24,14 @@ class ParameterEstimate:
     standard_uncertainty: float
 
 
-def amplitudes(effect: str, weighed: Weighed, columns: slice = slice(None)) -> list[ParameterEstimate]:
-    """Means and standard deviations of the amplitudes at the most probable prior size; `columns` of a pair that belong to the effect. An
-    amplitude that is held at 1 is no parameter."""
+def amplitudes(
+    weighing: Weighing, effect: str, weighed: Weighed, columns: slice = slice(None), walking: bool = False
+) -> list[ParameterEstimate]:
+    """Means and standard deviations of the amplitudes at the most probable prior size; `columns` of a pair that belong to the effect.
+    walking: whether a random walk of the gyros acts beside them. An amplitude that is held at 1 is no parameter."""
     if weighed.held:
         return []
-    mean, covariance = weighed.amplitudes
+    mean, covariance = weighing.amplitudes(weighed, walking)
     spread = np.sqrt(np.diag(covariance))
     listed = zip(weighed.variant.columns[columns], mean[columns], spread[columns], strict=True)
     return [

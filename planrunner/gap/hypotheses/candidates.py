@@ -40,6 +40,7 @@ Array = NDArray[np.float64]
 ABSORBED = 1e-4  # share of a signature's energy that remains through rounding when nominal parameters absorb an effect completely
 FULL = NOMINAL_TERMS
 _FORMS = 5
+_UNLIKELY = 1e-3  # share of the probability below which a setting of the noise is left out
 DITHERED = 0.5  # noise, in counts, below which rounding makes the noise depend on the reading
 
 
@@ -80,10 +81,14 @@ class Weighed:
     @cached_property
     def amplitudes(self) -> tuple[Array, Array]:
         """Mean (p,) and covariance (p, p) in magnitudes, at the first setting."""
+        return self.amplitudes_at(0)
+
+    def amplitudes_at(self, setting: int) -> tuple[Array, Array]:
+        """Mean (p,) and covariance (p, p) in magnitudes, at one setting of the noise."""
         if self.held:
-            mean, variance = held_amplitude(float(self.gram[0, 0, 0]), float(self.score[0, 0]))
+            mean, variance = held_amplitude(float(self.gram[setting, 0, 0]), float(self.score[setting, 0]))
             return np.array([mean]), np.array([[variance]])
-        return best_amplitudes(self.gram[0], self.score[0], self.variant.widths)
+        return best_amplitudes(self.gram[setting], self.score[setting], self.variant.widths)
 
 
 @dataclass(frozen=True)
@@ -272,6 +277,19 @@ class Weighing:
         effects together would need many times the memory of the recording."""
         raw = coefficients_of(self.observed, self.spectrum, [c for variant in variants for c in variant.columns])
         return [_without_samples(variant) for variant in variants], raw
+
+    def amplitudes(self, weighed: Weighed, walking: bool) -> tuple[Array, Array]:
+        """Mean (p,) and covariance (p, p) of the amplitudes in magnitudes, over the settings of the noise with, or without, a random walk of
+        the gyros."""
+        terms = self.base + weighed.log_bayes + self.log_prior[int(walking)]
+        share = np.exp(terms - terms.max())
+        share /= share.sum()
+        likely = np.flatnonzero(share > _UNLIKELY)
+        means, covariances = (np.array(part) for part in zip(*map(weighed.amplitudes_at, likely.tolist()), strict=True))
+        share = share[likely] / share[likely].sum()
+        mean = share @ means
+        away = means - mean
+        return mean, np.tensordot(share, covariances, 1) + (share[:, None] * away).T @ away
 
     def weigh(self, variants: Sequence[Variant], raw: Sequence[Array] | None = None) -> list[Weighed]:
         """Variants whitened and weighed under every setting. raw: as `projected` gives them, where they are known."""
