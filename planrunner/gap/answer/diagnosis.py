@@ -240,7 +240,9 @@ def _parameters_of_given(
     begin = 0
     for member in given:
         end = begin + len(member.form.variant.columns)
-        listed += estimates.amplitudes(weighing, member.id, whole, slice(begin, end)) + estimates.shape(member.candidate)
+        listed += estimates.amplitudes(weighing, member.id, whole, slice(begin, end)) + estimates.shape(
+            member.candidate
+        )
         begin = end
     return listed
 

@@ -279,7 +279,7 @@ class Weighing:
         return [_without_samples(variant) for variant in variants], raw
 
     def amplitudes(self, weighed: Weighed, walking: bool) -> tuple[Array, Array]:
-        """Mean (p,) and covariance (p, p) of the amplitudes in magnitudes, over the settings of the noise with, or without, a random walk of
+        """Mean (p,) and covariance (p, p) of the amplitudes in magnitudes, over the settings of the noise with or without a random walk of
         the gyros."""
         terms = self.base + weighed.log_bayes + self.log_prior[int(walking)]
         share = np.exp(terms - terms.max())
