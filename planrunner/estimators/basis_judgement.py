@@ -12,7 +12,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, counted, said
 from planrunner.estimators.drift_fit import SuspectedDrift
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark, UnfitDataError
-from planrunner.estimators.outlying_segments import LEAST_REDUNDANCY, Outlier, outliers, unchecked
+from planrunner.estimators.outlying_segments import LEAST_REDUNDANCY, Outlier, agreement
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.estimators.unstated_flicker import CREDIBLE, OpenFlicker, open_flicker
 from planrunner.observation.drift import DriftCourse
@@ -217,12 +217,13 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
     drifted = drift_words(fit, basis)
     notes += map(FitNote, drifted.notes)
     warnings += drifted.warnings
-    warnings += [_outlying(fit, one, basis) for one in outliers(fit, basis)]
-    if alone := unchecked(fit, basis):
+    agreeing = agreement(fit, basis)
+    warnings += [_outlying(fit, one, basis) for one in agreeing.outliers]
+    if agreeing.unchecked:
         hardly = said(
             "An error in one of the segments {segments} would hardly be noticed, because less than {share:.0f} "
             "% of it appears in the residuals: repeat these segments to confirm them.",
-            segments=tuple(alone),
+            segments=agreeing.unchecked,
             share=100 * LEAST_REDUNDANCY,
         )
         notes.append(FitNote(hardly))

@@ -43,33 +43,41 @@ class Outlier:
     changes: Array
 
 
-def outliers(fit: OutputsFit, basis: str) -> tuple[Outlier, ...]:
-    """Outliers of all outputs, the most improbable first. None if the residuals have fewer than two degrees of freedom."""
-    found: list[Outlier] = []
-    for k in range(len(fit.outputs)):
-        found += _of_output(fit, k, basis)
-    return tuple(sorted(found, key=lambda one: one.probability))
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """outliers: of all outputs, the most improbable first; none if the residuals have fewer than two degrees of freedom. unchecked: labels
+    of the segments whose error would hardly show in any output's residuals; none where there are no residuals at all."""
+
+    outliers: tuple[Outlier, ...] = ()
+    unchecked: tuple[str, ...] = ()
 
 
-def unchecked(fit: OutputsFit, basis: str) -> tuple[str, ...]:
-    """Labels of the segments whose error would hardly show in any output's residuals; none where there are no residuals at all."""
+def agreement(fit: OutputsFit, basis: str) -> Agreement:
+    """How the segments of a fit agree with each other."""
     if not fit.freedom:
-        return ()
-    redundancy = np.min([_Weighed.of(fit, k, basis).shifts(()).redundancy for k in range(len(fit.outputs))], axis=0)
+        return Agreement()
+    found: list[Outlier] = []
+    redundancy = np.full(fit.gains.shape[2], math.inf)
+    for k in range(len(fit.outputs)):
+        weighed = _Weighed.of(fit, k, basis)
+        whole = weighed.shifts(())
+        redundancy = np.minimum(redundancy, whole.redundancy)
+        found += _of_output(fit, k, weighed, whole)
     means = fit.labels[: len(fit.labels) - fit.within]
-    return tuple(label for label, share in zip(means, redundancy, strict=False) if share < LEAST_REDUNDANCY)
+    hardly = tuple(label for label, share in zip(means, redundancy, strict=False) if share < LEAST_REDUNDANCY)
+    return Agreement(tuple(sorted(found, key=lambda one: one.probability)), hardly)
 
 
-def _of_output(fit: OutputsFit, k: int, basis: str) -> list[Outlier]:
+def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> list[Outlier]:
+    """whole: the shifts while no segment has a column yet."""
     from scipy.special import stdtr
 
     found: list[Outlier] = []
     taken: tuple[int, ...] = ()
     least = _ROUNDING * float(np.max(np.abs(fit.columns) @ np.abs(fit.all_coefficients[k])))
     comparisons = fit.gains.shape[2] * len(fit.outputs)
-    weighed = _Weighed.of(fit, k, basis)
     while len(taken) < _MOST and fit.freedom - len(taken) > 1:
-        shifts = weighed.shifts(taken)
+        shifts = weighed.shifts(taken) if taken else whole
         freedom = fit.freedom - len(taken) - 1
         worst = int(np.argmax(shifts.drops[: len(fit.labels) - fit.within]))
         left = (shifts.chi_squared - shifts.drops[worst]) / freedom

@@ -8,7 +8,7 @@ from recorded import from_means, segment, sensor
 
 from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.least_squares import fit
-from planrunner.estimators.outlying_segments import outliers, unchecked
+from planrunner.estimators.outlying_segments import agreement
 from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
 from planrunner.estimators.scale_factor import ScaleFactor, ScaleFactorParameters
 from planrunner.observation.observations import observe
@@ -33,7 +33,7 @@ def test_the_statistic_is_that_of_leaving_the_segment_out() -> None:
     draw = np.random.default_rng(1)
     values = 0.5 + 1.01 * RATES + draw.standard_normal(len(RATES))
     values[30] += 9.0
-    (found,) = outliers(line(RATES, values), "residual")
+    (found,) = agreement(line(RATES, values), "residual").outliers
     matrix = np.column_stack([np.ones(len(RATES)), RATES])
     rest = np.arange(len(RATES)) != 30
     without = fit(matrix[rest], values[rest])
@@ -48,7 +48,7 @@ def test_the_statistic_is_that_of_leaving_the_segment_out() -> None:
 def test_two_wrong_segments_do_not_hide_each_other() -> None:
     values = 1.01 * RATES + np.random.default_rng(2).standard_normal(len(RATES))
     values[[0, 24]] += 30.0  # both at the end of the line, on the same side
-    assert {one.label for one in outliers(line(RATES, values), "residual")} == {"R0", "R24"}
+    assert {one.label for one in agreement(line(RATES, values), "residual").outliers} == {"R0", "R24"}
 
 
 @pytest.mark.slow
@@ -57,18 +57,18 @@ def test_false_alarms_are_as_seldom_as_stated(basis: str) -> None:
     """At most 1 % of sound recordings have an outlier: of 1000 not more than 21 (0.1 % of the binomial distribution beyond)."""
     draw = np.random.default_rng(3)
     rates = np.linspace(-100, 100, 10)
-    alarms = sum(bool(outliers(line(rates, rates + draw.standard_normal(10)), basis)) for _ in range(1000))
+    alarms = sum(bool(agreement(line(rates, rates + draw.standard_normal(10)), basis).outliers) for _ in range(1000))
     assert alarms <= 21
 
 
 def test_exact_data_have_no_outliers() -> None:
-    assert not outliers(line(RATES, 0.3 + 1.01 * RATES), "residual")
+    assert not agreement(line(RATES, 0.3 + 1.01 * RATES), "residual").outliers
 
 
 def test_a_segment_that_decides_a_coefficient_alone_is_named() -> None:
     rates = np.array([0.0, 0.1, -0.1, 0.2, -0.2, 100.0])
     values = rates + np.random.default_rng(4).standard_normal(6)
-    assert unchecked(line(rates, values), "residual") == ("R5",)
+    assert agreement(line(rates, values), "residual").unchecked == ("R5",)
 
 
 def test_a_mislabelled_rate_is_named_in_the_warnings() -> None:
