@@ -1,4 +1,5 @@
-"""Time and memory of commands over archives of growing size, and of runs with a growing number of segments: slopes for docs/scaling.md.
+"""Processor time and memory of commands over archives of growing size, and of runs with a growing number of segments: slopes for
+docs/scaling.md.
 
 Each command runs in a process of its own, with one process that computes. A slope is that of the least-squares line over the sizes.
 """
@@ -58,9 +59,9 @@ def slopes(name: str, one: str, sizes: tuple[int, ...], found: list[Figures]) ->
 
 
 def _timed(work: Callable[[], object]) -> Figures:
-    began = time.perf_counter()
+    began = time.process_time()
     work()
-    return {"seconds": time.perf_counter() - began, "memory": peak_memory()}
+    return {"seconds": time.process_time() - began, "memory": peak_memory()}
 
 
 def _command(*words: str) -> Figures:
