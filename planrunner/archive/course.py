@@ -10,13 +10,11 @@ that is itself a sine.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.physics.sampled_motion import period_of
 from planrunner.plan.schedule import Motion, Rock, Spin
-
-Array = NDArray[np.float64]
 
 _TURNING = 2  # harmonics
 _ROCKING = 5  # harmonics: at an amplitude of 60 deg the next Bessel function, J6(1.05), is 3e-5

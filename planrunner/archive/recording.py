@@ -9,13 +9,12 @@ from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Segment
 
-Array = NDArray[np.float64]
 IN_MODE = "sensor.in_mode_s"
 """Name of the reading for the time [s] that the sensor has been in its mode when a record begins."""
 _SHOWN = 64  # number of samples of an expected segment

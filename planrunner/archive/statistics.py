@@ -15,14 +15,12 @@ import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.course import MotionCourse, course_of, follows_course
 from planrunner.archive.recording import BATCHES, Ranges, Statistics, Watcher
+from planrunner.base.arrays import Array
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Motion, Rest
-
-Array = NDArray[np.float64]
 
 CHUNK = 65_536
 SHORT = 128

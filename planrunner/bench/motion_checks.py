@@ -12,13 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark, closest
 from planrunner.bench.cycle_checks import MarkOf, check_cycle
 from planrunner.bench.model import BenchModels
 from planrunner.bench.table_states import STOPS_LATE, TableState, spin_misses
 from planrunner.instruments.models import TableModel
-from planrunner.physics.kinematics import Array, Unreachable
+from planrunner.physics.kinematics import Unreachable
 from planrunner.physics.table_motion import Excess, SpinCourse, about_one_axis, rock_excess, spin_excess
 from planrunner.plan.schedule import Motion, RecordedMotion, Rest, Rock, Spin
 from planrunner.plan.units import DIMENSIONS, unit

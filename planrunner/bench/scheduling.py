@@ -14,12 +14,13 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.base.findings import Findings, Mark, closest, elsewhere
 from planrunner.bench.model import BenchModels
 from planrunner.bench.motion_checks import Hold, no_table, start_motion
 from planrunner.bench.table_states import TableState
 from planrunner.bench.temperature_checks import Temperatures
-from planrunner.physics.kinematics import Array, Unreachable
+from planrunner.physics.kinematics import Unreachable
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan import model
 from planrunner.plan import state as holding_spec

@@ -13,8 +13,9 @@ from itertools import product
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
-from planrunner.physics.kinematics import TURN, Angles, Array, TableAxis, quickest_ends, quickest_move
+from planrunner.physics.kinematics import TURN, Angles, TableAxis, quickest_ends, quickest_move
 
 STOPS_LATE = 0.1
 """s; a motion ends at most this much earlier or later than planned: as long as the executor may wait between two looks at the table."""

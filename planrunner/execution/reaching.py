@@ -11,11 +11,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from planrunner.base.arrays import Array
 from planrunner.execution.connected_bench import ConnectedBench
 from planrunner.execution.lookout import EVERY, Lookout
 from planrunner.execution.readings import outside, readings_of, unread
 from planrunner.instruments.interfaces import (
-    Array,
     HasModes,
     HoldsOrientation,
     HoldsTemperature,

@@ -23,9 +23,7 @@ from dataclasses import field
 from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
 from planrunner.base.findings import Finding
@@ -35,7 +33,6 @@ from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
 from planrunner.plan.schedule import Motion, Segment
 
-Array = NDArray[np.float64]
 P = TypeVar("P", bound=Record)
 
 

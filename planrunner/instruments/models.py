@@ -13,12 +13,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.physics.kinematics import TableAxis
 
 __all__ = ["ChamberModel", "DataOrigin", "NoiseModel", "OutputModel", "SensorModel", "TableAxis", "TableModel"]
 
-Array = NDArray[np.float64]
 
 DataOrigin = Literal["measured", "simulated", "replayed"]
 """Source of the samples of a run: real instruments; instruments of which at least one is simulated; an earlier recording."""

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.documents import Json
 from planrunner.base.findings import Findings, Mark
 from planrunner.base.progress import Announce
@@ -28,7 +28,6 @@ from planrunner.instruments.recording_summary import SummaryPlayer
 from planrunner.plan.schedule import Segment
 from planrunner.plan.span import Span
 
-Array = NDArray[np.float64]
 RATE_TOLERANCE = math.log(1.25)
 _TABLE = "check the table of segments in the bench file and the plan's labels"
 

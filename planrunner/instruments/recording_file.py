@@ -17,10 +17,11 @@ from typing import Protocol
 import numpy as np
 
 from planrunner.base import arrow_columns
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.progress import Announce, Pace
 from planrunner.instruments.formats.choice import Format, open_file
-from planrunner.instruments.formats.file import AnyFile, Array, NoKeys, ReadRows, TimeStamps
+from planrunner.instruments.formats.file import AnyFile, NoKeys, ReadRows, TimeStamps
 from planrunner.instruments.formats.parquet import ParquetFile
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.span import EVERYTHING, Span

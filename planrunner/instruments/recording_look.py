@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.progress import Announce, Pace
@@ -26,7 +26,6 @@ from planrunner.instruments.formats.guessing import (
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.span import Span
 
-Array = NDArray[np.float64]
 WINDOW = 0.5
 """Seconds over which scatter is taken to tell rest from motion."""
 MOST_WINDOWS = 100_000

@@ -14,13 +14,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark
 from planrunner.base.progress import Announce, Pace
 from planrunner.instruments.recording_file import RecordingFile
 from planrunner.plan.span import ROUNDING, Span
 
-Array = NDArray[np.float64]
 GAP = 1.5
 """Number of sample periods: if samples are further apart, one is missing. A segment may also end this long after the last sample."""
 SHOWN = 3

@@ -17,13 +17,11 @@ import math
 from dataclasses import field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import EAST_VELOCITY, INPUTS, SIZE, TILT, ErrorEquations
-
-Array = NDArray[np.float64]
 
 STILLNESS = 1e-3  # m/s; standard uncertainty of the zero velocity at each knot
 _ALL = SIZE + INPUTS + 3

@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planrunner.base.arrays import Array
 
 
 def matrix(quaternion: Array) -> Array:

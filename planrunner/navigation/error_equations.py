@@ -15,13 +15,11 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.navigation.wgs84 import radii
 from planrunner.physics.earth import Site
-
-Array = NDArray[np.float64]
 
 EAST, NORTH, EAST_VELOCITY, NORTH_VELOCITY, TILT = 0, 1, 2, 3, slice(4, 7)
 SIZE, INPUTS = 7, 6

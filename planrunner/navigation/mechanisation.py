@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.navigation import attitude
 from planrunner.navigation.wgs84 import SEMI_MAJOR_AXIS, normal_gravity
 from planrunner.physics.earth import Site
-
-Array = NDArray[np.float64]
 
 LOOP_TIME = 100.0  # s; time constant of the damped vertical channel
 

@@ -8,9 +8,9 @@ height, is neglected.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from planrunner.base.arrays import Array
 
 SEMI_MAJOR_AXIS = 6378137.0  # m
 FLATTENING = 1 / 298.257223563

@@ -14,11 +14,10 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 
-Array = NDArray[np.float64]
 Angles = tuple[float, ...]
 
 TURN = 2 * math.pi

@@ -18,10 +18,9 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.plan.schedule import Cycle
-
-Array = NDArray[np.float64]
 
 NOTHING = 1e-6  # of a period: negligible, because errors are known to a few per cent only
 

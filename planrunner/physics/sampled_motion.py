@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.plan.schedule import Motion, Rock, Spin
-
-Array = NDArray[np.float64]
 
 
 def motion_at(motion: Motion, since: Array, encoder: Array | None, left: float = 1.0) -> dict[str, Array]:

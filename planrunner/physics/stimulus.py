@@ -12,11 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Rest, Segment, Spin
-
-Array = NDArray[np.float64]
 
 
 class StimulusError(ValueError):

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
-from planrunner.physics.kinematics import SLACK, Array, TableAxis, joint_directions, limits_in_words, spin_axis
+from planrunner.physics.kinematics import SLACK, TableAxis, joint_directions, limits_in_words, spin_axis
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.schedule import Cycle, Motion, Rock, Spin
 

@@ -11,11 +11,9 @@ from html import escape
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.plan.orientation import AXES, in_words
-
-Array = NDArray[np.float64]
 
 SIZE = 200  # user units, square
 _REACH = 70.0  # length of a sensor axis

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.estimators.interface import Plot
 from planrunner.plan.schedule import Schedule
 from planrunner.reporting.words import clock
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.typing import RcKeyType
 
-Array = NDArray[np.float64]
 
 WIDTH = 4.7  # inches
 COLOURS = ("#0b5394", "#b45309", "#3f7d3a", "#7b3fa0", "#5f6b76")

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.findings import InputError, closest
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.kinds import Origin
@@ -17,8 +18,6 @@ from planrunner.plan.units import unit
 from planrunner.simulators.frames import CRC_32, Bytes, Crc, Order, exclusive_or, floats, integers, sum_to_zero
 from planrunner.simulators.live_world import LiveWorld, SensorFeed
 from planrunner.simulators.sensor_units import SensorUnit
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,11 +13,10 @@ from itertools import pairwise
 from typing import ClassVar, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.instruments.virtual.courses import Stretch, Value
 
-Array = NDArray[np.float64]
 Numbers = TypeVar("Numbers", float, Array)
 """A number, or an array of them."""
 TURN = 2 * math.pi

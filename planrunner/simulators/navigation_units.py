@@ -7,15 +7,14 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.instruments.interfaces import Block
 from planrunner.simulators import vectornav, xsens
 from planrunner.simulators.frames import Bytes
 from planrunner.simulators.live_world import LiveWorld, SensorFeed
 from planrunner.simulators.sensor_units import Outputs, SampleNumber, SensorUnit
 
-Array = NDArray[np.float64]
 _GO_TO_CONFIG, _GO_TO_MEASUREMENT, _DEVICE, _OUTPUTS, _ERROR = 0x30, 0x10, 0x00, 0xC0, 0x42
 _UNKNOWN_MESSAGE = b"\x04"
 _FINE, _CLIPPED_GYRO_X = 0x3, 1 << 11  # of the status word: self-test passed, filter valid

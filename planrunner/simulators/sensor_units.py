@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.units import STANDARD_GRAVITY, unit
 from planrunner.simulators.frames import CRC_8, Bytes
@@ -19,7 +19,6 @@ from planrunner.simulators.kvh1775 import ALL_VALID, Kvh1775, built_in_test
 from planrunner.simulators.live_world import LiveWorld, SensorFeed
 from planrunner.simulators.stim300 import INTERNAL_RATE, Stim300
 
-Array = NDArray[np.float64]
 _DOUBTFUL = 2  # frames of a KVH after its configuration was changed
 _LATENCY = 500.0  # µs between a sample and its datagram
 _INTEGRITY, _OVERLOAD_X = 0x80, 0x11  # status of a STIM300's cluster

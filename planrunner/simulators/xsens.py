@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.simulators.frames import Bytes, Values, constant, floats, integers, joined, sum_to_zero
 
-Array = NDArray[np.float64]
 MTDATA2 = 0x36
 PACKET_COUNTER, SAMPLE_TIME_FINE, STATUS_WORD, TEMPERATURE, UTC = 0x1020, 0x1060, 0xE020, 0x0810, 0x1010
 _INTEGERS = {PACKET_COUNTER: 2, SAMPLE_TIME_FINE: 4, STATUS_WORD: 4}

@@ -11,13 +11,11 @@ import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.uncertainty.decision import coverage_factor
 from planrunner.uncertainty.influences import Budget, BudgetLine, Influence, InputQuantity
-
-Array = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-6  # of the combined uncertainty: smaller contributions are not listed
 

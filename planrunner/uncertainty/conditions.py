@@ -12,13 +12,12 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.uncertainty.derivatives import central
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
-Array = NDArray[np.float64]
 C = TypeVar("C")
 D = TypeVar("D")
 

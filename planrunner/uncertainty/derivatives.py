@@ -12,9 +12,8 @@ from collections.abc import Callable
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planrunner.base.arrays import Array
 
 Formula = Callable[[Array], Array]
 """q quantities (q, n) of n sets of p parameters (p, n), each set by itself. Complex parameters give complex quantities."""

@@ -9,11 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
-
-Array = NDArray[np.float64]
 
 _POINTS = 2000  # of Gauss–Legendre on each smooth stretch of the prior
 _REACH = 9.0  # standard deviations of the prior that are integrated over; the rest has probability 2·10⁻¹⁹

@@ -11,12 +11,8 @@ from collections.abc import Mapping
 from dataclasses import field
 from enum import StrEnum
 
-import numpy as np
-from numpy.typing import NDArray
-
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
-
-Array = NDArray[np.float64]
 
 
 class Aspect(StrEnum):

@@ -12,12 +12,10 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.uncertainty.influences import Influence, InputQuantity
-
-Array = NDArray[np.float64]
 
 BLOCK = 10_000
 HEAVY = 4.0  # degrees of freedom up to which t has no finite fourth moment

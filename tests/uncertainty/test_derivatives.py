@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.terms import error_model
 from planrunner.estimators.accelerometer.gravity_magnitude import fit_magnitude
 from planrunner.estimators.flexure_gyro.compensation_influences import sums_and_ratios
@@ -15,7 +16,7 @@ from planrunner.estimators.tilted.evaluation import over_temperature
 from planrunner.estimators.tilted.fixture_gains import polar
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.plan.units import unit
-from planrunner.uncertainty.derivatives import Array, Formula, angle_of, jacobian, length
+from planrunner.uncertainty.derivatives import Formula, angle_of, jacobian, length
 
 RNG = np.random.default_rng(11)
 

@@ -21,10 +21,10 @@ from typing import IO, TYPE_CHECKING, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.instruments.formats import file as format_file
 from planrunner.instruments.formats.file import (
     MAX_COLUMNS,
-    Array,
     FormatFile,
     HeldRows,
     NoKeys,

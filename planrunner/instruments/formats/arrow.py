@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from planrunner.base import arrow_columns
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
-from planrunner.instruments.formats.file import Array
 from planrunner.instruments.interfaces import InstrumentError
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from typing import BinaryIO, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.base.regular_files import RefusedFileError, open_regular
@@ -18,7 +19,6 @@ from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.kinds import Record
 from planrunner.plan.span import EVERYTHING, Span
 
-Array = NDArray[np.float64]
 ReadRows = Iterator[tuple[Array, dict[str, Array]]]
 
 MAX_BYTES = 100_000_000_000

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.formats.choice import ENDINGS, Format, open_file
-from planrunner.instruments.formats.file import AnyFile, Array, TimeStamps, open_samples
+from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
 from planrunner.instruments.formats.text import MAX_HEADER, SEPARATORS, TextKeys
 from planrunner.instruments.interfaces import InstrumentError
 

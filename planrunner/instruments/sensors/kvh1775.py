@@ -12,10 +12,11 @@ from dataclasses import field as data_field
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.instruments.interfaces import Clock, InstrumentError
 from planrunner.instruments.models import SensorModel
 from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_model
-from planrunner.instruments.sensors.samples import Array, Decoder, FrameLayout, Samples, Status, byte
+from planrunner.instruments.sensors.samples import Decoder, FrameLayout, Samples, Status, byte
 from planrunner.instruments.sensors.serial_sensor import SerialSensor
 from planrunner.instruments.wire.checksums import CRC32_MPEG2, SUM8
 from planrunner.instruments.wire.codes import FLOAT

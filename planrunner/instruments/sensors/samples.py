@@ -9,12 +9,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.instruments.wire.codes import UNSIGNED
 from planrunner.instruments.wire.columns import Field, numbers, whole_numbers
 from planrunner.instruments.wire.framing import Frames, Framing
 from planrunner.instruments.wire.host_clock import FrameCounter
 
-Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 

@@ -9,8 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.instruments.interfaces import Block, FrameCounts
-from planrunner.instruments.sensors.samples import Array, Decoder, Samples, Whole
+from planrunner.instruments.sensors.samples import Decoder, Samples, Whole
 from planrunner.instruments.wire.framing import Framer, Piece
 from planrunner.instruments.wire.host_clock import HostClock, Unwrapping
 from planrunner.instruments.wire.serial_stream import Ring

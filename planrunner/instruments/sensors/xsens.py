@@ -12,10 +12,11 @@ from functools import reduce
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.instruments.interfaces import Clock, InstrumentError
 from planrunner.instruments.models import SensorModel
 from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_model
-from planrunner.instruments.sensors.samples import Array, FrameLayout, Samples, Status, Whole
+from planrunner.instruments.sensors.samples import FrameLayout, Samples, Status, Whole
 from planrunner.instruments.sensors.serial_sensor import SerialSensor
 from planrunner.instruments.wire.checksums import ZERO_SUM8
 from planrunner.instruments.wire.codes import FLOAT, FRACTION_FIRST, SIGNED, UNSIGNED, XBUS

@@ -13,7 +13,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from planrunner.instruments.interfaces import Array, Clock, Condition, InstrumentError, OwnLimits, Surroundings
+from planrunner.base.arrays import Array
+from planrunner.instruments.interfaces import Clock, Condition, InstrumentError, OwnLimits, Surroundings
 from planrunner.instruments.models import TableModel
 from planrunner.instruments.tables.axis_commands import AxisBounds, AxisCommands, Sine
 from planrunner.instruments.tables.timed_motion import TimedMotion, turns_of

@@ -7,11 +7,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.instruments.virtual.world import World
 
-Array = NDArray[np.float64]
 STEP = 2e-3  # s, of the second difference; its error is a tenth of a ppm at 1 Hz
 
 

@@ -13,13 +13,12 @@ from itertools import pairwise
 from typing import ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json, JsonObject
 from planrunner.physics.kinematics import TableAxis, move_time
 
-Array = NDArray[np.float64]
 Value = float | Array
 TURN = 2 * math.pi
 

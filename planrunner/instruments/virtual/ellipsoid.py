@@ -9,9 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 Latitude = Any  # float or Array, rad
 
 SEMI_MAJOR = 6378137.0  # m

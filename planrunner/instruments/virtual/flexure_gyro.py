@@ -15,8 +15,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.documents import Json
 from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
@@ -32,7 +32,6 @@ from planrunner.plan.units import ZERO_CELSIUS
 if TYPE_CHECKING:
     from planrunner.instruments.virtual.world import Components, World
 
-Array = NDArray[np.float64]
 OUTPUTS = ("torquer_x", "torquer_y")
 THERMOMETER = "sensor_temperature"
 

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
 from planrunner.base.findings import InputError
@@ -29,7 +29,6 @@ from planrunner.instruments.virtual.world import Components, World
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import ZERO_CELSIUS, unit
 
-Array = NDArray[np.float64]
 THERMOMETER = "sensor_temperature"
 VOLTMETER = "supply_voltage"
 BAROMETER = "ambient_pressure"

@@ -16,8 +16,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.models import NoiseModel, OutputModel, Senses
 from planrunner.instruments.virtual.courses import Value
@@ -31,7 +31,6 @@ from planrunner.instruments.virtual.imu_keys import (
 from planrunner.instruments.virtual.world import Components
 from planrunner.plan.units import unit
 
-Array = NDArray[np.float64]
 WARM_UP_TIME = 600.0  # s, where nothing is said of it
 
 

@@ -13,11 +13,9 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
-
-Array = NDArray[np.float64]
 
 OCTAVES = 15
 PIECE = 10_000  # samples, 80 kB

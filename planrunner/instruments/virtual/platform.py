@@ -15,8 +15,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
 from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings
@@ -30,8 +30,6 @@ from planrunner.instruments.virtual.streaming import Sampling
 from planrunner.instruments.virtual.world import World
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 
 @dataclass(slots=True)

@@ -13,14 +13,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json, JsonObject
 from planrunner.instruments.virtual.base_motion import base_axes, mean_square_rate, turn, turn_by
 from planrunner.instruments.virtual.world import World
 
-Array = NDArray[np.float64]
 CATCH_UP = 100.0  # Hz, with which the time between two recordings is followed
 
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.interfaces import Block, InstrumentError
 from planrunner.instruments.models import SensorModel
@@ -16,7 +16,6 @@ from planrunner.plan.schedule import Segment
 if TYPE_CHECKING:
     from planrunner.instruments.virtual.world import World
 
-Array = NDArray[np.float64]
 BLOCK = 100_000  # samples
 _SAMPLES = np.arange(BLOCK + 1, dtype=float)
 

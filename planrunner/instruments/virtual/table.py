@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.documents import Json
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import TableModel
@@ -25,7 +26,6 @@ from planrunner.plan.schedule import Cycle, Motion, RecordedMotion, Rest, Rock, 
 if TYPE_CHECKING:
     from planrunner.instruments.virtual.world import World
 
-Array = NDArray[np.float64]
 CLOCK_ROUNDING = 1e-6  # s; a clock that adds up sleeps may stop short of a time by a rounding
 
 

@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.virtual.courses import Rocking, Spinning
 from planrunner.physics.table_motion import about_one_axis
@@ -15,8 +15,6 @@ from planrunner.plan.schedule import Rock, Segment, Spin
 
 if TYPE_CHECKING:
     from planrunner.instruments.virtual.world import World
-
-Array = NDArray[np.float64]
 
 
 def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:

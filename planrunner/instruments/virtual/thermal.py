@@ -10,11 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,14 +12,13 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.virtual import ellipsoid
 from planrunner.instruments.virtual.courses import Stretch, Value
 
-Array = NDArray[np.float64]
 Vector = tuple[Array, Array, Array]
 POLAR = math.radians(85)
 _ALONG_PARALLEL = 1e-12  # cosine of a heading below which the track keeps its latitude

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json, JsonObject
 from planrunner.instruments.interfaces import Clock, Surroundings
@@ -23,7 +23,6 @@ from planrunner.instruments.virtual.track import Track
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis
 
-Array = NDArray[np.float64]
 Components = tuple[Value, Value, Value]
 ROOM = 298.15  # K
 _SHORT = 1e-3  # s; a lag too short to be felt

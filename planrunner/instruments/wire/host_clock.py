@@ -15,9 +15,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.instruments.interfaces import InstrumentError
 
-Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 WINDOW = 1.0
