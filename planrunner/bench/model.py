@@ -17,14 +17,12 @@ from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, InputError, Mark, closest, nearest
 from planrunner.base.shipped import shipped
-from planrunner.bench.approval_rule import APPROVALS, ApprovalRule
 from planrunner.bench.calibration import LINE, Calibration, Laboratory, check_dates
 from planrunner.bench.check_standard import CHECK_STANDARD, CheckStandardRule
 from planrunner.bench.protection import PROTECTION, Protection, kept_chamber, kept_table
-from planrunner.bench.signing import SigningSpec
+from planrunner.bench.signatures import APPROVALS, ApprovalRule, SigningSpec, TimeStampsSpec, check_stamps
 from planrunner.bench.simulation import SimulationSpec
 from planrunner.bench.specification import Specification
-from planrunner.bench.time_stamps import TimeStampsSpec, check_stamps
 from planrunner.instruments.interfaces import Counting, Driver, PlaysBack, Resumable, Watched
 from planrunner.instruments.models import ChamberModel, DataOrigin, SensorModel, TableModel
 from planrunner.physics.earth import Site

@@ -93,7 +93,7 @@ def _show(args: argparse.Namespace) -> int:
 def _add(args: argparse.Namespace) -> int:
     import re
 
-    from planrunner.bench.approval_rule import ROLE
+    from planrunner.bench.signatures import ROLE
     from planrunner.signing.key_ring import NAME, entry_text, read_ring
     from planrunner.signing.keys import read_public
 

@@ -10,6 +10,7 @@ from planrunner.error_model.effects.about import Actor, about
 from planrunner.error_model.effects.interface import Effect, HasShape
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.reporting.rounding import rounded
+from planrunner.reporting.words import behind_number
 
 MOST = 3
 """Parameters in a sentence; the table of parameters contains all."""
@@ -64,5 +65,4 @@ def _clearness(one: ParameterEstimate) -> float:
 
 
 def _value(one: ParameterEstimate) -> str:
-    unit = "" if one.unit == "1" else f" {one.unit}"
-    return f"{one.name} {rounded(one.value, one.standard_uncertainty)}{unit}"
+    return f"{one.name} {rounded(one.value, one.standard_uncertainty)}{behind_number(one.unit)}"

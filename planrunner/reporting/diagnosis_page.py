@@ -17,6 +17,7 @@ from planrunner.reporting.columns import Shown, alike, table_of
 from planrunner.reporting.diagnosis_pictures import ranked
 from planrunner.reporting.templates import render
 from planrunner.reporting.view import named, stamped, table_view
+from planrunner.reporting.words import listed
 
 SURE = 0.95
 """Probability of pure noise at and above which the page reports no gap."""
@@ -120,7 +121,7 @@ def _noise_declared_wrongly(found: Data) -> list[str]:
         if ratios:
             low, high = (f"{end(ratios.values()):.2g}" for end in (min, max))
             times = low if low == high else f"{low} to {high}"
-            told.append(f"The noise of {_listed(list(ratios), 'and')} is {what} than declared by a factor of {times}.")
+            told.append(f"The noise of {listed(list(ratios))} is {what} than declared by a factor of {times}.")
     return told
 
 
@@ -146,17 +147,17 @@ def _cause(found: Data) -> str:
     how = _much(found, nearly) + ("" if nearly else f" ({probability(together)})")
     if kind == "indistinguishable" and _open(found):
         chance = "" if nearly else f" (together {probability(together)})"
-        causes = f"One of {_listed(names, 'or')}{_something_else(found)} cause the gap"
+        causes = f"One of {listed(names, 'or')}{_something_else(found)} cause the gap"
         said_so = f"{causes}: this plan cannot distinguish the named effects{chance}."
     elif kind == "indistinguishable":
         what = f" explains {how}" if nearly else ""
         chance = "" if nearly else f" (together {probability(together)})"
-        said_so = f"One of {_listed(names, 'or')}{what}: this plan cannot distinguish them{chance}."
+        said_so = f"One of {listed(names, 'or')}{what}: this plan cannot distinguish them{chance}."
     elif _open(found):
         chance = "" if nearly else f" ({probability(together)})"
         said_so = f"{', '.join(effects)}{_something_else(found)} cause the gap{chance}."
     else:
-        said_so = f"{_listed(effects, 'and')} {'together explain' if len(effects) > 1 else 'explains'} {how}."
+        said_so = f"{listed(effects)} {'together explain' if len(effects) > 1 else 'explains'} {how}."
     return said_so + _rest(found) + _remainder(residue, effects)
 
 
@@ -204,7 +205,7 @@ def _remainder(residue: str | None, named: list[str]) -> str:
     if residue is None:
         return ""
     if residue in named:
-        others = _listed([name for name in named if name != residue], "and")
+        others = listed([name for name in named if name != residue])
         return (
             f" {residue} explains less than 5 % of the gap: either it is present but weak, or it is a form "
             f"residue of {others}."
@@ -280,7 +281,7 @@ def unknown_words(found: Data) -> str:
     if not form:
         return ""
     share = "" if form["share"] is None else f" and makes up {_percent(form['share'])} of the energy of the gap"
-    where = f"in {_listed(form['channels'], 'and')}"
+    where = f"in {listed(form['channels'])}"
     return (
         f"What is not in the catalogue looks like “{form['pattern']}” {where}. It changes with {form['factor']}{share}."
     )
@@ -498,7 +499,3 @@ def _plain(value: Json) -> str:
     if isinstance(value, Sequence):
         return ", ".join(_plain(item) for item in value)
     return str(value)
-
-
-def _listed(names: Sequence[str], word: str) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"

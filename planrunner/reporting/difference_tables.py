@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from planrunner.base.documents import Json, JsonObject
+from planrunner.base.documents import Json, JsonObject, finite
 from planrunner.base.findings import Finding
 from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 from planrunner.plan.units import ZERO_CELSIUS
@@ -294,14 +294,14 @@ def difference_json(compared: Compared) -> JsonObject:
                 "estimate": item.estimate,
                 "name": item.coefficient,
                 "unit": item.unit,
-                "values": [_finite(value) for value in item.values],
-                "standard_uncertainties": [_finite(value) for value in item.uncertainties],
-                "difference": _finite(item.difference),
-                "standard_uncertainty": _finite(item.standard_uncertainty),
-                "degrees_of_freedom": _finite(item.degrees_of_freedom),
-                "common": _finite(item.common),
-                "p": _finite(item.p),
-                "p_holm": _finite(item.holm),
+                "values": [finite(value) for value in item.values],
+                "standard_uncertainties": [finite(value) for value in item.uncertainties],
+                "difference": finite(item.difference),
+                "standard_uncertainty": finite(item.standard_uncertainty),
+                "degrees_of_freedom": finite(item.degrees_of_freedom),
+                "common": finite(item.common),
+                "p": finite(item.p),
+                "p_holm": finite(item.holm),
             }
             for item in compared.runs.coefficients
         ]
@@ -309,10 +309,6 @@ def difference_json(compared: Compared) -> JsonObject:
         for name, facts in (("facts", compared.facts), ("conditions", compared.conditions)):
             document[name] = [{"name": fact.name, "before": fact.before, "after": fact.after} for fact in facts]
     return document
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _change_json(change: PartChange) -> JsonObject:

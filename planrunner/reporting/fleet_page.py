@@ -16,6 +16,7 @@ from planrunner.reporting.diagnosis_page import probability
 from planrunner.reporting.rounding import format_pair
 from planrunner.reporting.templates import render
 from planrunner.reporting.view import named, stamped, table_view
+from planrunner.reporting.words import behind_number, listed
 
 Data = Mapping[str, Json]
 MOST_PARTS = 5
@@ -63,7 +64,7 @@ def _of_change(amplitude: Data, change: Data) -> str:
     value, u = format_pair(change["size"], change["expanded_uncertainty"])
     label = f"{amplitude['effect']} {amplitude['name']}"
     after, until = _minute(change["after"]), _minute(change["until"])
-    size = f"{value} ± {u}{_unit(change['unit'])}"
+    size = f"{value} ± {u}{behind_number(change['unit'])}"
     p = "p < 0.001" if change["p"] < 0.001 else f"p = {change['p']:.2g}"
     if change["kind"] == "drift":
         return f"{' or '.join(names)}: {label} drifts by {size} from {after} to {until} UTC ({change['runs_after']} runs, {p})."
@@ -79,12 +80,12 @@ def _minute(moment: object) -> str:
 def _of_lot(one: Data) -> str:
     value, u = format_pair(one["difference"], one["expanded_uncertainty"])
     devices = f"{len(one['devices'])} devices of lot {one['lot']} ({', '.join(one['devices'])})"
-    apart = f"{value} ± {u}{_unit(one['unit'])} from the {one['others']} others"
+    apart = f"{value} ± {u}{behind_number(one['unit'])} from the {one['others']} others"
     return f"{devices} share {one['effect']} {one['name']}: {apart} (by chance: {one['chance']:.2g})."
 
 
 def _of_amplitude(found: Data, amplitude: Data) -> Iterator[str]:
-    label, unit = f"{amplitude['effect']} {amplitude['name']}", _unit(amplitude["unit"])
+    label, unit = f"{amplitude['effect']} {amplitude['name']}", behind_number(amplitude["unit"])
     for one in amplitude["contributions"]:
         sources = one["sources"]
         if sources not in amplitude["named"] or (amplitude["effect"] in found["nominal"] and sources == ["common"]):
@@ -119,10 +120,6 @@ def _with_u(one: Data, unit: str) -> str:
     return f"{value} ± {u}{unit}"
 
 
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else f" {unit}"
-
-
 def _who(found: Data, sources: Sequence[str], part: Data) -> str:
     """Such as `bench bench-2`, `bench bench-2 since 2026-03-03 22:14 UTC`, or `bench bench-2, or what all runs have in common`."""
     if list(sources) == ["common"]:
@@ -142,11 +139,7 @@ def _count(sources: Sequence[str], part: Data) -> str:
 
 
 def _either(sources: Sequence[str]) -> str:
-    return f"{_listed([_WORDS[name] for name in sources])} cannot be distinguished"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return f"{listed([_WORDS[name] for name in sources])} cannot be distinguished"
 
 
 def limits(found: Data) -> list[str]:

@@ -138,7 +138,7 @@ def gauge_table(found: GaugeStudy, unit: str) -> Table:
 
 def sentences(found: Trend) -> list[str]:
     """What the history shows, in sentences."""
-    unit = f" {found.unit}" if found.unit not in ("", "1") else ""
+    unit = words.behind_number(found.unit)
     said = list(_stamps(found))
     charts = found.charts
     if charts is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from planrunner.base.documents import finite
 from planrunner.design.efficiency import Efficiency, Merit
 from planrunner.design.study import FoundPositions, Pose, PositionSet, Study, Subject
 from planrunner.estimators.interface import Coefficient, Role, Table, TableColumn
@@ -213,11 +214,7 @@ def _merit_json(merit: Merit) -> dict[str, object]:
         "determinant": merit.determinant, "trace_of_inverse": merit.trace, "worst_variance": merit.worst,
         "mean_variance": merit.mean,
     }  # fmt: skip
-    return {"rank": merit.rank, **{name: _finite(value) for name, value in values.items()}}
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    return {"rank": merit.rank, **{name: finite(value) for name, value in values.items()}}
 
 
 def _set_json(found: FoundPositions, one: PositionSet) -> dict[str, object]:
@@ -225,7 +222,7 @@ def _set_json(found: FoundPositions, one: PositionSet) -> dict[str, object]:
     return {
         **_merit_json(one.merit),
         "efficiency": {
-            name: dict(zip("DAGI", map(_finite, _four(shares)), strict=True))
+            name: dict(zip("DAGI", map(finite, _four(shares)), strict=True))
             for name, shares in against.items()
             if shares is not None
         },

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from planrunner.base.documents import JsonObject
+from planrunner.base.documents import JsonObject, finite
 from planrunner.estimators.interface import Coefficient, Design, Role, Table, TableColumn
 from planrunner.plan.schedule import Rest, Schedule, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
@@ -101,9 +101,7 @@ def show_json(schedule: Schedule, designs: Mapping[str, Design]) -> JsonObject:
                     "name": item.name,
                     "nominal": item.value,
                     "unit": item.unit,
-                    "standard_uncertainty": item.standard_uncertainty
-                    if math.isfinite(item.standard_uncertainty)
-                    else None,
+                    "standard_uncertainty": finite(item.standard_uncertainty),
                 }
                 for item in design.predicted
             ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 from planrunner.plan.directions import word_of
 from planrunner.plan.orientation import in_words
@@ -19,6 +20,16 @@ def number(value: float, digits: int = 6) -> str:
         return {math.inf: "∞", -math.inf: "-∞"}.get(value, "not a number")
     text = re.sub(r"e([+-])0*(?=\d)", lambda match: "e-" if match[1] == "-" else "e", f"{value:.{digits}g}")
     return "0" if text == "-0" else text
+
+
+def listed(names: Sequence[str], word: str = "and") -> str:
+    """`a`, `a and b`, or `a, b and c`; word: before the last."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
+
+
+def behind_number(unit: str) -> str:
+    """A blank and the unit; empty for pure numbers."""
+    return "" if unit in ("", "1") else f" {unit}"
 
 
 def rule(name: str, factor: float, coverage: float) -> str:

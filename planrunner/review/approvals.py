@@ -19,7 +19,7 @@ from planrunner import __version__
 from planrunner.archive.formats import from_bytes
 from planrunner.archive.verifying import CLOCKS_DIFFER
 from planrunner.base.documents import Json, JsonObject
-from planrunner.bench.approval_rule import ApprovalRule
+from planrunner.bench.signatures import ApprovalRule
 from planrunner.signing.envelope import Envelope, EnvelopeError, parse_envelope, seal_envelope
 from planrunner.signing.key_ring import KeyRing, KnownKey
 from planrunner.signing.keys import Signer

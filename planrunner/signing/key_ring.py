@@ -15,7 +15,7 @@ from datetime import date
 from pathlib import Path
 
 from planrunner.base.findings import Findings, InputError
-from planrunner.bench.approval_rule import ROLE
+from planrunner.bench.signatures import ROLE
 from planrunner.plan import source
 from planrunner.plan.kinds import ListOf, MapOf, Number, Record, RecordOf, Text, key
 from planrunner.plan.model import PERSON

@@ -18,8 +18,8 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.archive.verifying import APPROVALS, BENCH, PLAN, Examined
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings, InputError, Mark, closest
-from planrunner.bench.approval_rule import ApprovalRule
 from planrunner.bench.model import Bench, bench_of
+from planrunner.bench.signatures import ApprovalRule
 from planrunner.plan import source
 from planrunner.plan.model import Plan, parse_plan
 from planrunner.reporting.difference_tables import headline

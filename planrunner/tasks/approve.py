@@ -16,7 +16,7 @@ from pathlib import Path
 from planrunner.archive.journal import utc_now
 from planrunner.archive.storage import Storage
 from planrunner.base.findings import COMMAND_LINE, InputError, Mark
-from planrunner.bench.approval_rule import ApprovalRule
+from planrunner.bench.signatures import ApprovalRule
 from planrunner.plan import source
 from planrunner.plan.model import parse_plan
 from planrunner.review.approval_files import approvals_folder, approved_text, read_approvals, write_envelope

@@ -14,7 +14,7 @@ from planrunner.archive.verifying import BENCH, examine, open_run
 from planrunner.base.findings import Finding, InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.bench.model import Bench, bench_of
-from planrunner.bench.time_stamps import TimeStampsSpec
+from planrunner.bench.signatures import TimeStampsSpec
 from planrunner.signing.run_stamps import stamped_seals
 from planrunner.signing.stamping import Stamper
 from planrunner.signing.time_stamps import StampAuthority, StampError, parse_authority, request_stamp

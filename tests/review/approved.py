@@ -7,7 +7,7 @@ from datetime import UTC, date, datetime
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from planrunner.bench.approval_rule import ApprovalRule
+from planrunner.bench.signatures import ApprovalRule
 from planrunner.review.approvals import (
     DECLARED,
     ApprovalRequest,

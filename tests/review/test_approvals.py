@@ -37,7 +37,7 @@ from respelling import STYLES, with_keys_shuffled, with_other_units
 from test_mutants import MUTATIONS, bases, copied
 
 from planrunner.base.findings import InputError
-from planrunner.bench.approval_rule import ApprovalRule
+from planrunner.bench.signatures import ApprovalRule
 from planrunner.plan.model import parse_plan
 from planrunner.review.approvals import (
     APPROVAL,

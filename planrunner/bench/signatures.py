@@ -1,10 +1,11 @@
-"""The approvals that a bench requires: who must have approved a plan before it may run."""
+"""Keys of a bench file about signatures: the approvals that it requires, its own key, and the authority of its time stamps (RFC 3161)."""
 
 from __future__ import annotations
 
 from planrunner.base.findings import Findings
-from planrunner.plan.kinds import Boolean, ListOf, Number, Record, RecordOf, Text, key
+from planrunner.plan.kinds import Boolean, ListOf, Number, QuantityOf, Record, RecordOf, Text, key
 from planrunner.plan.model import PERSON
+from planrunner.plan.quantity import Quantity, parse_quantity
 
 ROLE = r"[a-z][a-z0-9_-]{0,39}"
 _PART = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}"
@@ -54,3 +55,46 @@ def _check(rule: ApprovalRule, log: Findings) -> None:
 
 
 APPROVALS = RecordOf(ApprovalRule, _check)
+
+
+class SigningSpec(Record):
+    """The bench's own key. The bench file has its public part only."""
+
+    key: str = key(
+        Text(r"ssh-ed25519 [A-Za-z0-9+/=]{20,200}( [^\x00-\x1f]{0,200})?", "a public key of OpenSSH"),
+        "Public key of the bench, as `planrunner key new --for-bench` prints it. The private key stays on the computer of the bench.",
+        "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIGLkQmCXDi/PQZJZziZo7k97osN1kINhk5QiG1kpfDFm",
+    )
+
+
+class TimeStampsSpec(Record):
+    """A time stamp authority."""
+
+    url: str = key(
+        Text(r"https?://[^\x00-\x20]{1,300}", "an address that begins with http:// or https://"),
+        "Address of the authority. It receives digests only.",
+        "https://tsa.example.org/tsr",
+    )
+    every: Quantity = key(
+        QuantityOf("time", "positive"),
+        "Shortest time between two stamps of the journal, in real time. The first events and the end of a run are always stamped.",
+        "10 min",
+        default=parse_quantity("10 min"),
+    )
+    certificate: str = key(
+        Text(r"[^\x00]{1,10000}", "a certificate in PEM"),
+        "Certificate of the authority, or of its root with those in between, in PEM.",
+        "-----BEGIN CERTIFICATE----- …",
+    )
+
+
+def check_stamps(spec: TimeStampsSpec, log: Findings) -> None:
+    """Adds an error for a certificate that cannot be read."""
+    from cryptography.x509 import load_pem_x509_certificates
+
+    try:
+        load_pem_x509_certificates(spec.certificate.encode())
+    except ValueError:
+        message = "this is not a certificate in PEM"
+        hint = "copy the whole certificate, with its first and last line, as a block that begins with `|`"
+        log.error("bench-stamp-certificate", spec.at("certificate"), message, hint)
