@@ -77,7 +77,8 @@ class CheckStandardRule(Record):
     )
     unreadable: str = key(
         Choice(("refuse", "warn")),
-        "What a folder in the archive means that is so damaged that its bench cannot be determined: `refuse` counts it as a possible run "
+        "What happens if a folder in the archive is so damaged that its bench cannot be determined: `refuse` "
+        "counts it as a possible run "
         "of this check standard, `warn` names it and does not use it.",
         "warn",
         default="refuse",

@@ -38,8 +38,8 @@ def drift() -> tuple[str, ...]:
     words: tuple[str, ...] = key(
         ListOf(Choice((BY_EVIDENCE, NONE, *ORDERS, *WITH_TEMPERATURE)), single=True, minimum=1),
         "Drift of the outputs during the test that is fitted together with the coefficients: in time (`quadratic` includes `linear`, and "
-        "`cubic` includes both), with the recorded temperature, or with its rate of change. `by_evidence`: none, unless the segments "
-        "show one.",
+        "`cubic` includes both), with the recorded temperature, or with its rate of change. `by_evidence`: a "
+        "drift is fitted only if the segments show one.",
         ["linear", "temperature"],
         default=(BY_EVIDENCE,),
     )

@@ -42,7 +42,7 @@ class Tolerated(Record):
 
 
 class StabilitySpec(Tolerated):
-    """Waiting until readings have settled: each must stay within its limit for the time `for`, without interruption."""
+    """A wait until the readings have settled: each reading must stay within its limit for the time `for`, without interruption."""
 
     for_: Quantity = key(
         QuantityOf("time", "positive"),

@@ -527,7 +527,7 @@ estimates:
         ("mpu6050_multi_position/imu_static_test.csv",),
         plan(GYROS, body),
         bench(f"file: mpu6050_multi_position/imu_static_test.csv\n{keys}\nchannels:\n{channels}"),
-        remark="the known biases, −427.5, 147.9 and −80.7 counts, are those of another recording",
+        remark="the known biases (−427.5, 147.9 and −80.7 counts) are from another recording",
     )
 
 
@@ -576,7 +576,7 @@ estimates:
         ("mpu6050_multi_position/example_data_calibration.csv",),
         plan(ACCELS, body),
         bench(text),
-        remark="fewer distinct poses than nine parameters need",
+        remark="not enough distinct poses for nine parameters",
     )
 
 
@@ -610,7 +610,7 @@ estimates:
         plan([*ACCELS, *GYROS], body),
         bench(text),
         segments=lambda _: table([("pad", 129.1, 134.4)]),
-        remark="known is only that |f| is about 1 g on the pad",
+        remark="the only known figure is that |f| is about 1 g on the pad",
     )
 
 

@@ -85,7 +85,7 @@ def rows(one: RealSet, found: Found) -> list[tuple[str, str, str, str]]:
     for repeat in one.repeats:
         seen = scatter(repeat, found)
         if seen is not None:
-            told = "U holds the scatter" if seen.holds else f"repeats scatter {seen.ratio:.2g} times as much as stated"
+            told = "scatter consistent with U" if seen.holds else f"scatter {seen.ratio:.2g} times as large as U states"
             out.append((repeat.what, f"{len(repeat.names)} repeats", told, "yes" if seen.holds else "no"))
     if one.nominal is not None:
         out.append(diagnosed(one, found))
@@ -131,7 +131,10 @@ def of_page(text: str) -> list[tuple[str, ...]]:
 
 
 def markdown(all_rows: Sequence[tuple[RealSet, Found]]) -> str:
-    lines = ["| recording | what | known | planrunner says (± U, 95 %) | agrees |", "| --- | --- | --- | --- | --- |"]
+    lines = [
+        "| recording | what | known | result of planrunner (± U, 95 %) | agrees |",
+        "| --- | --- | --- | --- | --- |",
+    ]
     for one, found in all_rows:
         for k, row in enumerate(rows(one, found)):
             cells = (one.title if k == 0 else "", *row)
