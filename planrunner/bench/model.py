@@ -155,6 +155,12 @@ class FixtureSpec(Record):
     """The fixture that the sensor is mounted in; its angles are in a plan's `mounting`."""
 
     asset: str | None = key(Text(LINE, "an asset number"), "Your own number for the fixture.", "FX-0007", default=None)
+    reach: Quantity | None = key(
+        QuantityOf("length", "positive"),
+        "Largest distance of a sensor from the axis of the table; a diagnosis accepts no longer lever arm (default: 1 m).",
+        "0.2 m",
+        default=None,
+    )
     calibration: Calibration | None = key(
         RecordOf(Calibration),
         "Calibration that the stated uncertainties of the fixture's angles come from.",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from planrunner.plan.kinds import Record, key
+from planrunner.bench.grades import GRADE_NAMES, GRADES
+from planrunner.plan.kinds import Choice, Record, key
 from planrunner.plan.model import SymmetricKind
 from planrunner.plan.quantity import Quantity, parse_symmetric
 
@@ -12,6 +13,12 @@ from planrunner.plan.quantity import Quantity, parse_symmetric
 class Specification(Record):
     """Limits of the constant errors of every axis, as the data sheet gives them."""
 
+    grade: str | None = key(
+        Choice(GRADE_NAMES),
+        "Grade of the sensor; its usual limits apply to errors without a limit of their own. By default it follows from the noise.",
+        "tactical",
+        default=None,
+    )
     gyro_bias: str | None = key(
         SymmetricKind("angular rate"), "Limits of the bias of a gyro.", "±0.5 deg/s", default=None
     )
@@ -32,7 +39,8 @@ class Specification(Record):
     )
 
     def limits(self) -> Mapping[str, Quantity]:
-        """Term of the nominal model → its upper limit."""
+        """Term of the nominal model → its upper limit, by its own key or by the grade."""
+        usual = {name: limit for grade in GRADES if grade.name == self.grade for name, limit in grade.limits().items()}
         stated = {
             "gyro_bias": self.gyro_bias,
             "gyro_scale_factor": self.gyro_scale_factor,
@@ -42,4 +50,4 @@ class Specification(Record):
             "accel_misalignment": self.accel_misalignment,
         }
         read = {name: parse_symmetric(text) for name, text in stated.items() if text is not None}
-        return {name: limit for name, limit in read.items() if limit is not None}
+        return usual | {name: limit for name, limit in read.items() if limit is not None}

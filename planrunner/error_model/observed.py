@@ -151,7 +151,7 @@ class Observed:
     (K, 3), change of each output per rate about the axes of the sensor in that model; None for an ideal sensor. courses: (S,), of segments
     whose motion the recording shows; an entry is None if attitude and angle give the motion, and the tuple is empty if all entries are.
     excess_voltage, excess_pressure: (N,), as `overvoltage` and `overpressure`, or None for zero. past: the temperatures before the first
-    sample, where this is a part of a simulation.
+    sample, where this is a part of a simulation. reach: m, largest distance of a sensor from the axis of a table.
     """
 
     site: Site
@@ -179,6 +179,7 @@ class Observed:
     excess_voltage: Array | None = None
     excess_pressure: Array | None = None
     past: tuple[TemperatureCourse, ...] = ()
+    reach: float = 1.0
 
     def __len__(self) -> int:
         return len(self.labels)

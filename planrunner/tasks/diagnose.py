@@ -39,6 +39,7 @@ from planrunner.tasks.check import Sound, check_plan
 from planrunner.tasks.run import sound_run
 
 if TYPE_CHECKING:
+    from planrunner.bench.grades import Sense
     from planrunner.error_model.effects.interface import Effect
     from planrunner.error_model.observed import Observed
     from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
@@ -196,28 +197,50 @@ _CLEARLY = 2.0
 
 
 def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
-    """Warnings for values of the nominal terms outside the specification in the bench file, whether the simulation fits them or the
-    diagnosis names them."""
+    """Warnings for values of the nominal terms outside the specification in the bench file, or outside what is usual for the grade that
+    the noise shows, whether the simulation fits them or the diagnosis names them."""
+    from planrunner.bench.grades import SENSES, grade_of
     from planrunner.gap.answer.nominal_values import nominal_values
     from planrunner.reporting.rounding import rounded
 
     specification = recorded.sound.bench.specification
     limits = {} if specification is None else specification.limits()
-    if specification is None or not limits:
-        return
+    grades = {sense: grade_of(sense, noise) for sense, noise in _noise(found).items()}
     for one in (*nominal_values(found.grounds.weighing, found.grounds.nominal), *found.parameters):
-        limit = limits.get(one.effect)
+        grade = grades.get(SENSES[one.effect]) if one.effect in SENSES else None
+        limit = limits.get(one.effect) or (None if grade is None else grade.limits()[one.effect])
         if limit is None:
             continue
         bound = limit.to(one.unit)
-        if abs(one.value) - _CLEARLY * one.standard_uncertainty > bound:
-            shown = rounded(one.value, one.standard_uncertainty)
-            message = (
-                f"{one.effect} {one.name} is {shown} {one.unit}, {abs(one.value) / bound:.2g} times its specification of "
-                f"±{bound:.4g} {one.unit}"
+        if abs(one.value) - _CLEARLY * one.standard_uncertainty <= bound:
+            continue
+        what = f"{one.effect} {one.name} is {rounded(one.value, one.standard_uncertainty)} {one.unit}, {abs(one.value) / bound:.2g} times"
+        hint = "check the unit and its configuration, and the sign, unit and axis of the channel in the bench file"
+        if specification is not None and one.effect in limits:
+            place = specification.at(one.effect if one.effect in specification.origin.keys else "grade")
+            log.warning("gap-specification", place, f"{what} its specification of ±{bound:.4g} {one.unit}", hint)
+        elif grade is not None:
+            usual = (
+                f"{what} the usual limit of ±{bound:.4g} {one.unit} for a sensor with such noise ({grade.name} grade)"
             )
-            hint = "check the unit and its configuration, and the sign, unit and axis of the channel in the bench file"
-            log.warning("gap-specification", specification.at(one.effect), message, hint)
+            hint += "; declare the limits of the data sheet, or the grade, under `specification`"
+            log.warning("gap-usual-limits", Mark(recorded.where), usual, hint)
+
+
+def _noise(found: Diagnosis) -> dict[Sense, float]:
+    """White noise of gyros and accelerometers as in `Grade.quietest`, the declared one where there is one: of the median channel."""
+    import math
+
+    from planrunner.bench.grades import Sense
+
+    weighing = found.grounds.weighing
+    seen, measured = weighing.declared, weighing.white / math.sqrt(weighing.declared.sample_rate)
+    units = {"gyro": (Sense.RATE, math.degrees(1) * 60), "accel": (Sense.FORCE, math.sqrt(2) / 9.80665e-6)}
+    return {
+        sense: factor * median(seen.channels[index].white or float(measured[index]) for index in seen.of_kind(kind))
+        for kind, (sense, factor) in units.items()
+        if len(seen.of_kind(kind))
+    }
 
 
 def diagnosed_again(made: Diagnosed, observed: Observed, options: DiagnosisOptions) -> Diagnosed:
@@ -318,6 +341,9 @@ def corrected_observation(
                 pressure_channel=only_channel(units, "pressure"),
                 magnetic=sound.models.site.magnetic_field,
             )
+        fixture = sound.bench.fixture
+        if fixture is not None and fixture.reach is not None:
+            seen = replace(seen, reach=fixture.reach.value)
         seen, wrong = corrected(seen)
         for one in wrong:
             findings.warning("gap-declaration", Mark(recorded.where), *_warned(one))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,12 @@ def test_a_lever_arm_longer_than_any_table_is_not_named() -> None:
     found = diagnose(record(seed=5, fault=arm(2.3)), DiagnosisOptions(effects=EFFECTS))
     assert "lever_arm" not in found.verdict.effects and found.verdict.kind != "none"
     assert sum(p for name, p in found.posterior.probability.items() if "lever_arm" in name) < 0.01
+
+
+def test_a_lever_arm_longer_than_the_declared_reach_is_not_named() -> None:
+    seen = record(seed=5, fault=arm(0.3))
+    assert "lever_arm" in diagnose(seen, DiagnosisOptions(effects=EFFECTS)).verdict.effects
+    assert "lever_arm" not in diagnose(replace(seen, reach=0.1), DiagnosisOptions(effects=EFFECTS)).verdict.effects
 
 
 def test_a_fold_over_is_only_given_with_its_limit() -> None:

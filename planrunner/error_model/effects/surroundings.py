@@ -93,10 +93,6 @@ class SiteLatitude:
         return single([Column("error", "deg", DEG, DEG, parts, axis=None)] if parts else [])
 
 
-_LARGEST_ARM = 1.0
-"""m, from the axis of a table for inertial sensors; of a recorded motion, such as that of a vehicle, there is no limit."""
-
-
 class LeverArm:
     """Accelerometers off the axis of rotation: ω×(ω×r) + α×r = ω·(ω·r) − ω²·r + α×r, r in sensor axes, ω and α the table's; or, if other
     accelerometers show the motion, off those."""
@@ -114,7 +110,7 @@ class LeverArm:
         turn, spin_up = observed.turn, observed.swing
         if not turn.any() or not observed.of_kind("accel"):
             return []
-        largest = np.inf if observed.moved.any() else _LARGEST_ARM
+        largest = np.inf if observed.moved.any() else observed.reach
         columns = []
         squared = np.einsum("ni,ni->n", turn, turn)
         for axis, (name, arm) in enumerate(zip("xyz", np.eye(3), strict=True)):

@@ -1,0 +1,74 @@
+"""Usual limits of the constant errors of inertial sensors, by the grade of the sensor.
+
+A diagnosis compares with them what it finds, where the bench file declares no limits: the simulation fits biases and scale factors, so that
+a value of any size leaves no gap.
+
+Sources. navigation, tactical: P. D. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*, 2nd ed., 2013,
+table 4.1 (biases; a grade reaches to where the next one begins) and section 4.4.2 (scale factors and cross-coupling of 100 to 1000 ppm,
+laser gyros below 100 ppm). consumer: data sheet PS-MPU-6000A-00, rev. 3.4, 2013, sections 6.1 and 6.2 (tolerances of zero-rate and zero-g
+output, sensitivity and cross-axis sensitivity). industrial: a judgement between the two, for factory-calibrated MEMS units.
+Noise: Groves, table 4.2, and data sheets of quiet units (ADIS16475: 0.15 deg/√h; MPU-6000: 0.005 deg/s/√Hz, 400 µg/√Hz).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from types import MappingProxyType
+
+from planrunner.plan.quantity import Quantity, parse_symmetric
+
+
+class Sense(Enum):
+    """What a term's sensor measures."""
+
+    RATE = "angular rate"
+    FORCE = "specific force"
+
+
+SENSES: Mapping[str, Sense] = MappingProxyType(
+    {
+        "gyro_bias": Sense.RATE,
+        "gyro_scale_factor": Sense.RATE,
+        "gyro_misalignment": Sense.RATE,
+        "accel_bias": Sense.FORCE,
+        "accel_scale_factor": Sense.FORCE,
+        "accel_misalignment": Sense.FORCE,
+    }
+)
+"""Terms of the nominal model that have limits."""
+
+
+@dataclass(frozen=True)
+class Grade:
+    """quietest: least usual white noise of a gyro, angle random walk in deg/√h, and of an accelerometer, one-sided density in µg/√Hz.
+    usual: limits of the terms of `SENSES`, in their order."""
+
+    name: str
+    quietest: Mapping[Sense, float]
+    usual: tuple[str, ...]
+
+    def limits(self) -> Mapping[str, Quantity]:
+        """Term of the nominal model → its upper limit."""
+        read = {name: parse_symmetric(text) for name, text in zip(SENSES, self.usual, strict=True)}
+        return {name: limit for name, limit in read.items() if limit is not None}
+
+
+def _grade(name: str, walk: float, density: float, *usual: str) -> Grade:
+    return Grade(name, MappingProxyType({Sense.RATE: walk, Sense.FORCE: density}), usual)
+
+
+GRADES = (
+    _grade("navigation", 0.0, 0.0, "±0.1 deg/h", "±0.01 %", "±0.06 deg", "±1 mg", "±0.1 %", "±0.06 deg"),
+    _grade("tactical", 0.005, 5.0, "±100 deg/h", "±0.1 %", "±0.06 deg", "±10 mg", "±0.1 %", "±0.06 deg"),
+    _grade("industrial", 0.05, 15.0, "±0.5 deg/s", "±1 %", "±0.5 deg", "±30 mg", "±1 %", "±0.5 deg"),
+    _grade("consumer", 0.15, 60.0, "±20 deg/s", "±3 %", "±1.15 deg", "±80 mg", "±3 %", "±1.15 deg"),
+)
+"""From the best to the loosest."""
+GRADE_NAMES = tuple(grade.name for grade in GRADES)
+
+
+def grade_of(sense: Sense, noise: float) -> Grade:
+    """The loosest grade in which so little noise is usual. noise: as `Grade.quietest`."""
+    return next(grade for grade in reversed(GRADES) if grade.quietest[sense] <= noise)
