@@ -78,10 +78,15 @@ def _print(look: Look) -> None:
 
     from planrunner.reporting import terminal
 
-    time = "no time: rows are counted" if look.time is None else f"time in '{look.time[0]}' [{look.time[1]}]"
+    time = (
+        "no time: rows are counted"
+        if not look.backwards
+        else f"{look.backwards} times do not increase: rows are counted"
+    )
+    time = time if look.time is None else f"time in '{look.time[0]}' [{look.time[1]}]"
     seconds = look.rows / look.rate
     print(f"{look.file}: {look.rows} rows at {look.rate:.6g} Hz, {seconds:.4g} s; {time}")
-    table = Table("channel", "column", "unit", "scatter at rest", "guessed from")
+    table = Table("channel", "column", "unit", "scatter at rest" if look.still else "scatter in motion", "guessed from")
     for one in look.channels:
         scale = f"{one.unit}, {one.per_unit:g} counts each" if one.counts else one.unit
         origin = "name" if one.sure else "size" if not one.counts else "size: raw counts"

@@ -24,8 +24,10 @@ from planrunner.instruments.formats.guessing import (
     usual_unit,
 )
 from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.recording_keys import SECONDS
 from planrunner.plan.span import Span
 
+FileRows = Iterator[tuple[int, Array, dict[str, Array]]]
 WINDOW = 0.5
 """Seconds over which scatter is taken to tell rest from motion."""
 MOST_WINDOWS = 100_000
@@ -36,6 +38,12 @@ MOST_G = 1200.0
 MOST_DEGREES = 400.0
 """Highest temperature, degC."""
 MOVING = 4.0  # times the scatter of the quietest tenth of the windows
+COURSE = 1.0
+"""Change of the mean from one window to the next, over the scatter in the window, above which the window shows a motion: 2.4 for a constant
+slope, 0.2 for white noise in windows of 50 samples."""
+PAUSE = 2.0
+"""Step of the time, s, that is a pause between two pieces of a recording."""
+_SAME_RATE = 0.02
 _RANGE = 50.0  # scatter in motion over the largest at rest: noise may grow with the orientation
 _DIRECTIONS = 15.0  # deg between two poses that count as different
 _NAME = re.compile(r"[^A-Za-z0-9_]+")
@@ -69,7 +77,8 @@ class WindowLevels:
 @dataclass(frozen=True, slots=True)
 class Look:
     """What a recording looks like. time: column and unit, None where rows are counted; rate: Hz; other: columns that are no channel; still:
-    spans without motion."""
+    spans without motion; backwards: rows whose time does not increase, which is why rows are counted; pauses: steps of the time of more
+    than `PAUSE`, and the shortest of them, s."""
 
     file: str
     format: Format | None
@@ -80,6 +89,8 @@ class Look:
     other: tuple[str, ...]
     windows: WindowLevels
     still: tuple[Span, ...]
+    backwards: int = 0
+    pauses: tuple[int, float] = (0, 0.0)
 
     @property
     def still_share(self) -> float:
@@ -104,7 +115,11 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
         stamp = None if rate is not None or time is None else (time[0], time[1])
         guesses = [guessed_channel(column) for column in columns if stamp is None or column != stamp[0]]
         guesses = _named_or_alike(guesses, first)
-        windows, rows = _windows(file.all_rows(), [one.column for one in guesses], found, file.about, notice)
+        clock = _Clock(stamp)
+        wanted = [one.column for one in guesses]
+        windows, rows = _windows(clock.watched(file.all_rows()), wanted, found, file.about, notice)
+        if stamp is not None and clock.backwards:
+            stamp, found = None, clock.rate(rows, found)
     except InstrumentError as error:
         hint = "docs/recording-formats.md shows how a bench describes a recording"
         raise InputError.at(Mark(str(path)), "recording-unfit", str(error), hint) from None
@@ -115,7 +130,36 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
     still = _still(windows, [one.column for one in guesses if one.sensed in ("gyro", "accel")])
     channels = _channels([one for one in guesses if one.sensed], windows, still)
     other = tuple(one.column for one in guesses if not one.sensed)
-    return Look(path.name, given, stamp, found, rows, channels, other, windows, still)
+    pauses = (len(clock.steps), min(clock.steps, default=0.0))
+    return Look(path.name, given, stamp, found, rows, channels, other, windows, still, clock.backwards, pauses)
+
+
+class _Clock:
+    """What the column of the time says: rows in which it does not increase, pauses, and its whole length."""
+
+    def __init__(self, stamp: tuple[str, str] | None):
+        self._column = None if stamp is None else stamp[0]
+        self._scale = 1.0 if stamp is None else SECONDS[stamp[1]]
+        self._first = self._last = math.nan
+        self.backwards = 0
+        self.steps: list[float] = []
+
+    def watched(self, rows: FileRows) -> FileRows:
+        """The rows, unchanged."""
+        for number, time, values in rows:
+            if self._column is not None and len(values[self._column]):
+                own = values[self._column] * self._scale
+                steps = np.diff(own, prepend=self._last)
+                self.backwards += int(np.count_nonzero(steps <= 0))
+                self.steps += steps[steps > PAUSE].tolist()
+                self._first = own[0] if math.isnan(self._first) else self._first
+                self._last = float(own[-1])
+            yield number, time, values
+
+    def rate(self, rows: int, median: float) -> float:
+        """FileRows per second, Hz: of the whole recording, unless pauses make it differ from that of the median step."""
+        whole = (rows - 1) / (self._last - self._first) if self._last > self._first else median
+        return whole if abs(whole / median - 1) < _SAME_RATE else median
 
 
 def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Guess]:
@@ -138,7 +182,7 @@ def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Gu
 
 
 def _windows(
-    rows: Iterator[tuple[int, Array, dict[str, Array]]],
+    rows: FileRows,
     columns: Sequence[str],
     rate: float,
     about: int,
@@ -176,10 +220,20 @@ def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
     for column in columns:
         scatter = windows.scatter[column]
         usual, most = np.nanquantile(scatter, (0.1, 0.95)).tolist()
-        quiet &= scatter <= max(MOVING * usual, most / _RANGE, np.finfo(float).tiny)
+        least = max(most / _RANGE, np.finfo(float).tiny)
+        quiet &= scatter <= max(MOVING * usual, least)
+        quiet &= _course(windows.mean[column]) <= np.maximum(COURSE * scatter, least)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.view(np.int8), [0]]))).reshape(-1, 2)
     spans = (Span(begin * windows.length, end * windows.length) for begin, end in edges.tolist())
     return tuple(span for span in spans if span.seconds >= AT_LEAST)
+
+
+def _course(mean: Array) -> Array:
+    """Change of the mean per window, (n,), from the windows on both sides."""
+    if len(mean) < 3:
+        return np.zeros(len(mean))
+    change = np.abs(mean[2:] - mean[:-2]) / 2
+    return np.concatenate([change[:1], change, change[-1:]])
 
 
 def _at_rest(windows: WindowLevels, still: Sequence[Span], values: Array) -> Array:

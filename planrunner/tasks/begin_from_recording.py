@@ -41,15 +41,24 @@ def bench_of(look: Look, name: str) -> str:
         said += [f"names: [{', '.join(map(_quoted, keys.names))}]"] if keys.names else []
         lines.append(f"    format: {{type: text, {', '.join(said)}}}")
     lines.append("    kind: imu")
-    if look.time is None:
+    if look.backwards:
+        lines.append(
+            f"    time: sample_count # in {look.backwards} rows the time of the file does not increase: rows are counted"
+        )
+    elif look.time is None:
         lines.append("    time: sample_count # the file has no time, or the sample rate was given")
     else:
         lines.append(f"    time: {{column: {_quoted(look.time[0])}, unit: {look.time[1]}}}")
     lines.append(f"    sample_rate: {look.rate:.6g} Hz")
+    count, shortest = look.pauses
+    if count and not look.backwards:
+        steps = f"The time steps by {shortest:.3g} s and more in {count} places"
+        lines.append(f"    # {steps}. To make each piece a segment: pauses: {shortest / 2:.3g} s")
     lines.append("    channels:")
     for one in look.channels:
         counts = f", per_unit: {one.per_unit:.6g}" if one.counts else ""
-        noise = f", noise: {one.noise:.3g} {'K' if one.unit == 'degC' else one.unit}" if one.noise > 0 else ""
+        known = one.noise > 0 and look.still  # the scatter of a motion is no noise
+        noise = f", noise: {one.noise:.3g} {'K' if one.unit == 'degC' else one.unit}" if known else ""
         doubt = "" if one.sure else " # raw counts: put in the sensitivity" if one.counts else " # the unit is a guess"
         lines.append(f"      {one.name}: {{column: {_quoted(one.column)}, unit: {one.unit}{counts}{noise}}}{doubt}")
     if look.other:
@@ -70,14 +79,17 @@ def plan_of(look: Look, name: str) -> str:
     ]
     triad = [one for one in look.channels if one.name in ("accel_x", "accel_y", "accel_z")]
     estimates: list[str] = []
+    diagnosis: list[str] = []
     if len(triad) == 3 and poses(look.windows, look.still, triad) >= POSES:
         threshold = MOVING * max(one.noise for one in triad)
+        still = f"{{detect: still, window: {WINDOW:g} s, threshold: {threshold:.3g} {triad[0].unit}, at_least: {AT_LEAST:g} s}}"
         estimates = [
             "  accelerometer:",
             "    estimator: accelerometer_multi_position",
             "    reference: gravity_magnitude",
-            f"    segments: {{detect: still, window: {WINDOW:g} s, threshold: {threshold:.3g} {triad[0].unit}, at_least: {AT_LEAST:g} s}}",
+            f"    segments: {still}",
         ]
+        diagnosis = ["diagnosis:", "  nominal: [accel_bias]", f"  segments: {still}"]
     elif look.still_share > STILL:
         estimates = [
             "  noise:",
@@ -86,7 +98,7 @@ def plan_of(look: Look, name: str) -> str:
             f"    outputs: [{', '.join(outputs)}]",
         ]
     if estimates:
-        lines += ["estimates:", *estimates]
+        lines += ["estimates:", *estimates, *diagnosis]
     else:
         lines.append(
             "# Add `segments` to the bench, with a table of labels and times, and then estimates: see docs/plan-language.md"

@@ -62,7 +62,11 @@ def test_a_text_without_names_is_recognised_by_the_length_of_gravity(
         (f"{kind}_{axis}", f"column_{first + k}", unit) for kind, unit, first in kinds for k, axis in enumerate("xyz")
     )
     assert len(said["still_s"]) == 12  # type: ignore[arg-type]
-    assert "gravity_magnitude" in (tmp_path / "begun.yaml").read_text(encoding="utf-8")
+    plan = (tmp_path / "begun.yaml").read_text(encoding="utf-8")
+    assert "gravity_magnitude" in plan and "diagnosis:" in plan
+    recording = str(tmp_path / "session.log")
+    assert main(["diagnose", str(tmp_path / "begun.yaml"), "--recording", recording]) == 0, capsys.readouterr().err
+    capsys.readouterr()
 
 
 def test_names_units_and_the_time_of_a_header(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,6 +105,39 @@ def test_a_recording_at_rest_gets_an_allan_deviation(tmp_path: Path, capsys: pyt
     said = begun(tmp_path / "rest.npz", capsys=capsys)
     assert said["sample_rate_hz"] == pytest.approx(200)
     assert "allan_deviation" in (tmp_path / "begun.yaml").read_text(encoding="utf-8")
+
+
+def test_a_clock_that_repeats_itself_is_not_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rows with the time of the row before; the mean interval, 10.1 ms, is longer than the usual one."""
+    draw = np.random.default_rng(4)
+    steps = np.where(np.arange(5000) % 100 == 50, 0.02, 0.01)
+    time = np.cumsum(steps)
+    time[[700, 1800]] = time[[699, 1799]]
+    np.savez(tmp_path / "jitter.npz", time=time, omega_z=draw.normal(0.1, 0.02, 5000))
+    said = begun(tmp_path / "jitter.npz", capsys=capsys)
+    assert said["time"] is None
+    assert said["sample_rate_hz"] == pytest.approx(100 / 1.01, rel=1e-3)
+    assert "in 2 rows the time of the file does not increase" in (tmp_path / "begun.bench.yaml").read_text()
+
+
+def test_pauses_are_pointed_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time = np.concatenate([300.0 * k + np.arange(500) / 50 for k in range(4)])
+    omega = np.random.default_rng(4).normal(0.1, 0.02, 2000)
+    np.savez(tmp_path / "bursts.npz", time=time, omega_z=omega)
+    begun(tmp_path / "bursts.npz", capsys=capsys)
+    assert "in 3 places. To make each piece a segment: pauses: 145 s" in (tmp_path / "begun.bench.yaml").read_text()
+
+
+def test_a_unit_that_swings_all_the_time_is_not_at_rest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its gyro scatters alike in all windows; no Allan deviation of a motion is proposed."""
+    draw = np.random.default_rng(4)
+    time = np.arange(6000) / 100
+    rate = 60 * np.sin(2 * np.pi * 0.2 * time) + draw.normal(0, 0.1, 6000)
+    np.savez(tmp_path / "swing.npz", time=time, omega_z=rate)
+    said = begun(tmp_path / "swing.npz", capsys=capsys)
+    assert said["still_s"] == []
+    assert "allan_deviation" not in (tmp_path / "begun.yaml").read_text()
+    assert "noise:" not in (tmp_path / "begun.bench.yaml").read_text()
 
 
 @pytest.mark.parametrize(
@@ -144,6 +181,7 @@ REAL = {
     "broad/04_undisturbed_slow_rotation_with_breaks_A.mat": ("285.714 Hz", "docs/plan-language.md"),
     "psim_thermal_vacuum/TVCtest3_7_20.csv": (None, "allan_deviation"),
     "rimu_jig/rate_staircase.parquet": (None, "docs/plan-language.md"),
+    "two_imus_encoder/raw_yaw_medium.mat": (None, "docs/plan-language.md"),
 }
 
 

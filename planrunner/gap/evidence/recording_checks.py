@@ -56,7 +56,10 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
             if recording
             else "no segment was recorded"
         )
-        hint = "record at least two states: a single state cannot separate nominal parameters or effects"
+        hint = (
+            "record at least two states: a single state cannot separate nominal parameters or effects. A recording in a file is "
+            "divided by `segments` or `pauses` in the bench file, or by still spans: `diagnosis: {segments: {detect: still, …}}`"
+        )
         log.error("gap-one-segment", mark, held, hint)
         return
     _check_overlaps(recording, mark, log)
