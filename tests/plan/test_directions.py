@@ -69,7 +69,7 @@ def test_everything_knows_a_new_word_and_designs_stay() -> None:
         assert seen[name] == [*DIRECTIONS, WORD], name
     assert WORD in seen["reference"]
     text, findings = seen["read"]
-    assert not findings and text.startswith(f"x {WORD}, y up, z (")
+    assert not findings and text.startswith(f"x {WORD}, y up, z ")
     assert any(WORD in hint for _, _, hint in seen["misspelt"][1])
     ((code, message, _),) = seen["aslant"][1]
     assert code == "meaning-orientation" and WORD in message
