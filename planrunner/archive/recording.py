@@ -31,6 +31,7 @@ class Statistics:
     correlated within a batch. A motion that is known changes the output within the segment (its course); both scatters are those of the
     differences from this course. start, end: s, of the first and the last sample; largest_gap: s between consecutive samples. course:
     (p, batches), the fitted course: for uncorrelated samples, its part of the scatter of the batch means is the sum of its squares.
+    mean_covariance: (k, k) of the means, from the same scatter as their standard errors; (0, 0) if it is unknown.
     """
 
     channels: tuple[str, ...]
@@ -46,6 +47,7 @@ class Statistics:
     end: float
     largest_gap: float
     course: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    mean_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def freedom(self) -> float:

@@ -194,6 +194,7 @@ class _Gathered:
             sums, counts = (one.reshape(*one.shape[:-1], -1, self.parts).sum(axis=-1) for one in (sums, counts))
         used = counts > 0
         batches, error, shape = int(used.sum()), unknown, np.zeros((fitted, int(used.sum())))
+        joint = np.zeros((0, 0))
         if batches > 1:
             counts = counts[used]
             means = sums[:, used] / counts
@@ -207,6 +208,7 @@ class _Gathered:
                 freedom -= float(np.sum(shape**2))
             if freedom > 0:
                 error = np.sqrt(np.sum(scatter**2, axis=1) / freedom / self.count)
+                joint = scatter @ scatter.T / freedom / self.count
         return Statistics(
             channels=channels,
             count=self.count,
@@ -221,6 +223,7 @@ class _Gathered:
             end=self.end,
             largest_gap=self.gap,
             course=shape,
+            mean_covariance=joint,
         )
 
     def _course(self) -> MotionCourse | None:

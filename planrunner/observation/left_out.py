@@ -81,6 +81,7 @@ def _statistics(recorded: RecordedSegment, own: Mapping[str, tuple[Find, ...]]) 
         standard_error=error,
         batches=widest.batches,
         course=widest.course,
+        mean_covariance=together.mean_covariance,
     )
     return made, max(share, 1 / max(rows, 1))
 

@@ -18,6 +18,8 @@ from planrunner.observation.refusals import EstimationError, UnfitDataError
 Array = NDArray[np.float64]
 
 _LEAST = 0.01  # of the scatter within a segment that is taken for white whatever is declared
+_FEW = 20  # degrees of freedom, up to which a correlation of means is hardly known
+_BELOW = 1 - 1e-12  # of a correlation of ±1, whose transform is infinite
 SIGNIFICANCE = (
     0.01  # of the tests that choose weights, compare the two bases of uncertainty, and judge scatter and outliers
 )
@@ -28,8 +30,8 @@ class Observations:
     """Means of k channels over n segments, in the channels' units.
 
     mean: (n, k). standard_error: (n, k), of each mean from its own segment, NaN if the segment is too short. batches: (n,), number of
-    batches for it. start, end: (n,), of the recorded interval, half-open, s on the run's clock. correlation: (k, k) between the channels'
-    samples, over all segments. expected: from a schedule, not from a recording: means without noise, and the declared noise. share: (n,)
+    batches for it. start, end: (n,), of the recorded interval, half-open, s on the run's clock. correlation: (k, k) of the channels'
+    noise, over all segments. expected: from a schedule, not from a recording: means without noise, and the declared noise. share: (n,)
     of the samples that count; None for all. courses: (n,), of each segment as in `Statistics`; None without motion. within: number of
     further observations at the end that are no means, but contrasts within segments; their standard errors are known.
     """
@@ -129,11 +131,7 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
     rounding = np.array([_rounding(sensor, channel, variances[:, k]) for k, channel in enumerate(channels)]).T
     told = np.array([recorded.statistics.batches > 1 or recorded.expected for recorded in segments])
     error = np.where(told[:, None], np.hypot(error, rounding), np.nan)
-    scatter = np.einsum("nij,n->ij", np.where(np.isnan(covariance), 0.0, covariance), freedom)
-    size = np.sqrt(scatter.diagonal())
-    sizes = size[:, None] * size
-    correlation = np.where(sizes > 0, scatter / np.where(sizes > 0, sizes, 1.0), 0.0)
-    np.fill_diagonal(correlation, 1.0)
+    samples = _correlation(np.einsum("nij,n->ij", np.where(np.isnan(covariance), 0.0, covariance), freedom))
     return Observations(
         tuple(channels),
         tuple(_unit(segments, channel) for channel in channels),
@@ -142,11 +140,41 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
         error,
         np.array([recorded.statistics.batches for recorded in segments]),
         *recorded_times(segments),
-        correlation,
+        _correlation_of_means(samples, segments, channels),
         all(recorded.expected for recorded in segments),
         np.array([recorded.share for recorded in segments]),
         tuple(recorded.statistics.course for recorded in segments),
     )
+
+
+def _correlation(scatter: Array) -> Array:
+    """From sums of products of deviations, (k, k)."""
+    size = np.sqrt(scatter.diagonal())
+    sizes = size[:, None] * size
+    correlation = np.where(sizes > 0, scatter / np.where(sizes > 0, sizes, 1.0), 0.0)
+    np.fill_diagonal(correlation, 1.0)
+    return np.asarray(correlation)
+
+
+def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], channels: Sequence[str]) -> Array:
+    """Correlation of the channels' means, (k, k): that of the samples, (k, k), which is known best, unless that of the batch means differs
+    (Fisher's z, with Bonferroni's bound over the pairs). It does if the samples have something in common that means do not have, such as
+    a vibration.
+
+    The transform of a correlation coefficient r from ν degrees of freedom has the variance 1/(ν − 2) (Fisher, Metron 1, 1921)."""
+    from scipy.special import ndtri
+
+    k, scatter, freedom = len(channels), np.zeros((len(channels),) * 2), 0.0
+    for own in (recorded.statistics for recorded in segments):
+        if own.freedom > 0 and len(own.mean_covariance):
+            at = [own.of(channel) for channel in channels]
+            scatter += own.freedom * own.count * own.mean_covariance[np.ix_(at, at)]
+            freedom += own.freedom
+    if k < 2 or freedom <= _FEW or not np.isfinite(scatter).all() or not (scatter.diagonal() > 0).all():
+        return samples
+    means, (i, j) = _correlation(scatter), np.triu_indices(k, 1)
+    apart = np.abs(np.arctanh(means[i, j] * _BELOW) - np.arctanh(samples[i, j] * _BELOW)) * math.sqrt(freedom - 2)
+    return means if apart.max() > -ndtri(SIGNIFICANCE / 2 / len(i)) else samples
 
 
 def recorded_times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
