@@ -162,8 +162,6 @@ def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], c
     a vibration.
 
     The transform of a correlation coefficient r from ν degrees of freedom has the variance 1/(ν − 2) (Fisher, Metron 1, 1921)."""
-    from scipy.special import ndtri
-
     k, scatter, freedom = len(channels), np.zeros((len(channels),) * 2), 0.0
     for own in (recorded.statistics for recorded in segments):
         if own.freedom > 0 and len(own.mean_covariance):
@@ -172,6 +170,8 @@ def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], c
             freedom += own.freedom
     if k < 2 or freedom <= _FEW or not np.isfinite(scatter).all() or not (scatter.diagonal() > 0).all():
         return samples
+    from scipy.special import ndtri
+
     means, (i, j) = _correlation(scatter), np.triu_indices(k, 1)
     apart = np.abs(np.arctanh(means[i, j] * _BELOW) - np.arctanh(samples[i, j] * _BELOW)) * math.sqrt(freedom - 2)
     return means if apart.max() > -ndtri(SIGNIFICANCE / 2 / len(i)) else samples
