@@ -22,6 +22,7 @@ from planrunner.error_model.effects.interface import (
     Column,
     Curved,
     Effect,
+    HasAlternatives,
     HasShape,
     InEveryWorld,
     NoiseKind,
@@ -29,6 +30,7 @@ from planrunner.error_model.effects.interface import (
     Shaped,
     Variant,
     is_whole,
+    triad_of,
 )
 from planrunner.error_model.observed import Observed
 from planrunner.plan.quantity import QuantityError, without_uncertainty
@@ -37,11 +39,13 @@ from planrunner.plan.units import UnknownUnitError, unit
 Array = NDArray[np.float64]
 STAGES = ("stimulus", "sensor", "output", "acquisition", "covariance")
 NOISE: dict[NoiseKind, tuple[str, str]] = {
-    "white": ("density", "deg/s*sqrt(s)"),
-    "resolution": ("count", "deg/s"),
-    "random walk": ("density", "deg/s/sqrt(s)"),
+    "white": ("density", "*sqrt(s)"),
+    "resolution": ("count", ""),
+    "random walk": ("density", "/sqrt(s)"),
 }
-"""Noise effects: their parameter and its unit. White noise and counts replace those of the sensor."""
+"""Noise effects: their parameter, and its unit after that of the triad. White noise and counts replace those of the sensor."""
+OF_TRIAD: dict[str, str] = {"gyro": "deg/s", "accel": "m/s^2"}
+"""Unit of a triad, in which its noise is stated."""
 BY_AXIS: dict[NoiseKind, str] = {"white": "white", "resolution": "count"}
 """Noise effects whose parameter may also be stated for single axes, as a diagnosis finds it: `white_x`, `count_z`. Axes that are not named
 keep the noise of the sensor."""
@@ -117,7 +121,7 @@ def _optional(
     """Parameters that a diagnosis may find, and that have no natural value: they act only if they are stated."""
     if isinstance(effect, ActsOnNoise) and effect.noise in BY_AXIS:
         (whole,) = known.values() or (None,)
-        axes = sorted({observed.channels[index].axis for index in observed.of_kind("gyro")})
+        axes = sorted({observed.channels[index].axis for index in observed.of_kind(triad_of(effect))})
         return [] if whole is None else [replace(whole, name=f"{BY_AXIS[effect.noise]}_{'xyz'[axis]}") for axis in axes]
     if isinstance(effect, PerOrientation) and known:
         return [replace(known[SIZE], name=key) for key in stated if _OF_ORIENTATION.fullmatch(key)]
@@ -150,17 +154,21 @@ def _value(text: str, parameter: EffectParameter, effect: str, mark: Mark) -> fl
 def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
     """Parameters of an effect; empty if it cannot act."""
     if isinstance(effect, ActsOnNoise):
-        gyros = observed.of_kind("gyro")
-        if not gyros:
+        triad = triad_of(effect)
+        indices = observed.of_kind(triad)
+        if not indices:
             return []
         name, text = NOISE[effect.noise]
-        channel = observed.channels[gyros[0]]
+        channel = observed.channels[indices[0]]
         declared: float = {
             "white": channel.white,
             "resolution": max(channel.resolution, channel.white * math.sqrt(observed.sample_rate)),
             "random walk": _WALK * math.radians(1.0) / _UNUSUAL,
         }[effect.noise]
-        return [EffectParameter(name, text, _UNUSUAL * declared / math.radians(1.0))]
+        own = unit(OF_TRIAD[triad])
+        return [EffectParameter(name, OF_TRIAD[triad] + text, _UNUSUAL * declared / own.factor)]
+    if isinstance(effect, HasAlternatives):
+        return [parameter for way in effect.alternatives for parameter in parameters(way, observed)]
     found = []
     variants = effect.variants(observed)
     if not variants:
@@ -206,6 +214,9 @@ def _amplitudes(item: Addition, observed: Observed, seed: int, orientation: int 
     if isinstance(effect, PerOrientation):
         listed = [column for variant in effect.variants(observed) for column in variant.columns]
         return [(column, values.get(column.name, 0.0) * column.factor) for column in listed]
+    if isinstance(effect, HasAlternatives):
+        ways = [way for way in effect.alternatives if values[way.shape_name] > 0]
+        return [(column, 1.0) for way in ways for column in way.at(observed, values[way.shape_name]).columns]
     if isinstance(effect, Shaped):
         columns = effect.at(observed, values[effect.shape_name]).columns if len(effect.grid(observed)) else ()
     else:

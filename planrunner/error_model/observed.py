@@ -374,9 +374,15 @@ class Observed:
         return np.ascontiguousarray(self.nominal_output[:, self.of_kind("gyro")])
 
     @cached_property
+    def gyro_range(self) -> Array:
+        """The smallest and the largest `gyro_output` of any gyro in each segment, (S, 2); 0 if it is of the other sign."""
+        parts = [self.gyro_output[part] for part in self.segments()]
+        return np.array([(part.min(initial=0.0), part.max(initial=0.0)) for part in parts]).reshape(-1, 2)
+
+    @cached_property
     def largest_gyro_output(self) -> Array:
         """The largest magnitude of `gyro_output` of any gyro in each segment, (S,)."""
-        return np.array([np.abs(self.gyro_output[part]).max(initial=0.0) for part in self.segments()])
+        return np.asarray(np.abs(self.gyro_range).max(axis=1))
 
     def seen(self, index: int, vector: Array) -> Array:
         """Component along a channel's input axis, (N,), of a vector in sensor axes, (N, 3)."""

@@ -21,6 +21,7 @@ from planrunner.error_model.effects.interface import (
     ChangesWithinSegments,
     Column,
     Effect,
+    HasAlternatives,
     HasShape,
     PerOrientation,
     ShapedOverSegments,
@@ -318,6 +319,8 @@ def estimable(effect: Effect) -> str:
         return (
             f"its class does not say how its shape ({effect.shape_name}) changes the output: use `planrunner diagnose`"
         )
+    if isinstance(effect, HasAlternatives):
+        return "it acts in one of several ways: use `planrunner diagnose`"
     if isinstance(effect, PerOrientation):
         return "it differs between orientations: state it in the bench file as `position_uncertainty` of the table"
     if isinstance(effect, WrongDeclarationOf):

@@ -102,15 +102,18 @@ class AddedEffects:
         return {**levels, **{c.name: changed[:, i] / c.factor for i, c in enumerate(channels)}}
 
     def noise(self, output: str, gives: Gives) -> Gives:
-        from planrunner.error_model.effects.interface import ActsOnNoise
+        from planrunner.error_model.added import OF_TRIAD
+        from planrunner.error_model.effects.interface import ActsOnNoise, triad_of
 
         for item in self.additions:
-            kind = item.effect.noise if isinstance(item.effect, ActsOnNoise) else None
-            if kind in ("white", "resolution") and unit(gives.unit).dimension == unit("rad/s").dimension:
+            if not isinstance(item.effect, ActsOnNoise):
+                continue
+            kind, own = item.effect.noise, unit(OF_TRIAD[triad_of(item.effect)])
+            if kind in ("white", "resolution") and unit(gives.unit).dimension == own.dimension:
                 value = _of_axis(item, kind, output)
                 if value is None:
                     continue
-                value *= unit("deg/s").factor / unit(gives.unit).factor
+                value *= own.factor / unit(gives.unit).factor
                 gives = replace(gives, white=value) if kind == "white" else replace(gives, step=value)
         return gives
 

@@ -121,14 +121,17 @@ def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: St
 def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
     """The samples of the nominal simulation at the recorded motion, without and with effects, each with white noise of its own. Its level
     is that of the recording, but the declared one in the simulation without an effect that acts on it."""
-    from planrunner.error_model.effects.interface import ActsOnNoise
+    from planrunner.error_model.effects.interface import ActsOnNoise, triad_of
 
     weighing = made.diagnosis.grounds.weighing
     seen, fitted = weighing.declared, weighing.fitted()
     additions = _additions(made, stated)
     declared = np.array([channel.white for channel in seen.channels]) * math.sqrt(seen.sample_rate)
-    noisier = any(isinstance(one.effect, ActsOnNoise) and one.effect.noise == "white" for one in additions)
-    level = np.where(noisier & (declared > 0), declared, weighing.white)
+    noisier = {
+        triad_of(e) for e in (one.effect for one in additions) if isinstance(e, ActsOnNoise) and e.noise == "white"
+    }
+    excess = np.array([channel.kind in noisier for channel in seen.channels])
+    level = np.where(excess & (declared > 0), declared, weighing.white)
     draw = np.random.default_rng(_OTHER_SEED)
     before = fitted + level * draw.standard_normal(fitted.shape)
     after = _plus(made, fitted, additions) + weighing.white * draw.standard_normal(fitted.shape)

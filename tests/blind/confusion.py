@@ -31,6 +31,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "late": ("gyro_bandwidth", "time_latency"),
     "counts": ("gyro_quantization",),
     "vibration": ("gyro_vibration_rectification", "accel_vibration_rectification"),
+    "limits": ("gyro_saturation_asymmetric", "gyro_soft_saturation", "gyro_saturation", "gyro_scale_nonlinearity"),
+    "accelerometer noise": ("accel_noise_excess",),
+    "accelerometer counts": ("accel_quantization",),
     "mounting": ("mount_shift",),
     "axes late": ("gyro_axis_delay", "time_latency"),
     "thermal lag": ("gyro_bias_temperature_lagged", "gyro_thermal_gradient"),
@@ -42,15 +45,25 @@ SETUPS = {
     "late": (("rocking", "mems"), ("rocking", "fog")),
     "counts": (("tumble", "mems"), ("rates", "mems"), ("rocking", "fog")),
     "vibration": (("rocking", "mems"), ("rich", "mems")),
+    "limits": (("rates", "mems"), ("rich", "fog")),
+    "accelerometer noise": (("tumble", "mems"), ("rates", "mems")),
+    "accelerometer counts": (("tumble", "mems"), ("rates", "mems")),
     "mounting": (("tumble", "mems"), ("rates", "mems"), ("rocking", "mems")),
     "axes late": (("rocking", "mems"), ("rocking", "fog")),
     "thermal lag": (("thermal", "mems"), ("thermal", "fog")),
 }
 """Plans and sensors that show the effects of a group."""
 
-SIZES = {"late": (5e-5, 1e-2), "counts": (3.0, 30.0)}
-"""Size of the effects of a group, log-uniform, where it decides whether they can be distinguished: s, or σ of a sample. Without it, λ is
-drawn."""
+SIZES = {
+    "late": (5e-5, 1e-2),
+    "counts": (3.0, 30.0),
+    "accelerometer noise": (3.0, 9.0),
+    "accelerometer counts": (1.5, 30.0),
+}
+"""Size of the effects of a group, log-uniform, where it decides whether they can be distinguished: s, σ of a sample, or the excess of the
+noise in units of the noise. Without it, λ is drawn."""
+_CHANNEL = {"counts": 0, "accelerometer counts": 3}
+"""Groups whose size is in units of σ of a channel."""
 
 
 def case_of(group: str, seed: int, number: int, effect: str, energy: float | None = None) -> Case:
@@ -62,7 +75,7 @@ def case_of(group: str, seed: int, number: int, effect: str, energy: float | Non
     work = Work(signatures(plan, sensor_name), factors, device)
     size = float(np.exp(rng.uniform(*np.log(SIZES.get(group, (WEAKEST, STRONGEST))))))
     size = size if energy is None else energy
-    unit = work.sigma[0] if group == "counts" else 1.0
+    unit = work.sigma[_CHANNEL[group]] if group in _CHANNEL else 1.0
     fault = Fault(effect, np.array([size * unit])) if group in SIZES else _one(work, [effect], size, rng)
     energy = _strength(work, fault) if group in SIZES else size
     name = f"{effect}-{number:05d}"

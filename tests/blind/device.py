@@ -216,6 +216,15 @@ def clean_output(schedule: Schedule, sensor: Sensor, device: Device, faults: Fau
     if "gyro_saturation" in faults:
         stop = limit(rate, float(faults["gyro_saturation"].theta[0]))
         rate = np.clip(rate, -stop, stop)
+    if "gyro_saturation_asymmetric" in faults:
+        (side,), (depth,) = faults["gyro_saturation_asymmetric"].shape, faults["gyro_saturation_asymmetric"].theta
+        stop = (side * rate).max() - depth
+        rate = np.where(side * rate > stop, side * stop, rate)
+    if "gyro_soft_saturation" in faults:
+        swing = 2 * float(faults["gyro_soft_saturation"].theta[0]) * rate
+        rate = np.where(
+            swing == 0.0, rate, rate * 2 * np.expm1(swing) / ((np.exp(swing) + 1) * np.where(swing, swing, 1))
+        )
     if sensor.accel is None:
         return rate
     force = _accel(felt, device, faults, schedule.site.gravity)
@@ -244,6 +253,12 @@ def noise_factor(faults: Faults) -> float:
     return 1.0 if fault is None else 1.0 + float(fault.theta[0])
 
 
+def accel_noise_factor(faults: Faults) -> float:
+    """The same of the accelerometers."""
+    fault = faults.get("accel_noise_excess")
+    return 1.0 if fault is None else 1.0 + float(fault.theta[0])
+
+
 def recorded(sensor: Sensor, clean: Array, faults: Faults, noise: Array) -> Array:
     """Outputs as recorded: noise added, clipped where the device clips, rounded to the resolution."""
     values = clean + noise
@@ -251,8 +266,13 @@ def recorded(sensor: Sensor, clean: Array, faults: Faults, noise: Array) -> Arra
     if "gyro_saturation" in faults:
         stop = float(np.abs(clean[:, :3]).max())
         values[:, :3] = np.clip(values[:, :3], -stop, stop)
+    if "gyro_saturation_asymmetric" in faults:
+        (side,) = faults["gyro_saturation_asymmetric"].shape
+        values[:, :3] = side * np.minimum(side * values[:, :3], (side * clean[:, :3]).max())
     if "gyro_quantization" in faults:
         steps[:3] = faults["gyro_quantization"].theta[0]
+    if "accel_quantization" in faults:
+        steps[3:] = faults["accel_quantization"].theta[0]
     return np.round(values / steps) * steps
 
 

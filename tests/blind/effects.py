@@ -57,6 +57,10 @@ def _moment(schedule: Schedule, rng: np.random.Generator) -> Shape:
     return (float(rng.uniform(schedule.time[0], schedule.time[-1])),)
 
 
+def _side(_: Schedule, rng: np.random.Generator) -> Shape:
+    return (float(rng.choice([-1.0, 1.0])),)
+
+
 def _lag(_: Schedule, rng: np.random.Generator) -> Shape:
     return (float(np.exp(rng.uniform(np.log(60), np.log(900)))),)
 
@@ -142,6 +146,10 @@ FURTHER = {
         Kind("accel_vibration_rectification", (1e-4,) * 3, needs="rocked_accel"),
         Kind("gyro_axis_delay", (1e-3,) * 3, linear=False, needs="rock", largest=40),
         Kind("gyro_bias_temperature_lagged", (1e-3,) * 3, draw=_lag, needs="ramp"),
+        Kind("gyro_saturation_asymmetric", ONE, linear=False, signed=False, draw=_side, largest=100),
+        Kind("gyro_soft_saturation", (1e-6,), linear=False, signed=False, largest=1e4),
+        Kind("accel_noise_excess", ONE, linear=False, signed=False, covariance=True, needs="accel"),
+        Kind("accel_quantization", ONE, linear=False, signed=False, covariance=True, needs="accel"),
         Kind("mount_shift", (1e-3,) * 3, draw=_moment, largest=50),
     )
 }

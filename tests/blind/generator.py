@@ -8,7 +8,16 @@ from functools import cached_property, lru_cache, reduce
 import numpy as np
 
 from tests.blind import real
-from tests.blind.device import SENSORS, Device, Sensor, clean_output, noise_factor, random_device, recorded
+from tests.blind.device import (
+    SENSORS,
+    Device,
+    Sensor,
+    accel_noise_factor,
+    clean_output,
+    noise_factor,
+    random_device,
+    recorded,
+)
 from tests.blind.effects import CATALOGUE, FOREIGN, KINDS, Kind, applies
 from tests.blind.motion import Array, Fault, Schedule, stimulus
 from tests.blind.noise import Metric, noise, outliers
@@ -291,6 +300,7 @@ def simulate(work: Work, faults: list[Fault], spiked: bool, rng: np.random.Gener
     by_name = {fault.effect: fault for fault in faults}
     scaled = np.repeat(work.factors, 3)
     scaled[:3] *= noise_factor(by_name)
+    scaled[3:] *= accel_noise_factor(by_name)
     draws = real.noise if sensor.real else noise
     added = draws(schedule, sensor, scaled, rng)
     if spiked:

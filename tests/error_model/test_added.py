@@ -69,6 +69,17 @@ def test_a_dead_zone_acts_on_the_sensors_own_output() -> None:
     assert np.degrees(out[:, 1]) == pytest.approx(math.sqrt(0.3**2 - 0.1**2))
 
 
+def test_one_limit_or_both_of_different_size_are_added() -> None:
+    levels = np.zeros((8, 6))
+    levels[:, 0], levels[:, 1] = 50 * DEG, -50 * DEG
+    for stated, expected in (
+        ({"upper": "40 deg/s"}, (40, -50)),
+        ({"upper": "40 deg/s", "lower": "30 deg/s"}, (40, -30)),
+    ):
+        out = added(_seen(np.eye(3)), levels, [_stated("gyro_saturation_asymmetric", **stated)], 1)
+        assert np.degrees(out[:, :2]) == pytest.approx(np.tile(expected, (8, 1)))
+
+
 def test_an_orientation_has_the_same_error_whenever_it_is_taken() -> None:
     size = _stated("table_position_error", size="30 arcsec")
     there, turned = np.eye(3), np.diag([1.0, -1.0, -1.0])

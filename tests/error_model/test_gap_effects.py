@@ -55,6 +55,9 @@ IDS = [
     "accel_vibration_rectification",
     "gyro_bias_temperature_lagged",
     "gyro_axis_delay",
+    "accel_noise_excess",
+    "accel_quantization",
+    "gyro_soft_saturation",
     "mount_shift",
     "gyro_bias",
     "gyro_scale_factor",
@@ -82,6 +85,7 @@ FOR_ESTIMATES = [
     "accel_bias_temperature_lagged",
     "gyro_angular_acceleration",
     "gyro_fold_over",
+    "gyro_saturation_asymmetric",
     *(
         f"{kind}_{what}_{cause}"
         for kind in ("gyro", "accel")
@@ -365,3 +369,16 @@ def test_the_lag_of_a_temperature_is_that_of_an_integration() -> None:
         expected, abs=0.06 * 5.0
     )  # within the gap of 10 s, 5 K come at its beginning
     assert lag(made, tau)[: bounds[4]] == pytest.approx(expected[: bounds[4]], abs=0.02)
+
+
+def test_limits_of_one_side_and_a_gradual_one(observed: Observed) -> None:
+    rates = np.degrees(observed.omega)
+    above, below = plugins.load("planrunner.effects", "gyro_saturation_asymmetric")().alternatives
+    for way, expected in (
+        (above, np.minimum(rates, 30.0)),
+        (below, np.maximum(rates, -30.0)),
+        (plugins.load("planrunner.effects", "gyro_soft_saturation")(), 100 * np.tanh(rates / 100)),
+    ):
+        (column,) = way.at(observed, 100.0 if way.shape_name == "limit" else 30.0).columns
+        found = np.degrees(_part(column, observed)[:, :3])
+        assert found == pytest.approx(expected - rates, abs=1e-5) and np.abs(found).max() > 10

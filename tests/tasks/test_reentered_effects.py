@@ -12,15 +12,17 @@ import pytest
 
 from planrunner.base import plugins
 from planrunner.base.findings import InputError, Mark
-from planrunner.error_model.added import NOISE, parameters
+from planrunner.error_model.added import NOISE, OF_TRIAD, parameters
 from planrunner.error_model.effects.interface import (
     ActsOnNoise,
     Curved,
     Effect,
+    HasAlternatives,
     HasShape,
     PerOrientation,
     Shaped,
     is_whole,
+    triad_of,
 )
 from planrunner.error_model.observed import Observed
 from planrunner.error_model.scheduled import everything
@@ -106,7 +108,7 @@ def without(sound: Sound, tmp_path_factory: pytest.TempPathFactory) -> Observed:
 def _stated(effect: Effect, observed: Observed) -> dict[str, tuple[float, str]]:
     """Parameters by the names that a diagnosis gives them, none of natural size: value and unit."""
     if isinstance(effect, ActsOnNoise):
-        unit = NOISE[effect.noise][1]
+        unit = OF_TRIAD[triad_of(effect)] + NOISE[effect.noise][1]
         names = {"white": "white_{}", "resolution": "count_{}"}.get(effect.noise)
         if names is None:
             return {"density": (0.01, unit)}
@@ -125,6 +127,8 @@ def _stated(effect: Effect, observed: Observed) -> dict[str, tuple[float, str]]:
         found["d"] = (1.0, "deg/s")
     elif effect.id == "gyro_saturation":
         found["limit"] = (70.0, "deg/s")
+    elif effect.id == "gyro_saturation_asymmetric":
+        return {"upper": (70.0, "deg/s")}
     for place, name in enumerate(name for name in found if name != shape):
         if effect.id != "earth_rate" and not isinstance(effect, PerOrientation):
             found[name] = (found[name][0] * (1.5 + 0.25 * place) * LARGER.get(effect.id, 1.0), found[name][1])
@@ -134,6 +138,8 @@ def _stated(effect: Effect, observed: Observed) -> dict[str, tuple[float, str]]:
 def _predicted(effect: Effect, observed: Observed, stated: dict[str, tuple[float, str]]) -> np.ndarray:
     """What the effect changes in the outputs, (N, K), SI, by its columns on the whole recording."""
     out = np.zeros_like(observed.values)
+    if isinstance(effect, HasAlternatives):
+        (effect,) = (way for way in effect.alternatives if way.shape_name in stated)
     if isinstance(effect, Shaped):
         columns = effect.at(observed, stated[effect.shape_name][0]).columns
     else:
@@ -182,14 +188,16 @@ def _with_levels(observed: Observed) -> Observed:
 
 def _check_noise(effect: ActsOnNoise, seen: Observed, without: Observed, stated: dict[str, float]) -> None:
     resting = without.owner < 6
-    degrees = np.degrees(seen.values[resting][:, :3])
+    values = np.degrees(seen.values[resting][:, :3])
+    if triad_of(effect) == "accel":
+        values = seen.values[resting][:, 3:]
     if effect.noise == "white":
         expected = [np.sqrt(stated[f"white_{axis}"] ** 2 * 50.0) for axis in "xyz"]
-        own = np.concatenate([part - part.mean(axis=0) for part in np.split(degrees, 6)])
+        own = np.concatenate([part - part.mean(axis=0) for part in np.split(values, 6)])
         assert own.std(axis=0) == pytest.approx(expected, rel=0.1)
     elif effect.noise == "resolution":
         for channel, axis in enumerate("xyz"):
-            counts = degrees[:, channel] / stated[f"count_{axis}"]
+            counts = values[:, channel] / stated[f"count_{axis}"]
             assert np.abs(counts - np.round(counts)).max() < 1e-6
     else:
         middles = [

@@ -181,3 +181,33 @@ class AccelThermalHysteresis:
             return []
         sign = observed.last_change[observed.owner]
         return single(per_axis(observed, "accel", "h", "mg", 1e-3 * G, 1e-3 * G, sign))
+
+
+class AccelNoiseExcess:
+    """White noise density of the accelerometers larger than declared."""
+
+    id, stage, noise, of_accelerometers = "accel_noise_excess", "covariance", "white", True
+    about = About(
+        "accelerometer noise is larger than declared",
+        "The white noise of the accelerometers is stronger than the bench file declares.",
+        Actor.BOOKKEEPING,
+        "Correct the noise in the bench file, or look for vibration and electrical interference: {found}.",
+    )
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return []
+
+
+class AccelQuantization:
+    """Resolution of the accelerometers coarser than declared: every output is a multiple of a larger count."""
+
+    id, stage, noise, of_accelerometers = "accel_quantization", "covariance", "resolution", True
+    about = About(
+        "accelerometer counts are coarser than declared",
+        "The output of the accelerometers is rounded to multiples of a count that is larger than the bench file declares.",
+        Actor.BOOKKEEPING,
+        "Correct the resolution in the bench file, or set a finer output of the sensor: {found}.",
+    )
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return []

@@ -12,6 +12,7 @@ from planrunner.error_model.effects.interface import Array, Column, Shaped, Vari
 from planrunner.error_model.observed import Observed
 
 DEG = np.pi / 180
+_LINEAR = 0.02  # of the largest output: below it, a soft limit changes an output by a factor of 1e-5 less
 _SHORT = 1e-6  # s: a delay for which the secant is the tangent
 
 
@@ -122,6 +123,83 @@ class GyroSaturation(Shaped):
     def at(self, observed: Observed, value: float) -> Variant:
         limit = value * DEG
         return _changed(observed, lambda y: np.clip(y, -limit, limit), value, observed.largest_gyro_output > limit)
+
+
+class _OneSided(Shaped):
+    """Output clipped at one of its two limits. sign: 1 for the upper limit, −1 for the lower one, whose magnitude is the shape. A limit
+    that the output does not exceed in both directions cannot be distinguished from `gyro_saturation`, and is not on the grid."""
+
+    stage, shape_unit, acts_on = "output", "deg/s", "output"
+    sign: int
+
+    def __init__(self, effect: str):
+        self.id = effect
+
+    def grid(self, observed: Observed) -> Array:
+        if not observed.of_kind("gyro") or not observed.turn.any():
+            return np.empty(0)
+        reached = float(np.abs(observed.gyro_range).max(axis=0).min())
+        return reached / DEG * (1 - np.geomspace(0.6, 1e-7, 20)) if reached > 0 else np.empty(0)
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        limit, sign = value * DEG, self.sign
+        return _changed(observed, lambda y: sign * np.minimum(sign * y, limit), value, self._farthest(observed) > limit)
+
+    def _farthest(self, observed: Observed) -> Array:
+        return self.sign * observed.gyro_range[:, int(self.sign > 0)]
+
+
+class _Above(_OneSided):
+    """Output clipped at an upper limit."""
+
+    shape_name, sign = "upper", 1
+
+
+class _Below(_OneSided):
+    """Output clipped at a lower limit, whose magnitude is the shape."""
+
+    shape_name, sign = "lower", -1
+
+
+class GyroSaturationAsymmetric:
+    """Output clipped at +upper or at −lower, which differ, for example because the output has an offset before it is clipped."""
+
+    id, stage, hypothesis = "gyro_saturation_asymmetric", "output", False
+    about = About(
+        "gyro output is clipped in one direction",
+        "The output of the gyros is clipped at a limit that is smaller in one direction of rotation than in the other.",
+        Actor.PLAN,
+        "Keep the rates of the plan below the smaller limit, or remove the offset before the output is clipped: {found}.",
+    )
+
+    def __init__(self) -> None:
+        self.alternatives = (_Above(self.id), _Below(self.id))
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return [variant for one in self.alternatives for variant in one.variants(observed)]
+
+
+class GyroSoftSaturation(Shaped):
+    """Output L·tanh(y/L), which approaches a limit L gradually."""
+
+    id, stage, shape_name, shape_unit = "gyro_soft_saturation", "output", "limit", "deg/s"
+    about = About(
+        "gyro output saturates gradually",
+        "The output of the gyros grows ever less with the rate as it approaches a limit, as in an amplifier that overloads.",
+        Actor.SENSOR,
+        "Keep the rates well below the limit, or linearise the output: {found}.",
+    )
+    shown_by, acts_on = "three rates about the axis, in both directions", "output"
+
+    def grid(self, observed: Observed) -> Array:
+        if not observed.of_kind("gyro") or not observed.turn.any():
+            return np.empty(0)
+        return float(observed.largest_gyro_output.max()) / DEG * np.geomspace(0.7, 300.0, 14)
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        limit, largest = value * DEG, observed.largest_gyro_output
+        acting = largest > _LINEAR * largest.max(initial=0.0)
+        return _changed(observed, lambda y: limit * np.tanh(y / limit), value, acting)
 
 
 class GyroFoldOver(Shaped):

@@ -159,6 +159,18 @@ class ActsOnNoise(Effect, Protocol):
 
 
 @runtime_checkable
+class OnAccelerometerNoise(ActsOnNoise, Protocol):
+    """An effect that changes the noise of the accelerometers instead."""
+
+    of_accelerometers: Literal[True]
+
+
+def triad_of(effect: ActsOnNoise) -> Literal["gyro", "accel"]:
+    """The triad whose noise an effect changes."""
+    return "accel" if isinstance(effect, OnAccelerometerNoise) else "gyro"
+
+
+@runtime_checkable
 class PerOrientation(Effect, Protocol):
     """An effect whose amplitudes are drawn anew for every orientation."""
 
@@ -225,6 +237,20 @@ class Shaped:
 
     def variants(self, observed: Observed) -> list[Variant]:
         return [self.at(observed, float(value)) for value in self.grid(observed)]
+
+
+@runtime_checkable
+class HasAlternatives(Effect, Protocol):
+    """An effect that acts in one of several ways, each with a shape of its own, such as a limit above or below. A diagnosis names the
+    likeliest; a simulation may combine those whose shapes are stated. alternatives: of the same `id` and `stage`, with distinct
+    `shape_name`; each fully determined by its shape."""
+
+    alternatives: Sequence[Shaped]
+
+
+def ways_of(effect: Effect) -> Sequence[Effect]:
+    """The ways in which an effect may act, mostly one."""
+    return effect.alternatives if isinstance(effect, HasAlternatives) else (effect,)
 
 
 @runtime_checkable

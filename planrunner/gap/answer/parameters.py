@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planrunner.error_model.effects.interface import ActsOnNoise, HasShape, Shaped
+from planrunner.error_model.effects.interface import ActsOnNoise, HasShape, Shaped, triad_of
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 
 _ALONE = (
@@ -95,12 +95,13 @@ def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
 
 
 def of_noise(weighing: Weighing, effect: ActsOnNoise) -> list[ParameterEstimate]:
-    """Parameters of an effect on the noise: white level or resolution per gyro, or the density of the random walk."""
+    """Parameters of an effect on the noise: white level or resolution per channel of the triad, or the density of the random walk."""
     observed, name, noise = weighing.observed, effect.id, effect.noise
     gyros = observed.of_kind("gyro")
+    triad = observed.of_kind(triad_of(effect))
     found = []
     if noise == "white":
-        for c in gyros:
+        for c in triad:
             channel = observed.channels[c]
             density = float(weighing.white[c] / np.sqrt(observed.sample_rate) / channel.factor)
             uncertainty = density / float(np.sqrt(2 * weighing.white_degrees[c]))
@@ -108,7 +109,7 @@ def of_noise(weighing: Weighing, effect: ActsOnNoise) -> list[ParameterEstimate]
                 ParameterEstimate(name, f"white_{'xyz'[channel.axis]}", density, f"{channel.unit}*sqrt(s)", uncertainty)
             )
     if noise == "resolution":
-        for c in gyros:
+        for c in triad:
             channel = observed.channels[c]
             found.append(
                 ParameterEstimate(

@@ -15,10 +15,10 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.error_model.effects.interface import ActsOnNoise, Effect
+from planrunner.error_model.effects.interface import ActsOnNoise, Effect, triad_of
 from planrunner.gap.answer.sets import EffectSet, key_of, sets_of
 from planrunner.gap.evidence.dispersion import dispersion
-from planrunner.gap.evidence.noise_levels import log_densities
+from planrunner.gap.evidence.noise_levels import Level, log_densities
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.hypotheses.open_set import Kinds, Line, competitors, something_else, unknown
 from planrunner.gap.hypotheses.patterns import Pattern
@@ -68,32 +68,44 @@ def without_unknown(name: str) -> str:
 
 @dataclass(frozen=True)
 class _NoiseOnly:
-    """Effects on the noise. walk: a random walk of the gyros, or ''; others: level of the white noise by effect; levels: log densities."""
+    """Effects on the noise. walk: a random walk of the gyros, or ''; others: effect by what the noise of a triad, gyro or accel, is;
+    levels: log densities."""
 
     walk: str
-    others: Mapping[str, str]
-    levels: Mapping[str, float]
+    others: Mapping[tuple[str, Level], str]
+    levels: Mapping[tuple[Level, Level], float]
 
     @property
-    def states(self) -> dict[str, float]:
-        """Log density of the white noise without and with each other effect on it."""
-        return {"": self.levels["declared"], **{name: self.levels[level] for name, level in self.others.items()}}
+    def declared(self) -> float:
+        """Log density of the white noise as declared."""
+        return self.levels["declared", "declared"]
+
+    @property
+    def states(self) -> dict[tuple[str, ...], float]:
+        """Log density of the white noise without and with other effects on it, at most one of each triad; only where it is possible."""
+        found = {}
+        for (gyro, accel), value in self.levels.items():
+            acting = [(kind, level) for kind, level in (("gyro", gyro), ("accel", accel)) if level != "declared"]
+            if np.isfinite(value) and all(one in self.others for one in acting):
+                found[tuple(self.others[one] for one in acting)] = value
+        return found
 
 
 def posterior(weighing: Weighing, effects: Sequence[Effect], candidates: Sequence[Candidate]) -> Posterior:
     """Weigh all hypotheses. effects: all that are installed; candidates: those of them with signatures, weighed."""
     nothing = np.zeros(len(weighing.base))
-    acting = {effect.noise: effect.id for effect in effects if isinstance(effect, ActsOnNoise)}
-    walk = acting.pop("random walk", "")
+    on_noise = [effect for effect in effects if isinstance(effect, ActsOnNoise)]
+    walk = next((effect.id for effect in on_noise if effect.noise == "random walk"), "")
+    acting: dict[tuple[str, Level], str] = {
+        (triad_of(effect), effect.noise): effect.id for effect in on_noise if effect.noise != "random walk"
+    }
     densities = log_densities(weighing.declared, weighing.white, weighing.white_degrees, weighing.steps)
-    noise = _NoiseOnly(walk, {name: level for level, name in acting.items()}, densities)
-    start = weighing.evidence(nothing) + densities["declared"]
+    noise = _NoiseOnly(walk, acting, densities)
+    start = weighing.evidence(nothing) + noise.declared
     found, sets = _of_effects(weighing, candidates, noise)
     kinds = competitors(weighing)
-    found[UNKNOWN] = weighing.evidence(unknown(kinds)) + densities["declared"] - start
-    plainly = {
-        what: weighing.evidence(value) + densities["declared"] - start for what, value in kinds.log_bayes.items()
-    }
+    found[UNKNOWN] = weighing.evidence(unknown(kinds)) + noise.declared - start
+    plainly = {what: weighing.evidence(value) + noise.declared - start for what, value in kinds.log_bayes.items()}
     count = _acting(found)
     logs = {
         name: value + log_prior(name, count) + (0.0 if name in PRIORS else _beside(kinds))
@@ -131,23 +143,23 @@ def _of_effects(
 ) -> tuple[dict[str, float], dict[str, EffectSet]]:
     """Log evidence of none, of single effects and of sets, relative to none, and the sets evaluated in full."""
     nothing = np.zeros(len(weighing.base))
-    start = weighing.evidence(nothing) + noise.levels["declared"]
+    start = weighing.evidence(nothing) + noise.declared
     alone = {"": nothing} | {c.id: c.log_bayes for c in candidates if np.isfinite(c.log_bayes).any()}
     found: dict[str, float] = {}
     walks = (False, True) if noise.walk and np.isfinite(weighing.log_prior[1]).any() else (False,)
     for (name, log_bayes), walking in product(alone.items(), walks):
         value = weighing.evidence(log_bayes, walking) - start
         for other, density in noise.states.items():
-            present = [part for part in (name, noise.walk if walking else "", other) if part]
+            present = [part for part in (name, noise.walk if walking else "", *other) if part]
             found[key_of(present) or "none"] = value + density
     count = _acting(found)
     sets = sets_of(weighing, candidates, lambda size: _log_prior_of(size, count), len(walks) > 1, refit)
-    found |= {key: value + noise.levels["declared"] - start for key, value in sets.quick.items()}
+    found |= {key: value + noise.declared - start for key, value in sets.quick.items()}
     for key, one in sets.full.items():
         for value, walking in ((one.evidence, False), (one.walking, True)):
             for other, density in noise.states.items():
                 if np.isfinite(value):
-                    present = [*key.split("+"), *filter(None, (noise.walk if walking else "", other))]
+                    present = [*key.split("+"), *filter(None, (noise.walk if walking else "", *other))]
                     found[key_of(present)] = value + density - start
     return found, sets.full
 

@@ -7,6 +7,8 @@ in all channels or differently in each triad. Only larger deviations, or deviati
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,7 @@ HOLDS = 0.02  # standard deviation of the logarithm of a correct declaration
 WRONG = 0.2  # chance that it is off by up to a factor of two
 EXCESS = HOLDS * np.sqrt(np.geomspace(WEAKEST, STRONGEST, 60))
 """ln of (true ÷ declared white noise), its energy (ln ratio ÷ `HOLDS`)² log-uniform like that of every effect."""
+_TRIADS = ("gyro", "accel")
 CERTAIN = 60.0  # log odds assigned to a lattice of counts that is seen, or not seen
 
 
@@ -39,31 +42,50 @@ def counts(observed: Observed) -> Array:
     return np.array(found)
 
 
-def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array) -> dict[str, float]:
-    """Log densities of the white levels under 'declared', 'white' (excess in the gyros) and 'resolution' (a coarser count explains it).
+Level = Literal["declared", "white", "resolution"]
+"""What the noise of a triad is: as declared, excess white noise, or as declared with a coarser count."""
 
-    If the noise does not dither the count, there is no white level to compare; the level of the gyros then counts as declared.
+
+def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array) -> dict[tuple[Level, Level], float]:
+    """Log densities of the white levels, for all combinations of what the noise of the gyros and of the accelerometers is.
+
+    If the noise of a triad does not dither its count, there is no white level to compare; it then counts as that of the other triad.
     """
     declared = [channel.resolution or step for channel, step in zip(observed.channels, steps, strict=True)]
-    gyro, counted = (_excess(observed, white, degrees, each) for each in (declared, steps))
-    for excess, counts_ in ((gyro, declared), (counted, steps)):
-        if any(
-            counts_[c] > 2 * observed.channels[c].white * np.sqrt(observed.sample_rate)
-            for c in observed.of_kind("gyro")
-        ):
-            excess[0]["gyro"] = excess[0].get("accel", 0.0)
-    seen = any(
-        channel.kind == "gyro" and channel.resolution > 0 and step > COARSER * channel.resolution
-        for channel, step in zip(observed.channels, steps, strict=True)
-    )
-    known = any(channel.kind == "gyro" and channel.resolution > 0 for channel in observed.channels)
-    lattice = 0.0 if not known else (0.0 if seen else -CERTAIN)
-    missed = -CERTAIN if seen else 0.0
-    return {
-        "declared": float(_declared(*gyro)) + missed,
-        "white": (_larger(*gyro) if "gyro" in gyro[0] else -np.inf) + missed,
-        "resolution": (float(_declared(*counted)) if known else -np.inf) + lattice,
+    (plain, sigma), (counted, _) = (_excess(observed, white, degrees, each) for each in (declared, steps))
+    rounded = {kind: _rounded(observed, kind, declared) for kind in _TRIADS}
+    known = {kind: any(observed.channels[c].resolution > 0 for c in observed.of_kind(kind)) for kind in _TRIADS}
+    seen = {
+        kind: any(0 < COARSER * observed.channels[c].resolution < steps[c] for c in observed.of_kind(kind))
+        for kind in _TRIADS
     }
+    found: dict[tuple[Level, Level], float] = {}
+    for levels in product(get_args(Level), repeat=2):
+        excess, value = {}, 0.0
+        for kind, level in zip(_TRIADS, levels, strict=True):
+            coarse = level == "resolution"
+            own = counted if coarse else plain
+            if kind in own:
+                excess[kind] = own[kind]
+            if _rounded(observed, kind, steps) if coarse else rounded[kind]:
+                excess[kind] = own.get(_other(kind), 0.0)
+            if (coarse and not known[kind]) or (level == "white" and kind not in own):
+                value = -np.inf
+            value -= CERTAIN * (known[kind] and seen[kind] != coarse)
+        if np.isfinite(value):
+            value += _density(excess, sigma, [k for k, level in zip(_TRIADS, levels, strict=True) if level == "white"])
+        found[levels] = value
+    return found
+
+
+def _other(kind: str) -> str:
+    return "accel" if kind == "gyro" else "gyro"
+
+
+def _rounded(observed: Observed, kind: str, counts_: Sequence[float] | Array) -> bool:
+    """Whether the noise of a triad does not dither its count."""
+    channels = observed.channels
+    return any(counts_[c] > 2 * channels[c].white * np.sqrt(observed.sample_rate) for c in observed.of_kind(kind))
 
 
 def _excess(
@@ -93,7 +115,7 @@ def excess_by_channel(observed: Observed, white: Array, degrees: Array) -> Array
             level = white[index] ** 2 / (channel.white**2 * observed.sample_rate + channel.resolution**2 / 12)
             sigma = float(np.sqrt(1 / (2 * degrees[index]) + 1e-6))
             excess = {"gyro": float(np.log(level)) / 2}
-            found[index] = _larger(excess, sigma) - float(_declared(excess, sigma))
+            found[index] = _density(excess, sigma, ["gyro"]) - _density(excess, sigma, [])
     return found
 
 
@@ -120,6 +142,10 @@ def _declared(excess: Mapping[str, Array | float], sigma: float) -> Array:
     return np.asarray(np.log((1 - WRONG) * holds + WRONG * (alike + each) / 2 + 1e-300))
 
 
-def _larger(excess: Mapping[str, float], sigma: float) -> float:
-    """The level of the gyros is the declared level, right or wrong, times an excess."""
-    return float(log_mean_exp(_declared({**excess, "gyro": excess["gyro"] - EXCESS}, sigma), 0))
+def _density(excess: Mapping[str, float], sigma: float, larger: Sequence[str]) -> float:
+    """Log density of excesses by triad, if the levels of some triads are the declared ones, right or wrong, times an excess each."""
+    shapes = [EXCESS[:, None], EXCESS[None, :]]
+    lowered: dict[str, Array | float] = dict(excess)
+    for kind, more in zip(larger, shapes, strict=False):
+        lowered[kind] = excess[kind] - more
+    return float(log_mean_exp(np.ravel(_declared(lowered, sigma)), 0))

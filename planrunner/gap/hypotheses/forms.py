@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.error_model.effects.interface import Curved, Effect, Shaped, is_whole
+from planrunner.error_model.effects.interface import Curved, Effect, Shaped, is_whole, ways_of
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import RANGE, log_mean_exp
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
@@ -31,12 +31,23 @@ def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candida
     """Effects weighed: their shapes on each effect's grid, refined where the evidence is sharp."""
     if not effects:
         return []
-    forms, blocks = zip(*(weighing.projected(effect.variants(weighing.observed)) for effect in effects), strict=True)
+    ways = [way for effect in effects for way in ways_of(effect)]
+    forms, blocks = zip(*(weighing.projected(way.variants(weighing.observed)) for way in ways), strict=True)
     raw = [np.hstack(channel) for channel in zip(*blocks, strict=True)]
     weighed = iter(weighing.weigh([variant for form in forms for variant in form], raw))
-    return [
-        _candidate(weighing, effect, [next(weighed) for _ in form]) for effect, form in zip(effects, forms, strict=True)
-    ]
+    found = iter(
+        [_candidate(weighing, way, [next(weighed) for _ in form]) for way, form in zip(ways, forms, strict=True)]
+    )
+    return [_likeliest([next(found) for _ in ways_of(effect)]) for effect in effects]
+
+
+def _likeliest(ways: Sequence[Candidate]) -> Candidate:
+    """The likeliest way in which an effect may act, with the evidence averaged over all ways that the plan can show."""
+    shown = [way for way in ways if np.isfinite(way.log_bayes).any()]
+    if len(ways) == 1 or not shown:
+        return ways[0]
+    best = max(shown, key=lambda way: float(way.log_bayes.max()))
+    return replace(best, log_bayes=log_mean_exp(np.array([way.log_bayes for way in shown]), 0))
 
 
 def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Candidate:
