@@ -109,6 +109,12 @@ class RunReader:
         held = len(self.acknowledged())
         if held < planned:
             warnings.append(f"{planned - held} of {planned} planned segments were not recorded.")
+        override = self.run.get("check_standard", {}).get("override")
+        if override is not None:
+            known = "" if "signature" in override else " (name not authenticated)"
+            warnings.append(
+                f"The check standard was not in control; {override['by']}{known} let the run begin: {override['why']}."
+            )
         if not self.sealed:
             warnings.append("The run is not finished and not sealed: more data may follow.")
         for item in self.acknowledged():

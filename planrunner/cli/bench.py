@@ -12,7 +12,9 @@ from planrunner.base.findings import InputError, Mark
 from planrunner.bench.model import read_bench, shipped_benches
 from planrunner.cli import exit_codes
 from planrunner.cli.archive_arguments import add_index, report_left_out
-from planrunner.cli.printing import print_json, print_line
+from planrunner.cli.dates import day_of
+from planrunner.cli.printing import name_file, print_json, print_line
+from planrunner.cli.signer import add_signer, signer_of
 
 if TYPE_CHECKING:
     from planrunner.tasks.ping import Ping
@@ -38,11 +40,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     standard.add_argument("--json", action="store_true", help="print the state as JSON")
     standard.epilog = "Exit codes: 0 in control, 1 not in control, 2 wrong input, 4 a run in the archive is damaged."
 
+    over = actions.add_parser("override", help="sign an override of the check standard of a bench with a key ring")
+    over.add_argument("bench", help="bench file")
+    over.add_argument("--name", required=True, help="your name in the key ring, which `may_override` names")
+    over.add_argument("--reason", required=True, help="why runs may begin; every run keeps it")
+    over.add_argument("--until", metavar="DATE", required=True, help="last day on which runs may begin")
+    add_signer(over)
+
 
 def run(args: argparse.Namespace) -> int:
+    if args.action == "override":
+        return _override(args)
     if args.action == "check-standard":
         return _check_standard(args)
     return _ping(args) if args.action == "ping" else _list(as_json=args.json)
+
+
+def _override(args: argparse.Namespace) -> int:
+    from planrunner.tasks.check_standard import Override, sign_override
+
+    until = day_of(args.until)
+    assert until is not None  # the argument is required
+    bench = read_bench(str(args.bench), Path())[0]
+    name_file(sign_override(bench, Override(args.name, args.reason), until, signer_of(args)), as_json=False)
+    return exit_codes.DONE
 
 
 def _check_standard(args: argparse.Namespace) -> int:

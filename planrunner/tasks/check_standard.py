@@ -4,16 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from pathlib import Path
 
+from planrunner.archive.formats import from_bytes
 from planrunner.archive.run_reader import RunReader
 from planrunner.base.documents import Json, JsonObject
-from planrunner.base.findings import Finding, Findings, InputError, closest
+from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
 from planrunner.base.progress import Announce
+from planrunner.bench.check_standard import CheckStandardRule
 from planrunner.bench.model import Bench, bench_of
 from planrunner.night.history.check_standard import ControlStanding, ControlState, judge, state_in
 from planrunner.night.history.rows import FaultRow
+from planrunner.plan import source
+from planrunner.review.meaning import equipment_of
+from planrunner.review.overrides import Overridden, StatedOverride, objection, override_envelope, read_override
+from planrunner.signing.keys import Signer
+from planrunner.signing.statement import require_line
+from planrunner.tasks.approvals import ring_of
 from planrunner.tasks.history import Freshness, opened
 
 CODE = "bench-check-standard"
@@ -25,6 +33,76 @@ class Override:
 
     by: str
     why: str
+
+
+def override_file(bench_file: Path) -> Path:
+    """Where the signed override of a bench is: beside its file."""
+    return bench_file.with_name(f"{bench_file.stem}.override.json")
+
+
+def sign_override(bench: Bench, override: Override, until: date, signer: Signer) -> Path:
+    """Signs an override of the check standard of a bench, and writes it beside the bench file, in place of an earlier one. Raises
+    `InputError` unless it counts for runs now."""
+    rule = bench.check_standard
+    if rule is None or bench.approvals is None:
+        message = f"bench '{bench.name}' needs `check_standard`, and `approvals` with a key ring, for a signed override"
+        raise InputError.at(Mark(bench.origin.mark.file), "bench-check-override", message, "add them to the bench file")
+    _require_named(bench, rule, override)
+    require_line(rule.device, "reason", override.why, least=1)
+    what = Overridden(equipment_of(bench).digest(), rule.device, override.why, until)
+    now = datetime.now(UTC).replace(microsecond=0)
+    envelope = override_envelope(what, signer, now)
+    place = override_file(Path(bench.origin.mark.file))
+    ring = ring_of(bench.approvals, place).ring
+    if refused := objection(StatedOverride(envelope, what, now), ring, override.by, what, datetime.now().astimezone()):
+        message = f"the override would not count: {refused}"
+        raise InputError.at(
+            Mark(str(place)), "bench-check-override", message, "use a key of this person, and a later day"
+        )
+    try:
+        place.write_bytes(envelope.to_bytes())
+    except OSError as error:
+        message = f"the override cannot be written: {error.strerror or error}"
+        raise InputError.at(Mark(str(place)), "file-system", message, "change the permissions of the folder") from None
+    return place
+
+
+def signature_of(bench: Bench, override: Override) -> JsonObject | None:
+    """The signed statement of an override; None if the bench has no key ring, so that the name cannot be authenticated. Raises `InputError`
+    if the bench has a key ring, and there is no signed override beside its file that counts now."""
+    rule = bench.check_standard
+    if rule is None or bench.approvals is None:
+        return None
+    place = override_file(Path(bench.origin.mark.file))
+    ring = ring_of(bench.approvals, place).ring
+    try:
+        data = source.read_bytes(place)
+    except InputError:
+        refused = "there is none"
+    else:
+        stated = read_override(data)
+        what = Overridden(equipment_of(bench).digest(), rule.device, override.why, date.max)
+        now = datetime.now().astimezone()
+        refused = "it is damaged" if stated is None else objection(stated, ring, override.by, what, now)
+    if refused:
+        message = f"the bench has a key ring, so an override must be signed by {override.by}, in {place}: {refused}"
+        hint = "sign it with `planrunner bench override`"
+        raise InputError.at(rule.at("may_override"), "bench-check-override", message, hint)
+    signed: JsonObject = from_bytes(data)
+    return signed
+
+
+def _require_named(bench: Bench, rule: CheckStandardRule, override: Override) -> None:
+    if override.by not in rule.may_override:
+        message = f"'{override.by}' may not override the check standard of bench '{bench.name}'"
+        hint = closest(override.by, rule.may_override) or "`may_override` in the bench file names who may"
+        raise InputError.at(rule.at("may_override"), "bench-check-override", message, hint)
+
+
+def shown_name(override: JsonObject) -> str:
+    """Who gave an override of run.json, and whether this is authenticated."""
+    name = str(override["by"])
+    return name if "signature" in override else f"{name} (name not authenticated)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,18 +182,19 @@ def admit(
     archive: Path,
     override: Override | None = None,
     notice: Announce | None = None,
+    signature: JsonObject | None = None,
 ) -> Admission:
     """Whether a run may begin on a bench. Raises `InputError` if its check standard is not in control and nobody who is authorised lets the
-    run begin, or if an override does not apply."""
+    run begin, or if an override does not apply. signature: of the override, if it was verified when the run began."""
     rule = bench.check_standard
     if rule is None:
         if override is not None:
             raise InputError.of_usage(f"bench '{bench.name}' has no check standard", "leave the override out")
         return Admission()
-    if override is not None and override.by not in rule.may_override:
-        message = f"'{override.by}' may not override the check standard of bench '{bench.name}'"
-        hint = closest(override.by, rule.may_override) or "`may_override` in the bench file names who may"
-        raise InputError.at(rule.at("may_override"), "bench-check-override", message, hint)
+    if override is not None:
+        _require_named(bench, rule, override)
+        if signature is None:
+            signature = signature_of(bench, override)
     if rule.measured_by(plan_name, info):
         return Admission()
     state = control_state(bench, archive, fresh=Freshness(notice=notice))
@@ -131,9 +210,10 @@ def admit(
         "reasons": list(state.reasons),
     }
     if override is not None and not state.in_control:
-        record["override"] = {"by": override.by, "why": override.why}
+        given: JsonObject = {"by": override.by, "why": override.why}
+        record["override"] = given if signature is None else {**given, "signature": signature}
         log = Findings()
-        message = f"{state.words()}; {override.by} let this run begin: {override.why}"
+        message = f"{state.words()}; {shown_name(record['override'])} let this run begin: {override.why}"
         log.warning(CODE, bench.at("check_standard"), message)
     return Admission(record, tuple(log))
 
@@ -143,10 +223,11 @@ def admit_again(
 ) -> Admission:
     """Whether a run may be continued: the check standard is judged as now, in the archive of the run. An override with which it began is
     one for the whole run. bench: on which it is continued. Raises `InputError` as `admit`."""
+    signature: JsonObject | None = None
     rule, began = bench.check_standard, run.run.get("check_standard", {}).get("override")
     if override is None and began is not None and rule is not None and began["by"] in rule.may_override:
-        override = Override(str(began["by"]), str(began["why"]))
-    return admit(bench, str(run.run["plan"]), run.run["info"], run.path.absolute().parent, override, notice)
+        override, signature = Override(str(began["by"]), str(began["why"])), began.get("signature")
+    return admit(bench, str(run.run["plan"]), run.run["info"], run.path.absolute().parent, override, notice, signature)
 
 
 def state_after(run: Path) -> ControlState | None:

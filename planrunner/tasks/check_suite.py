@@ -194,6 +194,14 @@ def _standards(suite: Suite, rules: Mapping[str, tuple[Bench, Path]], log: Findi
             message = f"'{given.by}' may not override the check standard of this bench"
             hint = closest(given.by, rule.may_override) or "`may_override` in the bench file names who may"
             log.error("bench-check-override", given.at("by"), message, hint)
+        elif given is not None:
+            from planrunner.tasks.check_standard import Override, signature_of
+
+            try:
+                signature_of(rules[name][0], Override(given.by, given.why))
+            except InputError as error:
+                for finding in error.findings:
+                    log.error(finding.code, given.at("by"), finding.message, finding.hint)
         if about.check_standard_first:
             blocks = rule.action == "refuse" and given is None
             found[name] = StandardFirst(rule.device, rules[name][1] / rule.plan, blocks)

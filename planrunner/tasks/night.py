@@ -48,7 +48,7 @@ from planrunner.night.suite import Notification
 from planrunner.night.summary import headline, summary
 from planrunner.night.timetable import Begin, BenchHours, EndOfTest, NightCourse, NightHours
 from planrunner.tasks.check_standard import control_state
-from planrunner.tasks.check_suite import SoundSuite
+from planrunner.tasks.check_suite import SoundSuite, bench_file
 from planrunner.tasks.diagnose_night import diagnose_night
 
 JOURNAL = "night.jsonl"
@@ -389,6 +389,16 @@ class _Night:
             what = f"internal error: {type(error).__name__}: {error}; see logs/{DIAGNOSIS_LOG}"
             self._remark(f"the runs could not be diagnosed: {what}")
 
+    def _tell_overrides(self) -> None:
+        """On the record, and so on the wall: who lets tests run although a check standard is not in control."""
+        for name, about in self._sound.suite.benches.items():
+            given = about.override_check_standard
+            if given is None:
+                continue
+            bench = read_bench(bench_file(self._sound.suite, self._sound.file, name), Path())[0]
+            known = "" if bench.approvals is not None else " (name not authenticated)"
+            self._remark(f"bench {name}: {given.by}{known} overrides the check standard: {given.why}")
+
     def close(self) -> None:
         with contextlib.suppress(OSError):
             self._journal.close()
@@ -397,6 +407,8 @@ class _Night:
         if self._continued:
             self._replay()
             self._options.tell(f"continuing the night {self._folder.path}")
+        else:
+            self._tell_overrides()
         self._log("session", {"process": os.getpid()})
         if self._continued:
             self._remark("the night was interrupted and continued; every bench warms up again")

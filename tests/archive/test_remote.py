@@ -6,6 +6,7 @@ import json
 import logging
 import shutil
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from planrunner.base.exclusive import COMMAND
 from planrunner.base.findings import InputError
 from planrunner.execution.stopping import StopRequest
 from planrunner.tasks import run as running
-from planrunner.tasks.check import check_plan
+from planrunner.tasks.check import Document, check_plan
 from tests.conftest import ROOT
 from tests.in_process import planrunner
 
@@ -221,3 +222,86 @@ def test_an_archive_that_is_not_there_is_a_message(bucket: Any) -> None:
 
 def test_a_folder_outside_the_copies_has_no_source(tmp_path: Path) -> None:
     assert source_of_copy(tmp_path) is None
+
+
+_POSITIONS = """\
+planrunner: 1
+title: Drift in eight positions
+bench: virtual
+sensor: {kind: flexure-gyro, outputs: [torquer_x, torquer_y]}
+record: {device_serial: required, operator: required}
+defaults: {temperature: 25 degC, settle: 1 s, dwell: 10 s}
+segments:
+  - for_each:
+      orientation:
+        P1: {x: up, y: north, z: west}
+        P2: {x: down, y: north, z: east}
+        P3: {x: north, y: up, z: east}
+        P4: {x: north, y: down, z: west}
+        P5: {x: east, y: south, z: down}
+        P6: {x: south, y: east, z: up}
+        P7: {x: west, y: south, z: up}
+        P8: {x: south, y: west, z: down}
+estimates:
+  drift: {estimator: flexure_gyro_static, segments: P*}
+"""
+
+
+@pytest.mark.slow
+def test_histories_studies_and_sites_of_a_remote_archive_are_those_of_the_folder(bucket: Any, tmp_path: Path) -> None:
+    """Two runs of each of two devices by each of two operators. Then somebody changes a file on the server."""
+    local = tmp_path / "runs"
+    sound = check_plan(Document(_POSITIONS.encode(), "positions.yaml")).sound()
+    for number, (device, operator, _) in enumerate(product(("D1", "D2"), ("ann", "bob"), range(2))):
+        info = {"device_serial": device, "operator": operator}
+        run, outcome = running.start(
+            sound, info=info, runs=local, stop=StopRequest(), durability="flushed", seed=number
+        )
+        assert outcome.ok
+        running.analyse_run(run)
+        push_run(run, _URL)
+    first, second = sorted(local.iterdir())[:2]
+    same: list[tuple[str, ...]] = [
+        ("history", "D1", "drift.D_X_F", "--json", "--runs", "ARCHIVE"),
+        ("gauge", "drift.D_X_F", "--json", "--runs", "ARCHIVE"),
+        ("compare", f"ARCHIVE/{first.name}", f"ARCHIVE/{second.name}", "--json"),
+    ]
+    for words in same:
+        answers = [
+            planrunner(
+                *(word.replace("ARCHIVE", place) for word in words),
+                cwd=tmp_path,
+                PLANRUNNER_INDEX=str(tmp_path / f"{name}.sqlite"),
+            )
+            for name, place in (("here", str(local)), ("there", _URL))
+        ]
+        assert answers[0].returncode == answers[1].returncode in (0, 1), answers[1].stderr
+        texts = [
+            answer.stdout.replace(place, "ARCHIVE") for answer, place in zip(answers, (str(local), _URL), strict=True)
+        ]
+        assert texts[0] and texts[0] == texts[1]
+    for name, place in (("here", str(local)), ("there", _URL)):
+        done = planrunner(
+            "site", place, f"site-{name}", "--index", tmp_path / f"{name}.sqlite", "--quiet", cwd=tmp_path
+        )
+        assert done.returncode == 0, done.stderr
+    here, there = (
+        {path.name: path.read_bytes() for path in tmp_path.glob(f"site-{name}/data-*/*.js")}
+        for name in ("here", "there")
+    )
+    assert here and here == there
+    bucket.pipe(f"laboratory/archive/{first.name}/plan.yaml", b"changed")
+    damaged = planrunner(
+        "history", "D1", "drift.D_X_F", "--runs", _URL, "--index", tmp_path / "there.sqlite", cwd=tmp_path
+    )
+    assert damaged.returncode == 4 and first.name in damaged.stderr
+
+
+@pytest.mark.slow
+def test_a_report_of_a_remote_run_is_written_there(bucket: Any, runs: Path, tmp_path: Path) -> None:
+    run = pushed(runs)[0]
+    before = set(bucket.find(f"laboratory/archive/{run.name}/analyses"))
+    done = planrunner("report", f"{_URL}/{run.name}", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    new = set(bucket.find(f"laboratory/archive/{run.name}/analyses")) - before
+    assert any(name.endswith("summary.md") for name in new), (done.stdout, new)

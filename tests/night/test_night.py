@@ -444,6 +444,8 @@ plans: {x: {plan: p.yaml}}
     (lab / "calls").write_text("", encoding="utf-8")
     result = night(lab, again)
     assert states(result) == {"check standard/CS-01/a": "failed", "x/D1/a": "passed", "x/D1/b": "passed"}
+    told = "bench a: anna (name not authenticated) overrides the check standard: levelled"
+    assert told in result.record["remarks"]
     words = [json.loads(line) for line in (lab / "calls").read_text(encoding="utf-8").splitlines()]
     given = [one[one.index("--override-check-standard") :] for one in words if "--override-check-standard" in one]
     assert [one[:4] for one in given] == [["--override-check-standard", "levelled", "--override-by", "anna"]]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from planrunner.archive.formats import IntegrityError
+from planrunner.archive.remote import source_of_copy
 from planrunner.archive.verifying import open_run
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import JsonObject
@@ -35,7 +36,8 @@ class ComparedCoefficient:
 
 @dataclass(frozen=True, slots=True)
 class RunComparison:
-    """runs: the compared runs, the first of which is the reference; names: as the user gave them."""
+    """runs: the compared runs, the first of which is the reference; names: as the user gave them, a URL
+    for a copy of a remote run."""
 
     names: tuple[str, ...]
     runs: tuple[RunRow, ...]
@@ -75,7 +77,8 @@ def compare_runs(runs: Sequence[Path]) -> RunComparison:
     held = [{row.quantity: row for row in one.coefficients} for one in found]
     quantities = list(dict.fromkeys(name for one in held for name in one))
     compared = tuple(_compared(name, [one.get(name) for one in held]) for name in quantities)
-    return RunComparison(tuple(map(str, runs)), tuple(rows), compared)
+    names = tuple(source_of_copy(run) or str(run) for run in runs)
+    return RunComparison(names, tuple(rows), compared)
 
 
 def _read(run: Path) -> IndexedRun:

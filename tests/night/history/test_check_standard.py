@@ -14,14 +14,16 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from planrunner.base.findings import Findings
+from planrunner.base.findings import Findings, InputError
 from planrunner.base.workers import ALONE
-from planrunner.bench.model import Bench, parse_bench
+from planrunner.bench.model import Bench, parse_bench, read_bench
 from planrunner.night.history.check_standard import ControlStanding, ControlState, ControlTest
 from planrunner.night.history.databases import INDEX
 from planrunner.plan import source
 from planrunner.reporting.history_tables import control_table
-from planrunner.tasks.check_standard import check_in_control, control_state
+from planrunner.signing.envelope import parse_envelope
+from planrunner.signing.statement import PAYLOAD
+from planrunner.tasks.check_standard import Admission, Override, admit, check_in_control, control_state
 from planrunner.tasks.check_suite import check_suite
 from tests.in_process import planrunner
 from tests.night.history.made_runs import BEGIN, MadeRun, make_run
@@ -350,7 +352,7 @@ def test_a_bench_whose_check_standard_is_out_of_control_refuses_and_an_override_
     half = planrunner(*words, "--override-check-standard", "x", cwd=tmp_path)
     assert half.returncode == 2 and "belong together" in half.stderr
     let = planrunner(*words, "--override-check-standard", "levelled again", "--override-by", "anna", cwd=tmp_path)
-    assert let.returncode == 0 and "anna let this run begin: levelled again" in let.stderr
+    assert let.returncode == 0 and "anna (name not authenticated) let this run begin: levelled again" in let.stderr
     assert run_json(tmp_path)["check_standard"]["override"] == {"by": "anna", "why": "levelled again"}
 
 
@@ -406,13 +408,68 @@ def test_a_run_is_continued_only_while_the_check_standard_is_in_control(tmp_path
     assert stranger.returncode == 2 and (run / "journal.jsonl").read_bytes() == before
     let = planrunner(*again, "--override-check-standard", "levelled", "--override-by", "anna", cwd=tmp_path)
     assert let.returncode == 0, let.stderr
-    assert "anna let this run begin: levelled" in let.stderr
+    assert "anna (name not authenticated) let this run begin: levelled" in let.stderr
     events = [json.loads(line) for line in (run / "journal.jsonl").read_text(encoding="utf-8").splitlines()]
     (reopened,) = [event for event in events if event["event"] == "reopened"]
     assert (
         reopened["check_standard"]["standing"] == "missing" and reopened["check_standard"]["override"]["by"] == "anna"
     )
     assert planrunner("verify", run, cwd=tmp_path).returncode == 0
+
+
+def test_an_override_on_a_bench_with_a_key_ring_counts_only_signed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    secret = {"PLANRUNNER_PASSPHRASE": "correct horse battery"}
+    for name in ("anna", "bob"):
+        assert planrunner("key", "new", f"{name}.pem", cwd=tmp_path, **secret).returncode == 0
+        added = planrunner("key", "add", "keys.yaml", name, f"{name}.pem.pub", "--role", "reviewer", cwd=tmp_path)
+        assert added.returncode == 0, added.stderr
+    lab(tmp_path, may_override=["anna", "carla"])
+    file, signed = tmp_path / "lab.yaml", tmp_path / "lab.override.json"
+    file.write_text(file.read_text("utf-8") + "approvals: {keys: keys.yaml}\n", encoding="utf-8")
+    given = Override("anna", "levelled")
+
+    def admitted() -> Admission:
+        return admit(read_bench("lab.yaml", tmp_path)[0], "work", {"device_serial": "D1"}, tmp_path / "runs", given)
+
+    def override(*words: str) -> str:
+        done = planrunner("bench", "override", "lab.yaml", *words, cwd=tmp_path, **secret)
+        assert done.returncode == 0 or "bench-check-override" in done.stderr, done.stderr
+        return done.stderr
+
+    with pytest.raises(InputError, match=r"must be signed by anna, in .*lab\.override\.json: there is none"):
+        admitted()
+    key = ("--by", "anna.pem", "--until", "2999-12-31")
+    assert "may not override" in override("--name", "bob", "--reason", "levelled", *key)
+    assert "signed by anna, not by carla" in override("--name", "carla", "--reason", "levelled", *key)
+    assert "given until 2020-01-01" in override(
+        "--name", "anna", "--reason", "x", "--by", "anna.pem", "--until", "2020-01-01"
+    )
+    assert not signed.exists()
+    assert not override("--name", "anna", "--reason", "levelled", *key)
+    found = admitted()
+    assert found.record is not None and found.record["override"]["signature"] == json.loads(signed.read_bytes())
+    assert "anna let this run begin: levelled" in str(found.findings[0])
+    given = Override("anna", "another reason")
+    with pytest.raises(InputError, match="its reason is another one: levelled"):
+        admitted()
+    given = Override("anna", "levelled")
+    kept = file.read_text("utf-8")
+    file.write_text(kept.replace("1.83 deg/h", "1.93 deg/h"), encoding="utf-8")
+    with pytest.raises(InputError, match="for this bench before a change"):
+        admitted()
+    file.write_text(kept, encoding="utf-8")
+    envelope = parse_envelope(signed.read_bytes(), PAYLOAD)
+    payload = envelope.payload.replace(b"2999-12-31", b"2999-12-30")
+    assert payload != envelope.payload
+    signed.write_bytes(replace(envelope, payload=payload).to_bytes())
+    with pytest.raises(InputError, match="the signature does not match"):
+        admitted()
+    signed.write_bytes(b"{}")
+    with pytest.raises(InputError, match="it is damaged"):
+        admitted()
 
 
 # -- nights ------------------------------------------------------------------------------------------------------------

@@ -1,0 +1,93 @@
+"""Overrides of a check standard: signed statements by which a person lets runs begin on a bench that is not in control.
+
+An override is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. Its subject is the SHA-256 digest of the
+canonical meaning of the bench apart from the approvals that it requires, so that an override ends with any change of the bench.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import date, datetime, timedelta
+
+from planrunner import __version__
+from planrunner.archive.verifying import CLOCKS_DIFFER
+from planrunner.base.documents import JsonObject
+from planrunner.signing.envelope import Envelope, EnvelopeError, parse_envelope, seal_envelope
+from planrunner.signing.key_ring import KeyRing
+from planrunner.signing.keys import Signer
+from planrunner.signing.statement import PAYLOAD, STATEMENT, payload_of, printable_line, read_statement
+
+OVERRIDE = "urn:planrunner:check-standard-override:v1"
+
+
+@dataclass(frozen=True, slots=True)
+class Overridden:
+    """What is overridden. bench: digest of its meaning; device: the check standard. until: last day."""
+
+    bench: str
+    device: str
+    why: str
+    until: date
+
+
+@dataclass(frozen=True, slots=True)
+class StatedOverride:
+    """A file with an override. Everything is claimed by the signer until `objection` has checked it. signed: UTC."""
+
+    envelope: Envelope
+    what: Overridden
+    signed: datetime
+
+
+def override_envelope(what: Overridden, signer: Signer, signed: datetime) -> Envelope:
+    """Signs an override. signed: now, UTC."""
+    predicate = {
+        "device": what.device,
+        "why": what.why,
+        "until": what.until.isoformat(),
+        "signed": signed.isoformat(timespec="seconds"),
+        "planrunner": __version__,
+    }
+    subject = [{"name": "bench", "digest": {"sha256": what.bench}}]
+    made = {"_type": STATEMENT, "subject": subject, "predicateType": OVERRIDE, "predicate": predicate}
+    return seal_envelope(PAYLOAD, payload_of(made), signer)
+
+
+def read_override(data: bytes) -> StatedOverride | None:
+    """The override in a file; None if it is none as planrunner writes it. Its signature is not checked here."""
+    try:
+        envelope = parse_envelope(data, PAYLOAD)
+        statement = read_statement(envelope.payload, OVERRIDE)
+        (subject,) = statement["subject"]
+        told: JsonObject = statement["predicate"]
+        signed = datetime.fromisoformat(told["signed"])
+        if not all(printable_line(told[name]) for name in ("device", "why")) or signed.utcoffset() != timedelta(0):
+            return None
+        until = date.fromisoformat(told["until"])
+        what = Overridden(subject["digest"]["sha256"], told["device"], told["why"], until)
+        return StatedOverride(envelope, what, signed)
+    except (EnvelopeError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def objection(one: StatedOverride, ring: KeyRing, by: str, what: Overridden, moment: datetime) -> str:
+    """Why an override does not count; empty if it does. by: the person who is said to have given it, by the name in the key ring. what: the
+    present bench and check standard, and the reason that is given; its `until` is not used. moment: with a time zone."""
+    known, day = ring.find(one.envelope.key), moment.date()
+    if known is None:
+        return f"its key {one.envelope.key} is not in the key ring"
+    if not one.envelope.signed_by(known.public):
+        return "the signature does not match its content"
+    if refused := known.objection(one.signed.date()) or known.objection(day):
+        return refused
+    if by not in (known.name, known.person):
+        return f"it was signed by {known.person}, not by {by}"
+    if one.signed > moment + CLOCKS_DIFFER:
+        return f"it is dated {one.signed:%Y-%m-%d %H:%M} UTC, which is in the future"
+    if day > one.what.until:
+        return f"it was given until {one.what.until}"
+    if one.what.bench != what.bench:
+        return "it is for another bench, or for this bench before a change"
+    if one.what.device != what.device:
+        return f"it is for the check standard {one.what.device}"
+    return "" if one.what.why == what.why else f"its reason is another one: {one.what.why}"
