@@ -21,6 +21,7 @@ from planrunner.error_model.effects.interface import (
     ActsOnNoise,
     Column,
     Curved,
+    CurvedAndShaped,
     Effect,
     HasAlternatives,
     HasShape,
@@ -217,7 +218,11 @@ def _amplitudes(item: Addition, observed: Observed, seed: int, orientation: int 
     if isinstance(effect, HasAlternatives):
         ways = [way for way in effect.alternatives if values[way.shape_name] > 0]
         return [(column, 1.0) for way in ways for column in way.at(observed, values[way.shape_name]).columns]
-    if isinstance(effect, Shaped):
+    if isinstance(effect, CurvedAndShaped) and isinstance(effect, Shaped):
+        columns = effect.at(observed, values[effect.shape_name]).columns if len(effect.grid(observed)) else ()
+        along = effect.secant(np.array([values[column.name] * column.factor for column in columns] or [0.0]))
+        columns = along.at(observed, values[effect.shape_name]).columns if columns else ()
+    elif isinstance(effect, Shaped):
         columns = effect.at(observed, values[effect.shape_name]).columns if len(effect.grid(observed)) else ()
     else:
         variants = effect.variants(observed)

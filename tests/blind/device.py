@@ -198,6 +198,10 @@ def clean_output(schedule: Schedule, sensor: Sensor, device: Device, faults: Fau
         for axis, late in enumerate(faults["gyro_axis_delay"].theta):
             past = stimulus(schedule, faults, delay + float(late))
             rate[:, axis] = _gyro(past, device, faults, schedule.index)[:, axis]
+    if "samples_dropped" in faults:
+        ((moment,), (lost,)) = faults["samples_dropped"].shape, faults["samples_dropped"].theta
+        later = _gyro(stimulus(schedule, faults, delay - float(lost)), device, faults, schedule.index)
+        rate = np.where((schedule.time >= moment)[:, None], later, rate)
     if "gyro_vibration_rectification" in faults:
         rate = rate + faults["gyro_vibration_rectification"].theta * _shaken(schedule, felt.table_rate)[:, None]
     if "gyro_bias_temperature_lagged" in faults:

@@ -57,6 +57,12 @@ def _moment(schedule: Schedule, rng: np.random.Generator) -> Shape:
     return (float(rng.uniform(schedule.time[0], schedule.time[-1])),)
 
 
+def _rocked_moment(schedule: Schedule, rng: np.random.Generator) -> Shape:
+    """In the middle half of the rocking segments."""
+    rocks = [s for s in schedule.segments if s.kind == "rock"]
+    return (float(rng.uniform(rocks[len(rocks) // 4].start, rocks[3 * len(rocks) // 4].start)),)
+
+
 def _side(_: Schedule, rng: np.random.Generator) -> Shape:
     return (float(rng.choice([-1.0, 1.0])),)
 
@@ -150,6 +156,7 @@ FURTHER = {
         Kind("gyro_soft_saturation", (1e-6,), linear=False, signed=False, largest=1e4),
         Kind("accel_noise_excess", ONE, linear=False, signed=False, covariance=True, needs="accel"),
         Kind("accel_quantization", ONE, linear=False, signed=False, covariance=True, needs="accel"),
+        Kind("samples_dropped", (1e-3,), linear=False, signed=False, draw=_rocked_moment, needs="rock", largest=40),
         Kind("mount_shift", (1e-3,) * 3, draw=_moment, largest=50),
     )
 }

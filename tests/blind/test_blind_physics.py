@@ -203,6 +203,13 @@ def test_axes_are_late_one_by_one() -> None:
     assert np.abs(late[:, 1:3]).max() < 1e-9
 
 
+def test_what_was_lost_is_shown_earlier() -> None:
+    t = np.arange(200) / 50
+    early = outputs(rock(), faults=fault("samples_dropped", 0.02, shape=(602.0,)), site=STILL_EARTH)
+    expected = 8 * np.pi * np.cos(2 * np.pi * (t + 0.02 * (t >= 2.0)))
+    assert early[:, 0] == pytest.approx(expected, abs=1e-6)
+
+
 def test_a_mount_slips_at_one_moment() -> None:
     values = changed(rest(), faults=fault("mount_shift", 0, 0, 0.02, shape=(602.0,)))
     assert not values[:100].any()

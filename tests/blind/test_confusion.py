@@ -87,6 +87,23 @@ def test_noise_of_accelerometers_is_named_with_its_size(group: str, effect: str,
         assert abs(value - expected) < max(4 * u, 0.1 * expected), axis
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "energy"), [(0, 400.0), (1, 1e8)])
+def test_lost_samples_are_no_delay_from_the_beginning(number: int, energy: float) -> None:
+    from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
+    from tests.blind.product import observation
+
+    case = case_of("lost samples", SEED, number, "samples_dropped", energy)
+    with tempfile.TemporaryDirectory() as name:
+        folder.write_setups(Path(name))
+        folder.write_case(Path(name), case, SEED)
+        seen = observation(folder.shown(Path(name), case.name))
+    found = diagnose(seen, DiagnosisOptions(effects=("samples_dropped", "time_latency", "gyro_bandwidth")))
+    assert found.verdict.effects == ("samples_dropped",)
+    (lost,) = (one for one in found.parameters if one.name == "lost")
+    assert abs(lost.value * 1e-3 - case.faults[0].theta[0]) < 4e-3 * lost.standard_uncertainty
+
+
 def test_an_axis_that_is_late_is_no_delay_of_all() -> None:
     one = one_of("axes late", "gyro_axis_delay", 0, 250.0)
     assert one.named == ("gyro_axis_delay",) and one.in_set

@@ -85,6 +85,7 @@ FOR_ESTIMATES = [
     "accel_bias_temperature_lagged",
     "gyro_angular_acceleration",
     "gyro_fold_over",
+    "samples_dropped",
     "gyro_saturation_asymmetric",
     *(
         f"{kind}_{what}_{cause}"

@@ -211,6 +211,14 @@ class InEveryWorld(Effect, Protocol):
 
 
 @runtime_checkable
+class CurvedAndShaped(HasShape, Protocol):
+    """An effect with a shape that is linear only for small amplitudes."""
+
+    def secant(self, amplitudes: Array) -> Shaped:
+        """The effect with columns as secants: multiplied by these amplitudes, SI, they give the complete effect."""
+
+
+@runtime_checkable
 class Curved(Effect, Protocol):
     """An effect that is linear only for small amplitudes."""
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Array, Column, Shaped, Variant, per_axis
+from planrunner.error_model.effects.interface import Array, Column, Shaped, Variant, on_rate, per_axis
 from planrunner.error_model.observed import Observed
 
 _SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2), "accel": ("mg", 9.80665e-3, 1.0)}
@@ -107,6 +107,59 @@ class MountShift(Shaped):
             for about, own in enumerate(parts)
         )
         return Variant(tuple(columns), value)
+
+
+class SamplesDropped(Shaped):
+    """Samples of the sensor are lost at a time since power-on, and the time of later samples is counted without them: from then on, the
+    gyros show a later motion. lost: s, the lost time at which the columns are exact; of small ones, the change is the lost time multiplied
+    by the angular acceleration."""
+
+    id, stage, hypothesis, shape_name, shape_unit = "samples_dropped", "acquisition", False, "time", "s"
+    about = About(
+        "samples were lost",
+        "Samples of the sensor were lost at one moment, and those after it have the times of earlier samples.",
+        Actor.BENCH,
+        "Record a counter or the time of each sample, and correct the times after this moment: {found}.",
+    )
+
+    def __init__(self, lost: float = 0.0):
+        self.lost = lost
+
+    def secant(self, amplitudes: Array) -> SamplesDropped:
+        return SamplesDropped(float(amplitudes[0]))
+
+    def grid(self, observed: Observed) -> Array:
+        """Moments from the last segment before the first in which the rate changes."""
+        if not observed.unsteady.any() or not observed.of_kind("gyro") or observed.along is not None:
+            return np.empty(0)
+        moments, first = _moments(observed), int(np.flatnonzero(observed.unsteady)[0])
+        return np.asarray(
+            moments[(moments >= observed.time[observed.bounds[first]]) & (moments < self._last(observed))]
+        )
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        return self._from(observed, value, self._shown(observed))
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        grid = self.grid(observed)
+        shown = self._shown(observed) if len(grid) else np.empty((0, 0))
+        return [self._from(observed, float(value), shown) for value in grid]
+
+    @staticmethod
+    def _from(observed: Observed, value: float, shown: Array) -> Variant:
+        after, acting = _after(observed, value, shown)
+        parts = {index: after[:, place] for place, index in enumerate(observed.of_kind("gyro"))}
+        return Variant((Column("lost", "ms", 1e-3, 1e-2, parts, acting & observed.unsteady, axis=None),), value)
+
+    @staticmethod
+    def _last(observed: Observed) -> float:
+        """The end of the last segment in which the rate changes."""
+        return float(observed.time[observed.bounds[np.flatnonzero(observed.unsteady)[-1] + 1] - 1])
+
+    def _shown(self, observed: Observed) -> Array:
+        """The change (N, G) of what the gyros show, per lost time."""
+        later = observed.turn_before(-self.lost) / self.lost if self.lost else observed.swing
+        return np.column_stack(list(on_rate(observed, later).values()))
 
 
 def _both_signs(observed: Observed) -> Array:

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.error_model.effects.interface import Curved, Effect, Shaped, is_whole, ways_of
+from planrunner.error_model.effects.interface import Curved, CurvedAndShaped, Effect, Shaped, is_whole, ways_of
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import RANGE, log_mean_exp
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
@@ -60,6 +60,8 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
         if float(log_bayes.max()) > _BENT and is_whole(usable[0].variant.columns):
             usable, log_bayes = _settled(weighing, effect, usable, log_bayes)
             usable, log_bayes = _held(weighing, effect, usable, log_bayes)
+    if isinstance(effect, CurvedAndShaped) and float(log_bayes.max()) > _BENT:
+        usable, log_bayes = _along_secants(weighing, effect, usable, log_bayes)
     if isinstance(effect, Curved) and float(log_bayes.max()) > _BENT:
         usable, log_bayes = _curved(weighing, effect, usable, log_bayes)
     return Candidate(effect, tuple(usable), log_bayes, weighing.likeliest[0])
@@ -74,6 +76,26 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
         if float(again.log_bayes.max()) < float(log_bayes.max()) + _GAINED:
             break
         usable, log_bayes = [again], again.log_bayes
+    return usable, log_bayes
+
+
+def _along_secants(
+    weighing: Weighing, effect: CurvedAndShaped, usable: list[Weighed], log_bayes: Array
+) -> tuple[list[Weighed], Array]:
+    """The same of an effect with a shape: the shape is sought anew with the secants at the amplitudes of the likeliest one, and with the
+    nominal parameters fitted together with it."""
+    for _ in range(_SETTLING):
+        best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
+        size = np.array([column.magnitude for column in best.variant.columns])
+        amplitudes = best.amplitudes[0]
+        along, seen = effect.secant(amplitudes * size), weighing.seen([raw @ amplitudes for raw in best.raw])
+        coarse = [item for item in weighing.weigh(along.variants(seen)) if item.trace > 0]
+        if len(coarse) < 3:
+            break
+        again, value = _refined(weighing, along, coarse, seen)
+        if float(value.max()) < float(log_bayes.max()) + _GAINED:
+            break
+        usable, log_bayes = again, value
     return usable, log_bayes
 
 
