@@ -35,7 +35,7 @@ def require_space(folder: Path, needed: int) -> None:
 
 
 def shortage(folder: Path, needed: int) -> str:
-    """What a disk lacks for `needed` bytes, in words that follow a subject; empty if it has room."""
+    """The end of a sentence about a disk with less than `needed` bytes, such as "needs up to 2 GB, …"; empty if there is enough room."""
     existing = next((place for place in (folder, *folder.absolute().parents) if place.exists()), Path.cwd())
     free = shutil.disk_usage(existing).free
     return "" if free >= needed else f"needs up to {_size(needed)}, the disk has {_size(free)} free"

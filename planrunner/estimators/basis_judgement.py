@@ -445,7 +445,7 @@ def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[Said]:
 def no_flicker_declared(channels: Sequence[str]) -> Said:
     """A note about channels without a declared bias instability."""
     return said(
-        "No bias instability is declared for {outputs}: the intervals are valid only if the noise is white from "
-        "segment to segment.",
+        "No bias instability is declared for {outputs}: the intervals are valid only if the noise of different "
+        "segments is independent (no flicker).",
         outputs=tuple(channels),
     )

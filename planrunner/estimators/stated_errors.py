@@ -89,7 +89,10 @@ _site_slopes_of_motion = kept(64)(_site_slopes)
 def table_errors(
     model: LinearModel, segments: Sequence[Segment], site: Site, setup: Setup, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """The effects for which the bench states an uncertainty. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
+    """The errors of the table for which the bench states an uncertainty.
+
+    coefficients: (m, p), for m outputs and p columns of the model; in the units of the outputs, for columns in SI units.
+    """
     position, azimuth = setup.inputs.get("table position"), setup.inputs.get("azimuth")
     orthogonality, rate = setup.inputs.get("table orthogonality"), setup.inputs.get("table rate")
     poses = mean_poses(segments)

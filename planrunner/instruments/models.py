@@ -75,8 +75,9 @@ class ChamberModel:
         return ramping + self.lag * max(0.0, math.log(behind / self.tolerance))
 
     def behind(self, kelvin: float, lag: float, seconds: float) -> float:
-        """Signed distance [K] behind the setpoint of a body that follows the air with the time constant `lag` [s], `seconds`
-        after a ramp by `kelvin` began from equilibrium.
+        """Signed distance [K] between the setpoint and the temperature of a body, `seconds` after the beginning of a ramp.
+
+        The body follows the air with the time constant `lag` [s]. The ramp changes the setpoint by `kelvin`, from equilibrium.
 
         Two first-order lags a and s in a row are k·((a + s) − (a²·e^(−t/a) − s²·e^(−t/s))/(a − s)) behind a ramp k·t; a ramp that ends
         after T is this ramp minus the same ramp begun T later.

@@ -331,7 +331,7 @@ class Screening:
                 self._look_at_filled()
 
     def finds(self) -> tuple[Find, ...]:
-        """What was found, in order of time; to be asked once, at the end."""
+        """All finds in order of time. Call it once, at the end."""
         if self.filled:
             self._look_at_filled()
         self._examine_waiting()

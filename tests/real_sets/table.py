@@ -85,7 +85,11 @@ def rows(one: RealSet, found: Found) -> list[tuple[str, str, str, str]]:
     for repeat in one.repeats:
         seen = scatter(repeat, found)
         if seen is not None:
-            told = "scatter consistent with U" if seen.holds else f"scatter {seen.ratio:.2g} times as large as U states"
+            told = (
+                "scatter consistent with U"
+                if seen.holds
+                else f"scatter {seen.ratio:.2g} times as large as expected from U"
+            )
             out.append((repeat.what, f"{len(repeat.names)} repeats", told, "yes" if seen.holds else "no"))
     if one.nominal is not None:
         out.append(diagnosed(one, found))

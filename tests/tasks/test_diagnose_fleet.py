@@ -111,7 +111,7 @@ def test_bench_device_and_occasion_are_told_as_they_were_simulated(
     assert abs(scale["value"] - 210) < 1.5 * scale["expanded_uncertainty"] < 60
     assert ["occasion"] in by_name["gyro_bias", "bias_x"]["named"]
     assert ["occasion"] not in by_name["accel_bias", "bias_x"]["named"]
-    assert "What is attributed" in page.read_text(encoding="utf-8")
+    assert "Attributed effects and changes" in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

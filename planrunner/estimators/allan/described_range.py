@@ -57,7 +57,11 @@ class DescribedRange:
 def described_range(
     phase: Phase, rows: Sequence[Deviation], terms: Sequence[str], hadamard: Callable[[], Sequence[Deviation]]
 ) -> DescribedRange:
-    """rows: overlapping Allan deviations that are known well enough; hadamard: gives the Hadamard deviations, which take time."""
+    """The averaging times that the noise describes.
+
+    rows: overlapping Allan deviations that are known well enough. hadamard: computes the Hadamard deviations; called only if they are
+    needed, because this takes time.
+    """
     allan = _Ranges(phase, rows, terms, ALLAN)
     walks, white = _walks(allan.whole.fit), _white(allan.whole.fit)
     if allan.whole.fits and not walks and white.squares.any() and not steady_drift(phase, white).present:

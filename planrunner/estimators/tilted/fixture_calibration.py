@@ -57,7 +57,7 @@ def _rows(axes: MountedAxes, names: Sequence[str], used: str) -> list[int]:
     missing = [name for name in wanted if name not in names]
     if missing:
         raise EstimationError(
-            f"'{used}' has no coefficient '{missing[0]}': `uses` names a `fixture_angles` estimate of the same axes"
+            f"'{used}' has no coefficient '{missing[0]}': `uses` must name a `fixture_angles` estimate of the same axes"
         )
     return [names.index(name) for name in wanted]
 

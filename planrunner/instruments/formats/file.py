@@ -1,4 +1,4 @@
-"""What every format of recording does alike: rows in batches, times that increase, only files within their bounds."""
+"""Functions common to all formats of recordings: reading rows in batches, checking that times increase, limits of size."""
 
 from __future__ import annotations
 

@@ -215,7 +215,7 @@ class MessageLink:
         try:
             yield
         except LinkFailure as failure:
-            raise InstrumentError(f"{address}, asked {asked}, {failure}") from None
+            raise InstrumentError(f"{address}, when asked {asked}, {failure}") from None
         finally:
             self._lock.release()
 
