@@ -77,11 +77,13 @@ def detection_limits(detection: Detection, units: Mapping[str, str], what: str) 
     limits = []
     for channel in detection.channels:
         if channel not in units:
-            message = f"{what} has no channel '{channel}' to search for still spans: {closest(channel, units)}"
+            message = f"{what} has no channel '{channel}' to search for intervals at rest: {closest(channel, units)}"
             raise EstimationError(message, _CHANNELS, "segments")
         resolved = unit(units[channel])
         if resolved.dimension != DIMENSIONS["acceleration"]:
-            message = f"channel '{channel}' is recorded in {resolved.text}: still spans are found from accelerations"
+            message = (
+                f"channel '{channel}' is recorded in {resolved.text}: intervals at rest are found from accelerations"
+            )
             raise EstimationError(message, _CHANNELS, "segments")
         limits.append(detection.threshold.value / resolved.factor)
     return np.array(limits)

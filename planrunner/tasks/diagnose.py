@@ -429,7 +429,9 @@ def _meant(recorded: Recorded) -> tuple[RecordedSegment, ...]:
         found += [_stretch(item, number, one.span) for number, one in enumerate(spans, start=1)]
     if not found:
         hint = "raise `threshold` or shorten `at_least`"
-        raise InputError.at(spec.segments.origin.mark, "gap-unfit", "no still span was found in the recording", hint)
+        raise InputError.at(
+            spec.segments.origin.mark, "gap-unfit", "no interval at rest was found in the recording", hint
+        )
     return tuple(found)
 
 

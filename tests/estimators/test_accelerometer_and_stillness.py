@@ -180,7 +180,7 @@ def test_still_detection_refusals() -> None:
     request = EstimateRequest(
         "a", (recorded,), parameters, SITE, sensor(*CHANNELS), detection=detection(threshold="1e-9 m/s^2")
     )
-    with pytest.raises(EstimationError, match="no still span was found"):
+    with pytest.raises(EstimationError, match="no interval at rest was found"):
         AccelerometerMultiPosition().estimate(request)
     by_orientation = AccelerometerMultiPositionParameters()
     request = EstimateRequest("a", (recorded,), by_orientation, SITE, sensor(*CHANNELS), detection=detection())

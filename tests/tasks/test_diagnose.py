@@ -239,11 +239,11 @@ def test_the_plan_says_what_is_looked_at(tmp_path):
         ("{nominal: [gyro_scale]}", "error[form-choice]: 'gyro_scale' is not known here"),
         (
             "{segments: {detect: still, window: 0.5 s, threshold: 0.0001 m/s^2, at_least: 1 s}}",
-            "error[gap-unfit]: no still span was found in the recording",
+            "error[gap-unfit]: no interval at rest was found in the recording",
         ),
         (
             "{segments: {detect: still, window: 0.5 s, threshold: 0.1 m/s^2, at_least: 1 s, channels: [gyro_x]}}",
-            "still spans are found from accelerations",
+            "intervals at rest are found from accelerations",
         ),
     ],
 )

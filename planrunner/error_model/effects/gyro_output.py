@@ -185,7 +185,7 @@ class GyroSoftSaturation(Shaped):
     id, stage, shape_name, shape_unit = "gyro_soft_saturation", "output", "limit", "deg/s"
     about = About(
         "gyro output saturates gradually",
-        "The output of the gyros grows ever less with the rate as it approaches a limit, as in an amplifier that overloads.",
+        "The output of the gyros increases less and less with the rate as it approaches a limit, as in an amplifier that overloads.",
         Actor.SENSOR,
         "Keep the rates well below the limit, or linearise the output: {found}.",
     )

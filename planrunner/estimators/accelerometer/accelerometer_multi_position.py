@@ -87,7 +87,7 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
 def _no_spans(detection: Detection | None) -> None:
     if detection is not None:
         raise EstimationError(
-            "the attitudes of still spans found in the data are unknown: write `reference: gravity_magnitude`"
+            "the attitudes of intervals at rest that are found in the data are unknown: write `reference: gravity_magnitude`"
         )
 
 

@@ -272,7 +272,7 @@ def _found(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Ob
             late.append(start - recorded.statistics.start)
     if not labels:
         raise UnfitDataError(
-            f"{request.name}: no still span was found: raise `threshold` or shorten `at_least` under `segments`"
+            f"{request.name}: no interval at rest was found: raise `threshold` or shorten `at_least` under `segments`"
         )
     return replace(
         whole,
@@ -312,7 +312,7 @@ def _factors_of(units: Mapping[str, str]) -> Array:
 def _same_channels(channels: Sequence[str], outputs: Sequence[str]) -> None:
     if set(channels) != set(outputs):
         raise EstimationError(
-            f"still spans are searched for in {', '.join(channels)}, but the estimate uses {', '.join(outputs)}: "
+            f"intervals at rest are searched for in {', '.join(channels)}, but the estimate uses {', '.join(outputs)}: "
             "name the same `channels` under `segments`"
         )
 

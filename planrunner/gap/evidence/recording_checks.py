@@ -58,7 +58,7 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
         )
         hint = (
             "record at least two states: a single state cannot separate nominal parameters or effects. A recording in a file is "
-            "divided by `segments` or `pauses` in the bench file, or by still spans: `diagnosis: {segments: {detect: still, …}}`"
+            "divided by `segments` or `pauses` in the bench file, or by intervals at rest: `diagnosis: {segments: {detect: still, …}}`"
         )
         log.error("gap-one-segment", mark, held, hint)
         return
