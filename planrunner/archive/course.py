@@ -1,5 +1,5 @@
-"""The course that a motion gives to a segment's samples: what a turning or rocking sensor sees of the Earth's rate, of gravity and of its
-own motion. It is signal, so the scatter of the samples is taken about it.
+"""The signal that a motion causes in the samples of a segment: a turning or rocking sensor measures the Earth's rate, gravity and its
+own motion. The scatter of the samples is computed about this signal.
 
 Whatever its size and phase, the course repeats with the period of the motion: a straight line through what the sensor senses gives the
 fundamental, and a second-order effect its double. The fundamental may change evenly over the segment, because a table whose rate is off by

@@ -83,7 +83,7 @@ class TimeStampsSpec(Record):
     )
     certificate: str = key(
         Text(r"[^\x00]{1,10000}", "a certificate in PEM"),
-        "Certificate of the authority, or of its root with those in between, in PEM.",
+        "Certificate of the authority in PEM, or its root certificate together with the intermediate ones.",
         "-----BEGIN CERTIFICATE----- …",
     )
 

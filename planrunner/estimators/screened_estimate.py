@@ -1,4 +1,6 @@
-"""What screening found in the samples of an estimate: by `outliers` of the plan the estimate does without, with, or not at all.
+"""What screening found in the samples of an estimate.
+
+The key `outliers` of the plan decides whether the estimate is made without these samples, with them, or not at all.
 
 An estimate without bad samples is compared with the one that uses them, so that a report states what they would have changed.
 """

@@ -1,4 +1,4 @@
-"""What a recording looks like that nobody has described yet: channels, time, noise, spans without motion."""
+"""Properties of a recording that has no description yet: channels, time, noise, intervals at rest."""
 
 from __future__ import annotations
 

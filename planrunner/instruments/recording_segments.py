@@ -1,5 +1,6 @@
-"""Segments of a recording that is played back: those of its table, a small CSV file with a label, a beginning and an end in each row,
-or, without a table, the stretches that pauses in its time separate.
+"""Segments of a recording that is played back: the rows of its table, or the parts between pauses.
+
+The table is a small CSV file with a label, a beginning and an end in each row. Without a table, pauses in the time divide the recording.
 """
 
 from __future__ import annotations

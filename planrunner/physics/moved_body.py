@@ -1,4 +1,4 @@
-"""The input of a sensor that nobody commanded to move, from what a recording shows of its motion.
+"""The input of a sensor whose motion was not commanded, from the channels of the recording that show the motion.
 
 A hand, a vehicle or a jig without a drive moves the sensor; an encoder, an attitude reference, or other gyros and accelerometers on the
 same body show how. Derivatives are differences over the neighbouring samples, so that their mean over a stretch depends on its ends alone.

@@ -140,7 +140,7 @@ class OrientationKind:
             "type": "object",
             "properties": {
                 "from": {
-                    "description": "Orientation to start from; x east, y north, z up without it.",
+                    "description": "Orientation to start from; by default x east, y north, z up.",
                     "examples": [{"x": "up", "y": "north"}],
                     **words,
                 },

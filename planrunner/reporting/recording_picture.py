@@ -1,4 +1,4 @@
-"""The picture of a recording that nobody has described yet: levels over time, still spans shaded."""
+"""The picture of a recording that has no description yet: levels over time, with the intervals at rest shaded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keys of the bench file of a run as they stand there: the file need not be valid for the run to be verified."""
+"""Keys of the bench file of a run, read as they are written: a run can be verified even if this file is not valid."""
 
 from __future__ import annotations
 

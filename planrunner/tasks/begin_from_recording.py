@@ -1,4 +1,4 @@
-"""A bench and a plan to begin with, made from a recording that nobody has described yet."""
+"""A bench and a plan to begin with, made from a recording that has no description yet."""
 
 from __future__ import annotations
 

@@ -36,14 +36,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One amplitude of an effect. magnitude: its prior scale in SI, relative to the effect's other columns. unit, factor: unit for
-    display and its SI value. parts: channel index → signature (N,), SI output for an amplitude of 1 in SI. segments: (S,), where it
-    acts; None for everywhere. whole: the effect is either present or absent, so its amplitude is not a parameter. along: the axis of
-    the sensor (0, 1, 2) whose input it is: on that of the channel, the amplitude is the error of the scale factor. plain: its unit as that
-    of a quantity, if `unit` also contains a factor without a unit, such as the strength of a field. axis: the axis (0, 1, 2) to which it
-    belongs alone, whose letter ends its name after "_"; None for an amplitude of the whole sensor or of its surroundings. It must always
-    be given, because a column of one axis is reported for each output, and one without axis for all outputs in common. largest: the
-    largest amplitude, SI, that is physically possible."""
+    """One amplitude of an effect.
+
+    magnitude: its prior scale in SI, relative to the effect's other columns.
+    unit, factor: unit for display and its SI value.
+    parts: channel index → signature (N,), SI output for an amplitude of 1 in SI.
+    segments: (S,), where it acts; None for everywhere.
+    whole: the effect is either present or absent, so its amplitude is not a parameter.
+    along: the axis of the sensor (0, 1, 2) whose input the column is. If this is the axis of the channel, the amplitude is the error of
+        the scale factor.
+    plain: its unit as that of a quantity, if `unit` also contains a factor without a unit, such as the strength of a field.
+    axis: the axis (0, 1, 2) to which it belongs alone, whose letter ends its name after "_"; None for an amplitude of the whole sensor or
+        of its surroundings. It must always be given, because a column of one axis is reported for each output, and one without axis for
+        all outputs in common.
+    largest: the largest amplitude, SI, that is physically possible.
+    """
 
     name: str
     unit: str
@@ -187,11 +194,11 @@ class HasShape(Effect, Protocol):
 
 @runtime_checkable
 class ChangesWithinSegments(HasShape, Protocol):
-    """An effect that the course of an output within segments shows, so that an estimate fits it to samples.
+    """An effect that changes an output within segments, so that an estimate fits it to samples.
 
-    acts_on: 'rate', if the output is that for another angular rate, an earlier or a smoothed one, whose difference the effect's only
-    column gives; 'output', if the output is a function of the output without the effect at the same moment (`Observed.fitted`), whose
-    difference the only column gives; 'amplitudes', if columns with amplitudes are given for each of a few values of the shape."""
+    acts_on: 'rate', if the effect replaces the angular rate by an earlier or a smoothed one; 'output', if the output is a
+    function of the output without the effect at the same moment (`Observed.fitted`); in both cases, the only column of the effect
+    gives the change. 'amplitudes', if columns with amplitudes are given for each of a few values of the shape."""
 
     acts_on: Literal["rate", "output", "amplitudes"]
 
@@ -205,7 +212,7 @@ class DependsOnPast(Effect, Protocol):
 
 @runtime_checkable
 class InEveryWorld(Effect, Protocol):
-    """An effect that every simulated world contains: adding it with the share 1 changes nothing, with 0 removes it."""
+    """An effect that every simulated world contains: the share 1 changes nothing, and the share 0 removes it."""
 
     in_every_world: Literal[True]
 

@@ -1,4 +1,4 @@
-"""Warnings about drifts of single runs that no platform has: a reversed channel falsifies them, and hardly shows in their differences."""
+"""Warnings about implausible drifts of single runs: a reversed channel causes them, but hardly changes the differences of runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Series of rates: a start zero, the rates one after the other, an end zero; repeats of it at each temperature.
+"""Series of rates: a start zero, the rates one after the other, an end zero. A series is repeated at each temperature.
 
 The segment after the end zero begins the next series, and so does a new temperature.
 """

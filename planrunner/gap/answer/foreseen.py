@@ -1,4 +1,4 @@
-"""Information from segments that are not yet measured about given columns.
+"""The information that segments which are not yet measured would give about stated columns.
 
 A segment is sampled like the recording, but only for a few seconds of whole turns and periods; the rest of its length is a repetition.
 """

@@ -1,5 +1,6 @@
-"""Instruments that a bench lacks, and with which explanations could be separated that its segments cannot separate. They are evaluated like
-segments.
+"""Instruments that a bench lacks, and that could separate explanations which the segments of the bench cannot separate.
+
+They are evaluated like segments.
 
 Effects of the table and the site act on every instrument on the table, effects of the sensor and of its data only on the sensor.
 """

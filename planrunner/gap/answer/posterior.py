@@ -1,4 +1,4 @@
-"""The posterior over {none, each effect, sets of effects, unknown, sets and something else besides}, with fixed and published priors.
+"""The posterior over {none, each effect, sets of effects, unknown, sets with something else}, with fixed and published priors.
 
 The probability that effects of the catalogue are the whole cause, that they act beside something else, and that none of them acts follow
 from the evidence as it is. How the probability of effects is shared among sets of them follows from the evidence with the noise enlarged by

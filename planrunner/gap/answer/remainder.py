@@ -1,4 +1,4 @@
-"""What remains of a gap beside the named effects: a test of the goodness of fit in every channel, and the size of the rest.
+"""The part of a gap that the named effects do not explain: a goodness-of-fit test in every channel, and the size of this part.
 
 The effects are fitted to all segments. In each channel the sum of squares of the whitened rest is compared with the χ² distribution for
 noise alone, with Bonferroni's correction for the number of channels.

@@ -1,4 +1,4 @@
-"""The form of a gap whose cause the catalogue does not contain: in which channels, as a function of what, and how much of the gap.
+"""The form of a gap whose cause the catalogue does not contain: its channels, the factor on which it depends, and its share.
 
 The patterns of `hypotheses.open_set` compete with the effects of the catalogue. The likeliest of them says what the gap follows; the
 residuals of the simulation give its form.

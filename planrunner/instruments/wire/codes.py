@@ -1,4 +1,4 @@
-"""The numbers by which compiled kernels know kinds of check, rules of framing and kinds of number."""
+"""The numbers that stand for kinds of checksum, rules of framing and kinds of number in compiled kernels."""
 
 from __future__ import annotations
 
