@@ -60,7 +60,7 @@ class GyroAxisDelay:
     id, stage = "gyro_axis_delay", "acquisition"
     about = About(
         "gyro axes are delayed differently",
-        "The channels of the gyros are sampled or filtered with different delays, so that each shows the motion of another moment.",
+        "The channels of the gyros are sampled or filtered with different delays, so that each shows the motion at a different moment.",
         Actor.SENSOR,
         "Align the channels in time by their delays, or sample them simultaneously: {found}.",
     )

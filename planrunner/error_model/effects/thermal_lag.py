@@ -18,7 +18,7 @@ _SETTLED = 3.0  # time constants that fit between two segments at least
 
 def _about(triad: str) -> About:
     return About(
-        f"{triad} bias follows the temperature late",
+        f"{triad} bias follows the temperature with a delay",
         f"The sensing elements of the {triad}s reach a new temperature later than the thermometer, so that their bias lags behind it.",
         Actor.PLAN,
         "Soak several times longer than the lag, or compensate with the delayed temperature: {found}.",
