@@ -60,7 +60,8 @@ class JournalState:
     time of the first and the last event, and of the two events at each place where the time goes back. planned: number of segments of the
     schedule, 0 if the run never started. stamped, unstamped: the events about time stamps; unstamped_ends: numbers of the events
     `finished` before which the journal was not stamped to its end. renewals: time of each event with which the run was reopened under
-    further approvals, and their entries."""
+    further approvals, and their entries. standards: time of each event with which the run was reopened on a bench with a check
+    standard, and its state then."""
 
     created: JsonObject = field(default_factory=dict)
     acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
@@ -79,6 +80,7 @@ class JournalState:
     unstamped: list[JsonObject] = field(default_factory=list)
     unstamped_ends: list[int] = field(default_factory=list)
     renewals: list[tuple[str, list[JsonObject]]] = field(default_factory=list)
+    standards: list[tuple[str, JsonObject]] = field(default_factory=list)
     _covered: int = 0
     _end_of_others: int = 0
 
@@ -176,6 +178,8 @@ class JournalState:
             self.earlier_seals[event["seal"]] = event["seq"] - 1
         if "approvals" in event:
             self.renewals.append((event["at"], [dict(one) for one in event["approvals"]]))
+        if "check_standard" in event:
+            self.standards.append((event["at"], dict(event["check_standard"])))
 
 
 def read_state(folder: GuardedFolder, marks: Collection[int] = ()) -> tuple[JournalState, JournalScan]:

@@ -109,11 +109,15 @@ class RunReader:
         held = len(self.acknowledged())
         if held < planned:
             warnings.append(f"{planned - held} of {planned} planned segments were not recorded.")
-        override = self.run.get("check_standard", {}).get("override")
-        if override is not None:
+        began = self.run.get("check_standard", {}).get("override")
+        continued = [standard.get("override") for _, standard in self.state.standards]
+        for number, override in enumerate([began, *(one for one in continued if one != began)]):
+            if override is None:
+                continue
             known = "" if "signature" in override else " (name not authenticated)"
+            what = "continue" if number else "begin"
             warnings.append(
-                f"The check standard was not in control; {override['by']}{known} let the run begin: {override['why']}."
+                f"The check standard was not in control; {override['by']}{known} let the run {what}: {override['why']}."
             )
         if not self.sealed:
             warnings.append("The run is not finished and not sealed: more data may follow.")

@@ -42,7 +42,9 @@ COURSE = 1.0
 """Change of the mean from one window to the next, over the scatter in the window, above which the window shows a motion: 2.4 for a constant
 slope, 0.2 for white noise in windows of 50 samples."""
 PAUSE = 2.0
-"""Step of the time, s, that is a pause between two pieces of a recording."""
+"""Step of the time, s, that is a pause between two pieces of a recording, if it is also longer than some intervals between samples."""
+_PERIODS = 5.0
+"""Intervals between samples that are no pause yet."""
 _SAME_RATE = 0.02
 _RANGE = 50.0  # scatter in motion over the largest at rest: noise may grow with the orientation
 _DIRECTIONS = 15.0  # deg between two poses that count as different
@@ -77,8 +79,8 @@ class WindowLevels:
 @dataclass(frozen=True, slots=True)
 class Look:
     """What a recording looks like. time: column and unit, None where rows are counted; rate: Hz; other: columns that are no channel; still:
-    spans without motion; backwards: rows whose time does not increase, which is why rows are counted; pauses: steps of the time of more
-    than `PAUSE`, and the shortest of them, s."""
+    spans without motion; backwards: rows whose time does not increase, which is why rows are counted; pauses: number of pauses, and
+    the shortest of them, s."""
 
     file: str
     format: Format | None
@@ -115,7 +117,7 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
         stamp = None if rate is not None or time is None else (time[0], time[1])
         guesses = [guessed_channel(column) for column in columns if stamp is None or column != stamp[0]]
         guesses = _named_or_alike(guesses, first)
-        clock = _Clock(stamp)
+        clock = _Clock(stamp, max(PAUSE, _PERIODS / found))
         wanted = [one.column for one in guesses]
         windows, rows = _windows(clock.watched(file.all_rows()), wanted, found, file.about, notice)
         if stamp is not None and clock.backwards:
@@ -135,11 +137,12 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
 
 
 class _Clock:
-    """What the column of the time says: rows in which it does not increase, pauses, and its whole length."""
+    """What the column of the time says: rows in which it does not increase, steps longer than `pause` [s], and its whole length."""
 
-    def __init__(self, stamp: tuple[str, str] | None):
+    def __init__(self, stamp: tuple[str, str] | None, pause: float):
         self._column = None if stamp is None else stamp[0]
         self._scale = 1.0 if stamp is None else SECONDS[stamp[1]]
+        self._pause = pause
         self._first = self._last = math.nan
         self.backwards = 0
         self.steps: list[float] = []
@@ -151,13 +154,13 @@ class _Clock:
                 own = values[self._column] * self._scale
                 steps = np.diff(own, prepend=self._last)
                 self.backwards += int(np.count_nonzero(steps <= 0))
-                self.steps += steps[steps > PAUSE].tolist()
+                self.steps += steps[steps > self._pause].tolist()
                 self._first = own[0] if math.isnan(self._first) else self._first
                 self._last = float(own[-1])
             yield number, time, values
 
     def rate(self, rows: int, median: float) -> float:
-        """FileRows per second, Hz: of the whole recording, unless pauses make it differ from that of the median step."""
+        """Rows per second, Hz: of the whole recording, unless pauses make it differ from that of the median step."""
         whole = (rows - 1) / (self._last - self._first) if self._last > self._first else median
         return whole if abs(whole / median - 1) < _SAME_RATE else median
 

@@ -71,10 +71,11 @@ class _Anchored:
 
 
 def variant_name(plan: str, parameters: Mapping[str, str]) -> str:
-    """The name under which runs of a plan with these values are kept: values of different plans do not belong in one history."""
+    """The name under which runs of a plan with these values are kept: values of different plans do not belong in one history. It does not
+    depend on the order in which the values were given."""
     if not parameters:
         return plan
-    return f"{plan} ({', '.join(f'{name}={value}' for name, value in parameters.items())})"
+    return f"{plan} ({', '.join(f'{name}={value}' for name, value in sorted(parameters.items()))})"
 
 
 def with_parameters(text: str, file: str, given: Mapping[str, Given]) -> Varied:
@@ -121,7 +122,7 @@ def _written(value: str, *, quoted: bool) -> str:
 
 
 def _is_plain(value: str) -> bool:
-    if re.search("[?:]", value):  # parsers differ in where they end a value
+    if value == "-" or re.search("[?:]", value):  # an entry of a list; parsers differ in where they end the others
         return False
     try:
         events = list(yaml.parse(f"[{value}]", _Loader))

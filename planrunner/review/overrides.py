@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 
 from planrunner import __version__
+from planrunner.archive.formats import to_bytes
 from planrunner.archive.verifying import CLOCKS_DIFFER
 from planrunner.base.documents import JsonObject
 from planrunner.signing.envelope import Envelope, EnvelopeError, parse_envelope, seal_envelope
@@ -70,10 +71,13 @@ def read_override(data: bytes) -> StatedOverride | None:
         return None
 
 
-def objection(one: StatedOverride, ring: KeyRing, by: str, what: Overridden, moment: datetime) -> str:
+def objection(
+    one: StatedOverride, ring: KeyRing, by: str, what: Overridden, moment: datetime, day: date | None = None
+) -> str:
     """Why an override does not count; empty if it does. by: the person who is said to have given it, by the name in the key ring. what: the
-    present bench and check standard, and the reason that is given; its `until` is not used. moment: with a time zone."""
-    known, day = ring.find(one.envelope.key), moment.date()
+    present bench and check standard, and the reason that is given; its `until` is not used. moment: with a time zone; day: the date then,
+    by default in this time zone."""
+    known, day = ring.find(one.envelope.key), day or moment.date()
     if known is None:
         return f"its key {one.envelope.key} is not in the key ring"
     if not one.envelope.signed_by(known.public):
@@ -91,3 +95,15 @@ def objection(one: StatedOverride, ring: KeyRing, by: str, what: Overridden, mom
     if one.what.device != what.device:
         return f"it is for the check standard {one.what.device}"
     return "" if one.what.why == what.why else f"its reason is another one: {one.what.why}"
+
+
+def kept_objection(
+    given: JsonObject, ring: KeyRing, bench: str | None, device: str, moment: datetime, day: date
+) -> str:
+    """As `objection`, for an override that a run keeps with its signature. bench: digest of its meaning then, None if it is not compared;
+    moment, day: when the override was used."""
+    stated = read_override(to_bytes(given["signature"]))
+    if stated is None:
+        return "it is damaged"
+    what = Overridden(stated.what.bench if bench is None else bench, device, str(given["why"]), date.max)
+    return objection(stated, ring, str(given["by"]), what, moment, day)

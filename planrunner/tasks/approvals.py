@@ -15,7 +15,7 @@ from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal import NAME as JOURNAL
 from planrunner.archive.journal_state import JournalState
 from planrunner.archive.run_reader import RunReader
-from planrunner.archive.verifying import APPROVALS, BENCH, PLAN, Examined
+from planrunner.archive.verifying import APPROVALS, BENCH, PLAN, RUN, Examined
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings, InputError, Mark, closest
 from planrunner.bench.model import Bench, bench_of
@@ -47,6 +47,7 @@ from planrunner.review.approvals import (
 from planrunner.review.compared import Compared
 from planrunner.review.difference import difference
 from planrunner.review.meaning import equipment_of, meaning_of_plan, procedure_of
+from planrunner.review.overrides import kept_objection
 from planrunner.signing.key_ring import KeyRing, parse_ring
 
 
@@ -62,6 +63,12 @@ class RingFile:
 def ring_of(rule: ApprovalRule, bench_file: Path) -> RingFile:
     """The key ring that a bench names. Raises `InputError` if it cannot be read, or if `by` or a key is not as the rule needs it."""
     return _ring(rule, bench_file.parent / rule.keys)
+
+
+def ring_of_run(rule: ApprovalRule, kept: KeptApprovals, bench_file: Path | None) -> RingFile:
+    """The key ring with which a run is continued: the one that its bench named, which is not in the run folder. bench_file: of a bench that
+    replaces the one in the folder. Raises `InputError` as `ring_of`."""
+    return _ring(rule, Path(kept.keys) if bench_file is None else bench_file.parent / rule.keys)
 
 
 def _ring(rule: ApprovalRule, path: Path) -> RingFile:
@@ -231,8 +238,7 @@ def still_approved(
         message = f"the bench '{bench.name}' requires approvals, but this run began without any"
         raise InputError.at(bench.at("approvals"), "approval-missing", message, "run the plan again, approved")
     kept, damaged = kept_approvals(reader.approvals, reader.path)
-    path = Path(kept.keys) if bench_file is None else bench_file.parent / rule.keys
-    ring, own = _ring(rule, path).ring, bench_of(reader.bench_bytes, str(reader.path / BENCH))
+    ring, own = ring_of_run(rule, kept, bench_file).ring, bench_of(reader.bench_bytes, str(reader.path / BENCH))
     withdrawals = [one for one in read_approvals(Path(kept.folder)) if isinstance(one, StatedWithdrawal)]
     before = [*kept.approvals, *(one for _, given in _renewals(reader.state) for one in given[0])]
     known = {one.digest for one in before}
@@ -314,6 +320,7 @@ def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, .
     created = datetime.fromisoformat(str(found.run["created"]))
     if abs(kept.day - created.astimezone(UTC).date()) > timedelta(days=1):
         found.error("run-approval", f"{path / APPROVALS}: its day, {kept.day}, is not that of the run", hint="")
+    _check_override(found, kept, known)
     author = _author(found, kept, bench)
     asked = ApprovalRequest(kept.plan_digest, kept.bench_digest, author, created, kept.day)
     stated: list[ApprovalRecord] = [*kept.approvals, *damaged]
@@ -331,6 +338,25 @@ def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, .
         _tell_invalid(found, path / JOURNAL, of_these, () if last else outdated, met=met or not last)
         seen = (*seen, *of_these)
     return tuple(RunApproval(one, ring is not None) for one in seen)
+
+
+def _check_override(found: Examined, kept: KeptApprovals, ring: KeyRing) -> None:
+    """Whether the signed overrides of the check standard with which the run began, or was continued, counted then."""
+    begun = found.run.get("check_standard", {})
+    created = datetime.fromisoformat(str(found.run["created"]))
+    judged_then = [(RUN, created, kept.day, begun)]
+    for at, standard in () if found.state is None else found.state.standards:
+        if standard.get("override") != begun.get("override"):
+            moment = datetime.fromisoformat(at)
+            judged_then.append((JOURNAL, moment, moment.astimezone().date(), standard))
+    for name, moment, day, standard in judged_then:
+        if "signature" not in standard.get("override", {}):
+            continue
+        bench = kept.bench_digest if name == RUN else None  # it may have been continued on another connection
+        refused = kept_objection(standard["override"], ring, bench, str(standard["device"]), moment, day)
+        if refused:
+            message = f"{found.folder.path / name}: the signed override of the check standard does not count: {refused}"
+            found.error("run-approval", message, hint="")
 
 
 def _tell_invalid(

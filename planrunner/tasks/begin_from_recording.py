@@ -52,7 +52,7 @@ def bench_of(look: Look, name: str) -> str:
     lines.append(f"    sample_rate: {look.rate:.6g} Hz")
     count, shortest = look.pauses
     if count and not look.backwards:
-        steps = f"The time steps by {shortest:.3g} s and more in {count} places"
+        steps = f"The time steps by {shortest:.3g} s and more in {count} place{'' if count == 1 else 's'}"
         lines.append(f"    # {steps}. To make each piece a segment: pauses: {shortest / 2:.3g} s")
     lines.append("    channels:")
     for one in look.channels:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from planrunner.archive.formats import from_bytes
 from planrunner.archive.run_reader import RunReader
+from planrunner.archive.verifying import RUN
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
 from planrunner.base.progress import Announce
@@ -17,11 +18,19 @@ from planrunner.bench.model import Bench, bench_of
 from planrunner.night.history.check_standard import ControlStanding, ControlState, judge, state_in
 from planrunner.night.history.rows import FaultRow
 from planrunner.plan import source
+from planrunner.review.approval_files import kept_approvals
 from planrunner.review.meaning import equipment_of
-from planrunner.review.overrides import Overridden, StatedOverride, objection, override_envelope, read_override
+from planrunner.review.overrides import (
+    Overridden,
+    StatedOverride,
+    kept_objection,
+    objection,
+    override_envelope,
+    read_override,
+)
 from planrunner.signing.keys import Signer
 from planrunner.signing.statement import require_line
-from planrunner.tasks.approvals import ring_of
+from planrunner.tasks.approvals import ring_of, ring_of_run
 from planrunner.tasks.history import Freshness, opened
 
 CODE = "bench-check-standard"
@@ -219,15 +228,43 @@ def admit(
 
 
 def admit_again(
-    bench: Bench, run: RunReader, override: Override | None = None, notice: Announce | None = None
+    bench: Bench,
+    run: RunReader,
+    override: Override | None = None,
+    notice: Announce | None = None,
+    bench_file: Path | None = None,
 ) -> Admission:
     """Whether a run may be continued: the check standard is judged as now, in the archive of the run. An override with which it began is
-    one for the whole run. bench: on which it is continued. Raises `InputError` as `admit`."""
+    one for the whole run. bench: on which it is continued; bench_file: its file, if it replaces the one in the run folder. Raises
+    `InputError` as `admit`."""
     signature: JsonObject | None = None
     rule, began = bench.check_standard, run.run.get("check_standard", {}).get("override")
-    if override is None and began is not None and rule is not None and began["by"] in rule.may_override:
-        override, signature = Override(str(began["by"]), str(began["why"])), began.get("signature")
+    own = None if began is None else Override(str(began["by"]), str(began["why"]))
+    if own is not None and rule is not None and own.by in rule.may_override and override in (None, own):
+        signature = _signature_kept(bench, run, began, bench_file)
+        override = own if signature is not None or bench.approvals is None else override
+    if override is not None and signature is None and bench_file is None and rule is not None and bench.approvals:
+        _require_named(bench, rule, override)
+        message = "an override for this bench is signed, and is beside the file of the bench, not in the run folder"
+        hint = "name the file of the bench with --bench"
+        raise InputError.at(rule.at("may_override"), "bench-check-override", message, hint)
     return admit(bench, str(run.run["plan"]), run.run["info"], run.path.absolute().parent, override, notice, signature)
+
+
+def _signature_kept(bench: Bench, run: RunReader, began: JsonObject, bench_file: Path | None) -> JsonObject | None:
+    """The signature of the override with which a run began. Raises `InputError` if it did not count then; None without a key ring or a
+    signature."""
+    if bench.approvals is None or run.approvals is None or "signature" not in began:
+        return None
+    kept, created = kept_approvals(run.approvals, run.path)[0], datetime.fromisoformat(str(run.run["created"]))
+    ring = ring_of_run(bench.approvals, kept, bench_file).ring
+    device = str(run.run["check_standard"]["device"])
+    refused = kept_objection(began, ring, kept.bench_digest, device, created, kept.day)
+    if refused:
+        message = f"the signed override of the check standard with which the run began does not count: {refused}"
+        raise InputError.at(Mark(str(run.path / RUN)), "bench-check-override", message, "run the plan again")
+    signed: JsonObject = began["signature"]
+    return signed
 
 
 def state_after(run: Path) -> ControlState | None:

@@ -198,7 +198,8 @@ _CLEARLY = 2.0
 
 def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
     """Warnings for values of the nominal terms outside the specification in the bench file, or outside what is usual for the grade that
-    the noise shows, whether the simulation fits them or the diagnosis names them."""
+    the noise shows, whether the simulation fits them or the diagnosis names them. A value whose uncertainty is larger than the usual limit
+    is not determined by the plan, and says nothing about the sensor."""
     from planrunner.bench.grades import SENSES, grade_of
     from planrunner.gap.answer.nominal_values import nominal_values
     from planrunner.reporting.rounding import rounded
@@ -219,7 +220,7 @@ def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findi
         if specification is not None and one.effect in limits:
             place = specification.at(one.effect if one.effect in specification.origin.keys else "grade")
             log.warning("gap-specification", place, f"{what} its specification of ±{bound:.4g} {one.unit}", hint)
-        elif grade is not None:
+        elif grade is not None and one.standard_uncertainty < bound:
             usual = (
                 f"{what} the usual limit of ±{bound:.4g} {one.unit} for a sensor with such noise ({grade.name} grade)"
             )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import re
 import sys
 import time
 from dataclasses import dataclass
@@ -30,6 +31,8 @@ FOLDER = "PLANRUNNER_DIAGNOSES"
 _MOST = 2**22
 _LIFE = 180 * 86400.0
 """Seconds after which a result is removed."""
+_KEY = re.compile("[0-9a-f]{64}")
+"""Names of results. Other files in the folder are not ours."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +49,7 @@ class KeptDiagnoses:
             make_private(place)
             folder = GuardedFolder.open(trusted(place))
             for name, entry in folder.entries().items():
-                if time.time() - entry.modified / 1e9 > _LIFE:
+                if _KEY.fullmatch(name) and time.time() - entry.modified / 1e9 > _LIFE:
                     folder.remove(name)
         except (OSError, UntrustedFolderError):
             return cls(None)

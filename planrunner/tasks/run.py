@@ -265,7 +265,7 @@ def _resume(
     if file is None and not trust_bench:
         _require_made_here(reader, sound)
     further = still_approved(reader, sound.plan, sound.bench, None if file is None else Path(file.shown), approvals)
-    admission = admit_again(sound.bench, reader, override, notice)
+    admission = admit_again(sound.bench, reader, override, notice, None if file is None else Path(file.shown))
     again = () if retake is None else _chosen(reader, retake.labels)
     operator = _attended(sound, operator)
     reason = None if retake is None else retake.reason

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
 
@@ -226,3 +227,16 @@ def test_what_is_kept_of_a_diagnosis_depends_on_the_run_the_question_and_the_pro
     assert KeptDiagnoses.of_user().get(key) is None
     (tmp_path / "kept").chmod(0o777)
     assert KeptDiagnoses.of_user().folder is None  # somebody else could have put results there
+
+
+def test_only_old_results_are_removed_from_the_folder_that_keeps_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The environment may name a folder with other files."""
+    monkeypatch.setenv(KEPT, str(tmp_path))
+    key = key_of("verdict", "0" * 64, [])
+    for name in (key, "thesis.txt"):
+        (tmp_path / name).write_bytes(b"{}")
+        os.utime(tmp_path / name, (0, 0))
+    assert KeptDiagnoses.of_user().get(key) is None
+    assert [file.name for file in tmp_path.iterdir()] == ["thesis.txt"]

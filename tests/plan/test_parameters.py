@@ -53,6 +53,10 @@ def test_any_text_arrives_as_it_was_given() -> None:
             assert changed == before
 
 
+def test_a_dash_stays_a_text_outside_brackets_too() -> None:
+    assert yaml.safe_load(with_parameters("a: &x b\n", "p.yaml", given(x="-")).text) == {"a": "-"}
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [("X", "no parameter 'X'"), ("m", "not a single value"), ("long", "not a single value"), ("kk", "not a single value"),
@@ -78,4 +82,5 @@ def test_a_wrong_setting_is_refused(settings: list[str]) -> None:
 def test_runs_of_variants_have_names_of_their_own() -> None:
     values = {name: one.value for name, one in parameters_of(["dwell=2 min", " rate = ±3 deg/s"]).items()}
     assert variant_name("p", values) == "p (dwell=2 min, rate=±3 deg/s)" and variant_name("p", {}) == "p"
+    assert variant_name("p", dict(reversed(values.items()))) == variant_name("p", values)  # one history
     assert json.loads(json.dumps(values)) == {"dwell": "2 min", "rate": "±3 deg/s"}

@@ -128,6 +128,16 @@ def test_pauses_are_pointed_out(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "in 3 places. To make each piece a segment: pauses: 145 s" in (tmp_path / "begun.bench.yaml").read_text()
 
 
+def test_the_interval_of_a_slow_recording_is_no_pause(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A sample every ten seconds, and one pause of five minutes."""
+    time = 10.0 * np.arange(400) + 300.0 * (np.arange(400) >= 200)
+    omega = np.random.default_rng(4).normal(0.1, 0.02, 400)
+    table = np.column_stack([time, omega])
+    np.savetxt(tmp_path / "slow.csv", table, delimiter=",", header="time_s,omega_z", comments="")
+    begun(tmp_path / "slow.csv", capsys=capsys)
+    assert "by 310 s and more in 1 place." in (tmp_path / "begun.bench.yaml").read_text()
+
+
 def test_a_unit_that_swings_all_the_time_is_not_at_rest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Its gyro scatters alike in all windows; no Allan deviation of a motion is proposed."""
     draw = np.random.default_rng(4)

@@ -12,7 +12,9 @@ from planrunner.base.shipped import shipped
 from planrunner.bench.grades import GRADES, SENSES, Sense, grade_of
 from planrunner.bench.model import parse_bench
 from planrunner.cli import main
+from planrunner.gap.answer import nominal_values
 from planrunner.gap.answer.diagnosis import DiagnosisOptions
+from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.plan import source
 from planrunner.tasks.diagnose import diagnose_recorded, recorded_run
 from tests.tasks.test_simulate import PLAN
@@ -56,6 +58,19 @@ def test_a_board_with_a_bias_of_half_a_g_is_not_passed_in_silence(tmp_path: Path
     (said,) = _warned(tmp_path, NOMINAL.replace("bias: 5 mg", "bias: 471 mg"))
     assert said.code == "gap-usual-limits" and said.message.startswith("accel_bias bias_x is 471")
     assert "16 times the usual limit of ±30 mg for a sensor with such noise (industrial grade)" in said.message
+
+
+def test_a_value_that_the_plan_does_not_determine_is_not_compared_with_what_is_usual(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rates about one axis only: the misalignments towards the others follow from the Earth rate, and are 70 rad. The second one, beyond
+    the limit of a degree of an industrial unit, is determined."""
+    found = [
+        ParameterEstimate("gyro_misalignment", "towards_z_x", -1.48e7, "arcsec", 0.28e7),
+        ParameterEstimate("gyro_misalignment", "towards_y_z", -4926.0, "arcsec", 8.0),
+    ]
+    monkeypatch.setattr(nominal_values, "nominal_values", lambda *_: found)
+    assert [one.message.split(" is ")[0] for one in _warned(tmp_path, NOMINAL)] == ["gyro_misalignment towards_y_z"]
 
 
 def test_usual_values_give_no_warning(tmp_path: Path) -> None:

@@ -14,6 +14,9 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
+from planrunner.archive.formats import to_bytes
+from planrunner.archive.run_reader import RunReader
+from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings, InputError
 from planrunner.base.workers import ALONE
 from planrunner.bench.model import Bench, parse_bench, read_bench
@@ -23,6 +26,7 @@ from planrunner.plan import source
 from planrunner.reporting.history_tables import control_table
 from planrunner.signing.envelope import parse_envelope
 from planrunner.signing.statement import PAYLOAD
+from planrunner.tasks import check_standard
 from planrunner.tasks.check_standard import Admission, Override, admit, check_in_control, control_state
 from planrunner.tasks.check_suite import check_suite
 from tests.in_process import planrunner
@@ -470,6 +474,77 @@ def test_an_override_on_a_bench_with_a_key_ring_counts_only_signed(
     signed.write_bytes(b"{}")
     with pytest.raises(InputError, match="it is damaged"):
         admitted()
+
+
+def test_a_run_keeps_a_signed_override_that_verify_and_resume_examine_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The override of one run is as signed. That of another is changed after it was admitted: its signature does not match."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PLANRUNNER_PASSPHRASE", "correct horse battery")
+    own = ("--by", "anna.pem", "--name", "anna")
+    lab(tmp_path)
+    file = tmp_path / "lab.yaml"
+    rule = "approvals: {keys: keys.yaml, author_may_approve: true}\n"
+    file.write_text(file.read_text("utf-8") + rule, encoding="utf-8")
+    for words in (
+        ("key", "new", "anna.pem"),
+        ("key", "add", "keys.yaml", "anna", "anna.pem.pub", "--role", "reviewer"),
+        ("approve", "work.yaml", *own, "--yes", "--no-predictions"),
+        ("bench", "override", "lab.yaml", *own, "--reason", "levelled", "--until", "2999-12-31"),
+    ):
+        assert planrunner(*words, cwd=tmp_path).returncode == 0
+    override = ("--override-by", "anna", "--override-check-standard", "levelled")
+
+    def ran(archive: str) -> Path:
+        words = ("run", "work.yaml", "--set", "device_serial=D1", "--quiet", "--runs", archive, *override)
+        done = planrunner(*words, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        (run,) = (tmp_path / archive).glob("2*")
+        return run
+
+    good = ran("good")
+    for further in (
+        (),
+        override,
+    ):  # a night gives the override again; without --bench, the key ring is not sought in the run folder
+        again = planrunner("resume", good, "--retake", "P1", "--reason", "door", "--quiet", *further, cwd=tmp_path)
+        assert again.returncode == 0, again.stderr
+        assert "anna let this run begin: levelled" in again.stderr
+    other = ("--override-by", "anna", "--override-check-standard", "another reason")
+    refused = planrunner("resume", good, "--retake", "P1", "--reason", "door", "--quiet", *other, cwd=tmp_path)
+    assert refused.returncode == 2 and "name the file of the bench with --bench" in refused.stderr
+    assert planrunner("verify", good, "--keys", "keys.yaml", cwd=tmp_path).returncode == 0
+
+    true = check_standard.signature_of
+
+    def changed(bench: Bench, given: Override) -> JsonObject | None:
+        signed = true(bench, given)
+        assert signed is not None
+        envelope = parse_envelope(to_bytes(signed), PAYLOAD)
+        payload = envelope.payload.replace(b"2999-12-31", b"2999-12-30")
+        made: JsonObject = json.loads(replace(envelope, payload=payload).to_bytes())
+        return made
+
+    monkeypatch.setattr(check_standard, "signature_of", changed)
+    bad = ran("bad")
+    monkeypatch.setattr(check_standard, "signature_of", true)
+    verified = planrunner("verify", bad, "--keys", "keys.yaml", cwd=tmp_path)
+    assert verified.returncode == 4 and "the signature does not match" in verified.stdout + verified.stderr
+    refused = planrunner("resume", bad, "--retake", "P1", "--reason", "door", "--quiet", cwd=tmp_path)
+    assert refused.returncode == 2 and "the signature does not match" in refused.stderr
+
+
+def test_an_override_under_which_a_run_is_continued_is_in_its_report(tmp_path: Path) -> None:
+    lab(tmp_path, action="warn")
+    assert planrunner("run", "work.yaml", "--set", "device_serial=D1", "--quiet", cwd=tmp_path).returncode == 0
+    (run,) = (tmp_path / "runs").glob("2*-work-*")
+    assert not [text for text in RunReader.open(run).warnings() if "check standard" in text]
+    override = ("--override-by", "anna", "--override-check-standard", "levelled")
+    again = planrunner("resume", run, "--retake", "P1", "--reason", "door", "--quiet", *override, cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    (text,) = [text for text in RunReader.open(run).warnings() if "check standard" in text]
+    assert text.endswith("anna (name not authenticated) let the run continue: levelled.")
 
 
 # -- nights ------------------------------------------------------------------------------------------------------------
