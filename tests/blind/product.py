@@ -17,7 +17,7 @@ from planrunner.bench.model import BenchModels
 from planrunner.bench.scheduling import build_schedule
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import FoldChoice, predictions
-from planrunner.gap.answer.diagnosis import Diagnosis
+from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
 from planrunner.gap.answer.diagnosis import diagnose as diagnosed
 from planrunner.gap.answer.sets import Member, together
 from planrunner.gap.fleet.attribution import Contribution, Estimates, Source, attribute
@@ -140,9 +140,9 @@ def diagnose(shown: Shown) -> dict[str, Any]:
     return answer
 
 
-def diagnosis_of(shown: Shown) -> Diagnosis:
+def diagnosis_of(shown: Shown, effects: Sequence[str] | None = None) -> Diagnosis:
     """The diagnosis itself."""
-    return diagnosed(observation(shown))
+    return diagnosed(observation(shown), DiagnosisOptions(effects=None if effects is None else tuple(effects)))
 
 
 Shut = tuple[float, float, float, float]

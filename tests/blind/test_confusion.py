@@ -46,16 +46,16 @@ def test_a_further_effect_is_named_with_its_size(group: str, effect: str, number
 @pytest.mark.parametrize(("number", "energy"), [(0, 160.0), (2, 400.0)])
 def test_a_limit_is_found_on_its_side(number: int, energy: float) -> None:
     """A limit on one side is weighed if it is named; if the rates exceed it on that side only, it is the same as one of both sides."""
-    from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
-    from tests.blind.product import observation
+    from tests.blind.product import diagnosis_of
 
     case = case_of("limits", SEED, number, "gyro_saturation_asymmetric", energy)
     with tempfile.TemporaryDirectory() as name:
         folder.write_setups(Path(name))
         folder.write_case(Path(name), case, SEED)
-        seen = observation(folder.shown(Path(name), case.name))
-    weighed = ("gyro_saturation", "gyro_saturation_asymmetric", "gyro_scale_nonlinearity")
-    found = diagnose(seen, DiagnosisOptions(effects=weighed))
+        found = diagnosis_of(
+            folder.shown(Path(name), case.name),
+            ("gyro_saturation", "gyro_saturation_asymmetric", "gyro_scale_nonlinearity"),
+        )
     said = set(found.verdict.members or found.verdict.effects)
     assert "gyro_saturation_asymmetric" in said and "gyro_scale_nonlinearity" not in said
     other = "lower" if case.faults[0].shape[0] > 0 else "upper"
@@ -90,15 +90,14 @@ def test_noise_of_accelerometers_is_named_with_its_size(group: str, effect: str,
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "energy"), [(0, 400.0), (1, 1e8)])
 def test_lost_samples_are_no_delay_from_the_beginning(number: int, energy: float) -> None:
-    from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
-    from tests.blind.product import observation
+    from tests.blind.product import diagnosis_of
 
     case = case_of("lost samples", SEED, number, "samples_dropped", energy)
     with tempfile.TemporaryDirectory() as name:
         folder.write_setups(Path(name))
         folder.write_case(Path(name), case, SEED)
-        seen = observation(folder.shown(Path(name), case.name))
-    found = diagnose(seen, DiagnosisOptions(effects=("samples_dropped", "time_latency", "gyro_bandwidth")))
+        shown = folder.shown(Path(name), case.name)
+        found = diagnosis_of(shown, ("samples_dropped", "time_latency", "gyro_bandwidth"))
     assert found.verdict.effects == ("samples_dropped",)
     (lost,) = (one for one in found.parameters if one.name == "lost")
     assert abs(lost.value * 1e-3 - case.faults[0].theta[0]) < 4e-3 * lost.standard_uncertainty

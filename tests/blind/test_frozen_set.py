@@ -19,7 +19,7 @@ def frozen(folder: Path) -> Path:
     return folder / "round-9"
 
 
-def answer(recording: Path, segments: Path) -> dict[str, Any]:
+def answer(recording: Path, segments: Path, plan: str) -> dict[str, Any]:
     assert recording.is_file() and segments.is_file()
     where = [{"channel": "gyro_x", "share": 1 / (n + 1)} for n in range(40)]
     following = {"plan": None, "expected": 0.97, "text": "planrunner: 1\n"}
@@ -27,6 +27,7 @@ def answer(recording: Path, segments: Path) -> dict[str, Any]:
         "posterior": {"none": 1.0, "gyro_ripple": 1e-9},
         "where": where,
         "next": following,
+        "plan": plan,
         "pictures": {"heat": [0.0] * 1000},
     }
 
@@ -38,10 +39,23 @@ def test_answers_are_short_and_name_their_commit(tmp_path: Path) -> None:
     assert found["commit"] == "abc"
     assert list(found["cases"]) == ["round-9/case-01", "round-9/case-02"]
     one = found["cases"]["round-9/case-01"]
-    assert one.keys() == {"posterior", "where", "next"}
+    assert one.keys() == {"posterior", "where", "next", "plan"}
     assert one["posterior"] == {"none": 1.0}
     assert len(one["where"]) == PLACES
     assert one["next"] == {"plan": None, "expected": 0.97}
+
+
+def test_every_case_is_answered_with_its_own_plan(tmp_path: Path) -> None:
+    folder, answers = frozen(tmp_path), tmp_path / "round-9.json"
+    (folder / "cases.csv").write_text("case,plan\ncase-01,D\ncase-02,C\n", encoding="utf-8")
+    with pytest.raises(NotFrozenError, match="no plan file is named for D: add --plan D=PLAN"):
+        answer_all(folder, answers, answer, lambda: "abc", {"C": "c.yaml"})
+    answer_all(folder, answers, answer, lambda: "abc", {"C": "c.yaml", "D": "d.yaml"})
+    cases = json.loads(answers.read_text(encoding="utf-8"))["cases"]
+    assert {name: one["plan"] for name, one in cases.items()} == {
+        "round-9/case-01": "d.yaml",
+        "round-9/case-02": "c.yaml",
+    }
 
 
 def test_it_is_answered_once(tmp_path: Path) -> None:

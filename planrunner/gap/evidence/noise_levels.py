@@ -49,11 +49,12 @@ Level = Literal["declared", "white", "resolution"]
 def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array) -> dict[tuple[Level, Level], float]:
     """Log densities of the white levels, for all combinations of what the noise of the gyros and of the accelerometers is.
 
-    If the noise of a triad does not dither its count, there is no white level to compare; it then counts as that of the other triad.
+    If the noise of a triad, declared and measured, does not dither its count, there is no white level to compare; it then counts as that of
+    the other triad, and as declared if neither can be compared.
     """
     declared = [channel.resolution or step for channel, step in zip(observed.channels, steps, strict=True)]
     (plain, sigma), (counted, _) = (_excess(observed, white, degrees, each) for each in (declared, steps))
-    rounded = {kind: _rounded(observed, kind, declared) for kind in _TRIADS}
+    plainly = {kind: _rounded(observed, kind, white, declared) for kind in _TRIADS}
     known = {kind: any(observed.channels[c].resolution > 0 for c in observed.of_kind(kind)) for kind in _TRIADS}
     seen = {
         kind: any(0 < COARSER * observed.channels[c].resolution < steps[c] for c in observed.of_kind(kind))
@@ -62,13 +63,17 @@ def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array
     found: dict[tuple[Level, Level], float] = {}
     for levels in product(get_args(Level), repeat=2):
         excess, value = {}, 0.0
+        rounded = {
+            kind: _rounded(observed, kind, white, steps) if level == "resolution" else plainly[kind]
+            for kind, level in zip(_TRIADS, levels, strict=True)
+        }
         for kind, level in zip(_TRIADS, levels, strict=True):
-            coarse = level == "resolution"
+            coarse, other = level == "resolution", _other(kind)
             own = counted if coarse else plain
-            if kind in own:
+            if rounded[kind]:
+                excess[kind] = 0.0 if rounded[other] else own.get(other, 0.0)
+            elif kind in own:
                 excess[kind] = own[kind]
-            if _rounded(observed, kind, steps) if coarse else rounded[kind]:
-                excess[kind] = own.get(_other(kind), 0.0)
             if (coarse and not known[kind]) or (level == "white" and kind not in own):
                 value = -np.inf
             value -= CERTAIN * (known[kind] and seen[kind] != coarse)
@@ -82,10 +87,13 @@ def _other(kind: str) -> str:
     return "accel" if kind == "gyro" else "gyro"
 
 
-def _rounded(observed: Observed, kind: str, counts_: Sequence[float] | Array) -> bool:
-    """Whether the noise of a triad does not dither its count."""
-    channels = observed.channels
-    return any(counts_[c] > 2 * channels[c].white * np.sqrt(observed.sample_rate) for c in observed.of_kind(kind))
+def _rounded(observed: Observed, kind: str, white: Array, counts_: Sequence[float] | Array) -> bool:
+    """Whether neither the declared nor the measured noise of a triad dithers its count."""
+    for index in observed.of_kind(kind):
+        measured = max(float(white[index]) ** 2 - counts_[index] ** 2 / 12, 0.0)
+        if counts_[index] ** 2 > 4 * max(observed.channels[index].white ** 2 * observed.sample_rate, measured):
+            return True
+    return False
 
 
 def _excess(
