@@ -6,8 +6,8 @@ each. The nominal stimulus at every sample follows from attitude, table angle an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
@@ -150,8 +150,9 @@ class Observed:
     (N, 3) each, instead of those that follow from site, attitude and table. fitted: output (N, K) of the fitted nominal model. response:
     (K, 3), change of each output per rate about the axes of the sensor in that model; None for an ideal sensor. courses: (S,), of segments
     whose motion the recording shows; an entry is None if attitude and angle give the motion, and the tuple is empty if all entries are.
-    excess_voltage, excess_pressure: (N,), as `overvoltage` and `overpressure`, or None for zero. past: the temperatures before the first
-    sample, where this is a part of a simulation. reach: m, largest distance of a sensor from the axis of a table.
+    excess_voltage, excess_pressure: (N,), as `overvoltage` and `overpressure`, or None for zero. past: by value of the shape of an effect,
+    the temperatures before the first sample, where this is a part of a simulation. reach: m, largest distance of a sensor from the axis of
+    a table.
     """
 
     site: Site
@@ -178,7 +179,7 @@ class Observed:
     courses: tuple[BodyMotion | None, ...] = ()
     excess_voltage: Array | None = None
     excess_pressure: Array | None = None
-    past: tuple[TemperatureCourse, ...] = ()
+    past: Mapping[float, tuple[TemperatureCourse, ...]] = field(default_factory=dict)
     reach: float = 1.0
 
     def __len__(self) -> int:

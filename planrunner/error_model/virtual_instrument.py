@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 NAME = r"[a-z][a-z0-9_]{0,59}"
 _CHANGED = 1.0  # K between segments: less is no change of temperature
-_KEPT = 32  # temperatures of a block with a change of temperature
 _WALKS = 2  # second part of a generator's key: different from those of segments and of switching on
 
 
@@ -76,7 +75,7 @@ class AddedEffects:
         self.change = 0.0
         self.segment = -1
         self.orientations: list[tuple[float, ...]] = []  # in the order of first use
-        self.past: list[TemperatureCourse] = []
+        self.past: dict[float, tuple[TemperatureCourse, ...]] = {}
 
     @classmethod
     def connect(cls, parameters: AddedEffectsParameters, surroundings: Surroundings) -> AddedEffects:
@@ -140,7 +139,10 @@ class AddedEffects:
             "before": self.before,
             "change": self.change,
             "orientations": [list(place) for place in self.orientations],
-            "past": [[one.time.tolist(), one.temperature.tolist(), one.rate] for one in self.past],
+            "past": [
+                [value, [[one.time.tolist(), one.temperature.tolist(), one.rate] for one in past]]
+                for value, past in self.past.items()
+            ],
             "walks": {name: walk.checkpoint() for name, walk in self.walks.items()},
         }
 
@@ -149,7 +151,10 @@ class AddedEffects:
 
         self.before, self.change = state["before"], float(state["change"])
         self.orientations = [tuple(map(float, place)) for place in state.get("orientations", ())]
-        self.past = [TemperatureCourse(np.array(t), np.array(c), float(r)) for t, c, r in state.get("past", ())]
+        self.past = {
+            float(value): tuple(TemperatureCourse(np.array(t), np.array(c), float(r)) for t, c, r in past)
+            for value, past in state.get("past", ())
+        }
         for name, walk in state["walks"].items():
             self.walks[name] = RandomWalk(0.0)
             self.walks[name].restore(**walk)
@@ -202,19 +207,16 @@ class AddedEffects:
             overpressure=moments.overpressure,
         )
         made = joined(self.world.site, channels, [part], magnetic=self.world.site.magnetic_field)
-        return replace(made, past=tuple(self.past))
+        return replace(made, past=dict(self.past))
 
     def _remember(self, observed: Observed) -> None:
-        """Keeps a few temperatures of the block for effects that depend on what was before; of a constant one, the ends."""
+        """Keeps what effects that depend on what was before need of it. Every checkpoint contains it, so it must not grow."""
         from planrunner.error_model.effects.interface import DependsOnPast
-        from planrunner.error_model.observed import TemperatureCourse
 
-        if not any(isinstance(item.effect, DependsOnPast) for item in self.additions):
-            return
-        count = _KEPT if np.ptp(observed.temperature) else 2
-        rows = np.unique(np.linspace(0, len(observed.time) - 1, count).astype(np.int64))
-        own = TemperatureCourse(observed.time[rows], observed.temperature[rows], float(observed.temperature_rate[-1]))
-        self.past.append(own)
+        for item in self.additions:
+            if isinstance(item.effect, DependsOnPast):
+                value = item.values[item.effect.shape_name]
+                self.past[value] = item.effect.remembered(observed, value)
 
     def _number(self, segment: Segment) -> int:
         """Number of the segment's orientation, from 1 in the order of first use."""

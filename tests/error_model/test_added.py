@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from planrunner.base.findings import InputError, Mark
 from planrunner.error_model.added import Addition, added, addition
-from planrunner.error_model.observed import Observed, channel_of
+from planrunner.error_model.effects.thermal_lag import GyroBiasTemperatureLagged, lag
+from planrunner.error_model.observed import Observed, TemperatureCourse, channel_of
 from planrunner.error_model.scheduled import everything, scheduled
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Rest, Segment, Spin
@@ -121,3 +123,25 @@ def test_units_of_one_dimension_are_converted() -> None:
     (east, north) = _stated("table_tilt", about_east="1 arcmin").values.values()
     assert east == pytest.approx(60.0) and north == 0.0
     assert _stated("table_tilt").values["about_east"] == pytest.approx(60.0)
+
+
+def test_what_is_remembered_of_a_temperature_has_the_same_effect_and_does_not_grow() -> None:
+    """A sensor that warms up by a kelvin in a second, in ten blocks of a second and in one: what a block remembers takes the place of all
+    samples before it."""
+    tau, effect = 7.0, GyroBiasTemperatureLagged()
+    past: dict[float, tuple[TemperatureCourse, ...]] = {}
+
+    def ramp(first: int, count: int) -> Observed:
+        since = np.arange(first, first + count) / RATE
+        bounds = np.array([0, count])
+        return replace(
+            _seen(np.eye(3)), time=600 + since, temperature=20 + since, temperature_rate=np.ones(count), bounds=bounds, past=past
+        )  # fmt: skip
+
+    whole = lag(ramp(0, 500), tau)
+    assert whole[-1] == pytest.approx(-tau * (1 - math.exp(-499 / RATE / tau)), rel=1e-3)
+    for first in range(0, 500, 50):
+        block = ramp(first, 50)
+        assert lag(block, tau) == pytest.approx(whole[first : first + 50], rel=1e-3, abs=1e-3)
+        past = {tau: effect.remembered(block, tau)}
+        assert sum(len(course.time) for course in past[tau]) == 2

@@ -29,7 +29,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.error_model.observed import Observed
+from planrunner.error_model.observed import Observed, TemperatureCourse
 
 Array = NDArray[np.float64]
 
@@ -204,10 +204,12 @@ class ChangesWithinSegments(HasShape, Protocol):
 
 
 @runtime_checkable
-class DependsOnPast(Effect, Protocol):
+class DependsOnPast(HasShape, Protocol):
     """An effect that depends on the temperatures before the first sample (`Observed.past`), where a simulation computes it in parts."""
 
-    depends_on_past: Literal[True]
+    def remembered(self, observed: Observed, value: float) -> tuple[TemperatureCourse, ...]:
+        """A past in place of these samples and the past before them, with the same effect on what follows at this value of the shape. Its
+        length does not grow."""
 
 
 @runtime_checkable

@@ -30,7 +30,7 @@ class _BiasTemperatureLagged(Shaped):
     temperature T of the thermometer; τ·dTₑ/dt = T − Tₑ, with Tₑ = T when the recording begins."""
 
     stage, shape_name, shape_unit = "sensor", "tau", "s"
-    shown_by, depends_on_past = "a recorded temperature ramp, or segments soon after a change of temperature", True
+    shown_by = "a recorded temperature ramp, or segments soon after a change of temperature"
     over_segments = True
     kind: str
 
@@ -42,6 +42,12 @@ class _BiasTemperatureLagged(Shaped):
         unit, factor, natural = _SCALES[self.kind]
         behind = lag(observed, value)
         return Variant(tuple(per_axis(observed, self.kind, "c", unit, factor, natural * factor, behind)), value)
+
+    def remembered(self, observed: Observed, value: float) -> tuple[TemperatureCourse, ...]:
+        """An instant at the temperature of the element, which then has no lag, and one at that of the thermometer."""
+        time, shown, behind = observed.time[-1:], observed.temperature[-1:], lag(observed, value)[-1]
+        rate = float(observed.temperature_rate[-1])
+        return TemperatureCourse(time, shown + behind, 0.0), TemperatureCourse(time, shown, rate)
 
 
 class GyroBiasTemperatureLagged(_BiasTemperatureLagged):
@@ -61,7 +67,7 @@ def lag(observed: Observed, tau: float) -> Array:
     with the slope that it had before; without such a slope, at once."""
     found = np.empty(len(observed.time))
     behind, before = 0.0, None
-    for course in observed.past:
+    for course in observed.past.get(tau, ()):
         behind = _through(course, tau, _reached(before, course, behind, tau))[-1]
         before = course
     for rows in observed.segments():
