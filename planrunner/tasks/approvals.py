@@ -307,6 +307,9 @@ def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, .
         if rule is not None:
             message = f"{path / BENCH}: this bench requires approvals, but the run has none ({APPROVALS})"
             found.error("run-approval", message, hint="")
+        elif "signature" in found.run.get("check_standard", {}).get("override", {}):
+            message = f"{path / RUN}: it has a signed override, but its bench names no key ring with which to verify it"
+            found.error("run-approval", message, hint="")
         return ()
     try:
         kept, damaged = kept_approvals(data, path)

@@ -535,6 +535,20 @@ def test_a_run_keeps_a_signed_override_that_verify_and_resume_examine_again(
     assert refused.returncode == 2 and "the signature does not match" in refused.stderr
 
 
+def test_a_signature_that_no_key_ring_verifies_is_a_change_of_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bench has no key ring. A signature would make reports leave out that the name is not authenticated."""
+    monkeypatch.setattr(check_standard, "signature_of", lambda *_: {})
+    lab(tmp_path)
+    override = ("--override-by", "anna", "--override-check-standard", "levelled")
+    done = planrunner("run", "work.yaml", "--set", "device_serial=D1", "--quiet", *override, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (run,) = (tmp_path / "runs").glob("2*-work-*")
+    verified = planrunner("verify", run, cwd=tmp_path)
+    assert verified.returncode == 4 and "names no key ring" in verified.stdout + verified.stderr
+
+
 def test_an_override_under_which_a_run_is_continued_is_in_its_report(tmp_path: Path) -> None:
     lab(tmp_path, action="warn")
     assert planrunner("run", "work.yaml", "--set", "device_serial=D1", "--quiet", cwd=tmp_path).returncode == 0
