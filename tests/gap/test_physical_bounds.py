@@ -42,6 +42,10 @@ def test_a_lever_arm_longer_than_any_table_is_not_named() -> None:
     assert sum(p for name, p in found.posterior.probability.items() if "lever_arm" in name) < 0.01
 
 
+def test_a_gap_that_no_candidate_can_show_is_unknown() -> None:
+    assert diagnose(record(seed=5, fault=arm(0.3)), DiagnosisOptions(effects=())).verdict.kind == "unknown"
+
+
 def test_a_lever_arm_longer_than_the_declared_reach_is_not_named() -> None:
     seen = record(seed=5, fault=arm(0.3))
     assert "lever_arm" in diagnose(seen, DiagnosisOptions(effects=EFFECTS)).verdict.effects

@@ -88,8 +88,8 @@ def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate
     by_id = {candidate.id: candidate for candidate in candidates}
     top, remainder = leading(found.log_evidence, top, by_id) or (top, None)
     if top == UNKNOWN:
-        best = next(name for name in probability if name not in ("none", UNKNOWN))
-        if probability[UNKNOWN] >= SOMETHING_ELSE:
+        best = next((name for name in probability if name not in ("none", UNKNOWN)), "")
+        if not best or probability[UNKNOWN] >= SOMETHING_ELSE:
             return Verdict("unknown")
         return Verdict("indistinguishable", tuple(best.split("+")), (best, UNKNOWN))
     likely = probability if remainder is None else as_probable(found.log_evidence, top)
