@@ -77,4 +77,4 @@ def test_the_documented_chamber_is_installed_checked_and_asked(tmp_path: Path) -
     assert "'192.168.0.6:2049' is not a VISA resource name" in chamber("bench", "ping", "wrong.yaml").stderr
     asked = chamber("bench", "ping", "mine.yaml")
     assert asked.returncode == 3, asked.stderr
-    assert "FAILED: ASRL/dev/no-such-port::INSTR, asked '$01I', cannot be reached" in asked.stdout
+    assert "FAILED: ASRL/dev/no-such-port::INSTR, when asked '$01I', cannot be reached" in asked.stdout

@@ -65,7 +65,7 @@ def test_who_answers_is_reported_and_who_does_not_too(
     )
     assert chamber_row.endswith(" ms | reports alarms of the P300 (number, codes): 1,3")
     assert table_row.startswith(
-        f"table        acutrol              FAILED: {refusing}, asked '*IDN?', refuses the connection"
+        f"table        acutrol              FAILED: {refusing}, when asked '*IDN?', refuses the connection"
     )
     assert not [message for message in heard if "?" not in message]  # nothing is set, nothing moves
 

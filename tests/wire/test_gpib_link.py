@@ -59,7 +59,7 @@ def test_messages_go_one_by_one_at_the_pace_that_the_instrument_needs(bus: Bus) 
 
 def test_after_silence_the_device_is_cleared_so_that_no_late_answer_waits_in_it(bus: Bus) -> None:
     link = MessageLink(LinkSettings("GPIB0::1::INSTR", timeout=0.1, tries=1))
-    with pytest.raises(InstrumentError, match=r"GPIB0::1::INSTR, asked '\*IDN\?', did not answer within 0.1 s"):
+    with pytest.raises(InstrumentError, match=r"GPIB0::1::INSTR, when asked '\*IDN\?', did not answer within 0.1 s"):
         link.query("*IDN?")
     assert bus.told[-2:] == ["clear", "close"]
     bus.answers = [b"ACUTRONIC\n"]

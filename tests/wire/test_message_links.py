@@ -74,7 +74,7 @@ def test_a_refused_port_is_reported_with_what_to_look_at() -> None:
         link_to(f"TCPIP::127.0.0.1::{port}::SOCKET") as link,
         pytest.raises(
             InstrumentError,
-            match=rf"^TCPIP::127.0.0.1::{port}::SOCKET, asked 'A\?', refuses the connection: check that the",
+            match=rf"^TCPIP::127.0.0.1::{port}::SOCKET, when asked 'A\?', refuses the connection: check that the",
         ),
     ):
         link.query("A?")

@@ -253,7 +253,7 @@ def test_a_dead_link_is_reported_at_every_attempt_to_make_it_safe(monkeypatch: p
         table.orient(turned(5.0))
         server.close()
         silent_at_first(table.commands.link, monkeypatch)
-        with pytest.raises(InstrumentError, match=r"::SOCKET, asked ':status:stb\?'"):
+        with pytest.raises(InstrumentError, match=r"::SOCKET, when asked ':status:stb\?'"):
             table.make_safe()
         for _again in range(2):
             with pytest.raises(InstrumentError, match="refuses the connection"):
