@@ -9,9 +9,11 @@ from pathlib import Path
 
 from planrunner.archive.formats import from_bytes
 from planrunner.archive.run_reader import RunReader
+from planrunner.archive.storage import Storage
 from planrunner.archive.verifying import RUN
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
+from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.base.progress import Announce
 from planrunner.bench.check_standard import CheckStandardRule
 from planrunner.bench.model import Bench, bench_of
@@ -69,7 +71,7 @@ def sign_override(bench: Bench, override: Override, until: date, signer: Signer)
             Mark(str(place)), "bench-check-override", message, "use a key of this person, and a later day"
         )
     try:
-        place.write_bytes(envelope.to_bytes())
+        Storage().write_whole(GuardedFolder.open(place.parent), place.name, envelope.to_bytes())
     except OSError as error:
         message = f"the override cannot be written: {error.strerror or error}"
         raise InputError.at(Mark(str(place)), "file-system", message, "change the permissions of the folder") from None

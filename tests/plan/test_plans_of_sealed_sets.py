@@ -10,6 +10,7 @@ import pytest
 
 from planrunner.plan.schedule import Rest, Rock, Spin
 from planrunner.tasks.check import check_plan
+from tests.directions import WORDS
 
 ROOT = Path(__file__).parents[2]
 SETS = ROOT.parent / "shared" / "blind"
@@ -17,14 +18,6 @@ TABLES = {
     "round-1/segments.csv": "imu_recorded_over_temperature.yaml",
     "round-2/segments-C.csv": "imu_recorded_hot.yaml",
     "round-2/segments-D.csv": "imu_recorded_cold_and_hot.yaml",
-}
-EAST_NORTH_UP = {
-    "east": (1, 0, 0),
-    "west": (-1, 0, 0),
-    "north": (0, 1, 0),
-    "south": (0, -1, 0),
-    "up": (0, 0, 1),
-    "down": (0, 0, -1),
 }
 
 
@@ -37,7 +30,7 @@ def test_a_plan_states_what_the_table_says(name: str) -> None:
     assert [one.label for one in checked.schedule.segments] == [row["label"] for row in rows]
     for one, row in zip(checked.schedule.segments, rows, strict=True):
         assert one.attitude is not None and np.array_equal(
-            one.attitude, [EAST_NORTH_UP[row[f"{axis}_axis"]] for axis in "xyz"]
+            one.attitude, [WORDS[row[f"{axis}_axis"]] for axis in "xyz"]
         ), one.label
         assert one.dwell == pytest.approx(float(row["end_s"]) - float(row["start_s"])), one.label
         chamber = one.ramp_to if row["ramp"] == "1" else one.temperature

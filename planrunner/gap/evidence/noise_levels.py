@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, log_mean_exp
+from planrunner.gap.evidence.rounding import is_coarse
 from planrunner.observation.lattice import COARSER, coarsening, holds, seen_levels, undeclared_step
 
 Array = NDArray[np.float64]
@@ -90,8 +91,8 @@ def _other(kind: str) -> str:
 def _rounded(observed: Observed, kind: str, white: Array, counts_: Sequence[float] | Array) -> bool:
     """Whether neither the declared nor the measured noise of a triad dithers its count."""
     for index in observed.of_kind(kind):
-        measured = max(float(white[index]) ** 2 - counts_[index] ** 2 / 12, 0.0)
-        if counts_[index] ** 2 > 4 * max(observed.channels[index].white ** 2 * observed.sample_rate, measured):
+        declared = observed.channels[index].white ** 2 * observed.sample_rate + counts_[index] ** 2 / 12
+        if is_coarse(max(float(white[index]), np.sqrt(declared)), counts_[index]):
             return True
     return False
 

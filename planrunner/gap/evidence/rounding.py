@@ -17,10 +17,16 @@ from planrunner.plan.schedule import Rest
 Array = NDArray[np.float64]
 NOISES = np.geomspace(0.02, 1.0, 24)  # standard deviations that are compared, in counts
 PLACES = np.linspace(-1.0, 1.0, 801)  # positions of a true mean about a count, in counts
+DITHERED = 0.5  # noise, in counts, below which rounding makes the noise depend on the reading
 DOUBT = float(np.log(2.0))  # standard deviation of the logarithm of the declared noise
 STRAY = 1e-4  # share of samples that are not explained by the noise
 HARMONICS = np.arange(1, 101)  # of the saw-tooth
 _MOST = 60  # counts that a segment at rest may reach
+
+
+def is_coarse(white: Array | float, count: Array | float) -> NDArray[np.bool_]:
+    """Whether the noise does not dither the count. white: standard deviation of a rounded sample; its square contains count²/12."""
+    return np.asarray(np.square(white) < np.square(count) * (1 / 12 + DITHERED**2))
 
 
 def dithering(sigma: Array | float) -> Array:

@@ -22,7 +22,7 @@ from planrunner.gap.evidence.bayes_factors import (
 )
 from planrunner.gap.evidence.noise_levels import counts
 from planrunner.gap.evidence.noise_within import noise_within
-from planrunner.gap.evidence.rounding import undithered
+from planrunner.gap.evidence.rounding import is_coarse, undithered
 from planrunner.gap.evidence.slow_noise import SlowMeans
 from planrunner.gap.evidence.spectrum import Spectrum, spectrum, white_level
 from planrunner.gap.evidence.weighing import (
@@ -41,7 +41,6 @@ ABSORBED = 1e-4  # share of a signature's energy that remains through rounding w
 FULL = NOMINAL_TERMS
 _FORMS = 5
 _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise is left out
-DITHERED = 0.5  # noise, in counts, below which rounding makes the noise depend on the reading
 
 
 @dataclass(frozen=True)
@@ -155,7 +154,7 @@ class Weighing:
         self.spectrum: Spectrum = spectrum(observed, self._reference)
         level, self.white_degrees = white_level(observed, self.spectrum)
         self.white: Array = np.maximum(level, self.steps / np.sqrt(12))
-        self.coarse: NDArray[np.bool_] = self.white**2 < self.steps**2 * (1 / 12 + DITHERED**2)
+        self.coarse: NDArray[np.bool_] = is_coarse(self.white, self.steps)
         self.noise = noise_within(observed, self.spectrum, self.white)
         slow = SlowMeans.of(*lasting(observed))
         self.settings: dict[str, tuple[Setting, ...]] = {
