@@ -1,4 +1,4 @@
-"""The type of arrays of real numbers. Their shapes and units are in the docstrings of the functions that take and return them."""
+"""Types of arrays: real numbers, integers. The functions that take or return an array give its shape and units."""
 
 from __future__ import annotations
 
@@ -6,3 +6,4 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]

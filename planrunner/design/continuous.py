@@ -13,11 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.design.efficiency import information
-
-Array = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-8  # shares below this are dropped from a solution
 

@@ -14,11 +14,9 @@ from dataclasses import dataclass
 from typing import TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.physics.rotation_cycle import NOTHING, RotationCycle
-
-Array = NDArray[np.float64]
 
 TURN = 2 * math.pi
 HALF_TURN = math.pi

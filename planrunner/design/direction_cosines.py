@@ -10,9 +10,9 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planrunner.base.arrays import Array
+
 RowsAt = Callable[[Array], Array]
 
 EXACT = 1e-9  # of the largest entry

@@ -13,9 +13,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planrunner.base.arrays import Array
 
 SINGULAR = 1e-9
 """Singular values of the rows below this times the largest count as zero."""

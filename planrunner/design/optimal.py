@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.workers import ALONE, Workers, results_in_order
 from planrunner.design import exchange
 from planrunner.design.continuous import Continuous, derivative, solve, solve_with_climbing
 
-Array = NDArray[np.float64]
 RowsOf = Callable[[Array], Array]
 Progress = Callable[[float], None]
 

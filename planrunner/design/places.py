@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.estimators.interface import Design, DesignBlock, DesignRequest, EstimationError, Setup, estimator_of
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
@@ -19,8 +19,6 @@ from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, 
 from planrunner.plan.model import EstimateSpec
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.selection import select
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings
 from planrunner.design.cycles import FoundCycle, StudiedCycle
@@ -22,7 +20,6 @@ from planrunner.estimators.interface import Coefficient, Design, Plot, Table
 from planrunner.physics.kinematics import TableAxis
 from planrunner.plan.schedule import Schedule, Segment
 
-Array = NDArray[np.float64]
 SearchProgress = Callable[[str, float], None]
 """Called with the stage of a search and the part of it that is done."""
 

@@ -12,9 +12,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.design.optimal import Region, boxed, with_slopes
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 NORMS = (4.0, 16.0, 64.0, 256.0)

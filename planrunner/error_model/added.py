@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.base import plugins
+from planrunner.base.arrays import Array
 from planrunner.base.findings import InputError, Mark, closest
 from planrunner.error_model.effects.interface import (
     ActsOnNoise,
@@ -37,7 +37,6 @@ from planrunner.error_model.observed import Observed
 from planrunner.plan.quantity import QuantityError, without_uncertainty
 from planrunner.plan.units import UnknownUnitError, unit
 
-Array = NDArray[np.float64]
 STAGES = ("stimulus", "sensor", "output", "acquisition", "covariance")
 NOISE: dict[NoiseKind, tuple[str, str]] = {
     "white": ("density", "*sqrt(s)"),

@@ -15,8 +15,8 @@ and rad/s per m/s^2 (or per (m/s^2)^2).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.terms import (
     ACCEL_X,
     ACCEL_X_ACCEL_Z,
@@ -29,8 +29,6 @@ from planrunner.error_model.terms import (
     ErrorModel,
     Term,
 )
-
-Array = NDArray[np.float64]
 
 PRODUCTS: dict[str, tuple[Term, str]] = {
     "accel_x_accel_z": (ACCEL_X_ACCEL_Z, "XZ"),

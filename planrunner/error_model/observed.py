@@ -13,13 +13,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.physics.earth import Site
 from planrunner.physics.moved_body import BodyMotion
 from planrunner.plan.schedule import Motion, RecordedMotion, Rock, Segment, Spin
 from planrunner.plan.units import unit
 
-Array = NDArray[np.float64]
 KINDS = {unit("rad/s").dimension: "gyro", unit("m/s^2").dimension: "accel"}
 """Kinds of channel by the dimension of their unit."""
 

@@ -15,14 +15,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.effects.interface import ChangesWithinSegments, Column, Effect, Shaped
 from planrunner.error_model.observed import Observed
 from planrunner.error_model.segment_columns import TRIADS, Amplitude, EffectPart, OutputErrors, amplitudes_of
-
-Array = NDArray[np.float64]
 
 _STEP = 1e-6  # of the largest output, for the slope of an effect on the output
 

@@ -13,8 +13,8 @@ from dataclasses import field, fields, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.effects.interface import (
     ActsOnNoise,
@@ -39,8 +39,6 @@ from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import Stimulus
 from planrunner.plan.schedule import Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
-
-Array = NDArray[np.float64]
 
 KINDS = {"gyro": "rad/s", "accel": "m/s^2"}
 TRIADS = tuple(

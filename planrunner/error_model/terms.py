@@ -13,9 +13,9 @@ from dataclasses import field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.base import plugins
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.kept import kept
 from planrunner.base.said import Said, said
@@ -23,8 +23,6 @@ from planrunner.physics.earth import EARTH_RATE, Site
 from planrunner.physics.stimulus import Poses, Stimulus, StimulusError
 from planrunner.plan.kinds import Choice
 from planrunner.plan.units import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,8 +16,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.documents import Json
 from planrunner.base.findings import InputError
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from planrunner.error_model.effects.interface import NoiseKind
     from planrunner.error_model.observed import Observed, TemperatureCourse
 
-Array = NDArray[np.float64]
 NAME = r"[a-z][a-z0-9_]{0,59}"
 _CHANGED = 1.0  # K between segments: less is no change of temperature
 _WALKS = 2  # second part of a generator's key: different from those of segments and of switching on

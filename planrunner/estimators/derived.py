@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said
 from planrunner.estimators.interface import Coefficient
@@ -21,8 +21,6 @@ from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.uncertainty.derivatives import Formula, value_and_jacobian
 from planrunner.uncertainty.influences import Influence
 from planrunner.uncertainty.monte_carlo import Draws, influence_draws, t_draws
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

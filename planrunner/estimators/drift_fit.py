@@ -22,16 +22,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import rank
 from planrunner.estimators.drift_order import COUPLED
 from planrunner.estimators.least_squares import LinearFit
 from planrunner.observation.drift import DriftCourse, DriftCourses
 from planrunner.observation.observations import SIGNIFICANCE, WithinSegmentNoise
-
-Array = NDArray[np.float64]
 
 LEAST_LEFT = 2
 """Degrees of freedom of all outputs together."""

@@ -14,14 +14,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.kept import kept
 from planrunner.estimators import rank
 from planrunner.estimators.interface import DesignBlock, DesignRequest, Remark
 from planrunner.observation.drift import BY_EVIDENCE, ORDERS, WITH_TEMPERATURE, asked, in_time, thermometer_of
 from planrunner.plan.schedule import Segment
-
-Array = NDArray[np.float64]
 
 COUPLED = 2.0
 """Growth of a standard uncertainty from which an order is remarked upon: a repetition of all segments would gain less than the drift

@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import BATCHES, RecordedSegment, Statistics, expected_segment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.observed import STANDARD_PRESSURE, planned_excess
 from planrunner.error_model.terms import ErrorModel, columns_of
@@ -24,7 +24,6 @@ from planrunner.physics.stimulus import Poses, Stimulus
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
 
-Array = NDArray[np.float64]
 Responses = Mapping[str, tuple[ErrorModel, Array]]
 """By output: an error model and the coefficients (p,) that the sensor declares, in the output's unit per SI column."""
 

@@ -10,15 +10,13 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.observed import axis_of
 from planrunner.estimators.interface import DesignRequest, Remark
 from planrunner.plan.model import MountedAxis
 from planrunner.plan.schedule import Cycle, Motion, Segment, Spin
 from planrunner.plan.units import unit
-
-Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9  # relative, of a rate that is the full scale itself
 _AXES = "xyz"

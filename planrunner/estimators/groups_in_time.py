@@ -9,12 +9,9 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array, Integers
 from planrunner.base.dataclass import dataclass
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 _PAUSE = 3.0  # times the median pause between repeats, that separates groups
 _LEAST = 4  # repeats in each third

@@ -21,10 +21,10 @@ from enum import StrEnum
 from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base import plugins
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
 from planrunner.base.said import Said
@@ -39,7 +39,6 @@ from planrunner.plan.selection import Detection
 from planrunner.uncertainty.decision import CoefficientRole as CoefficientRole
 from planrunner.uncertainty.influences import Budget, Influence, Inputs
 
-Array = NDArray[np.float64]
 P = TypeVar("P", covariant=True)
 R = TypeVar("R", bound=Record)
 

@@ -18,8 +18,8 @@ from functools import cache
 from typing import Generic, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
 from planrunner.base.findings import InputError
@@ -42,8 +42,6 @@ from planrunner.plan.kinds import Record
 from planrunner.plan.meaning import channels_of
 from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence
-
-Array = NDArray[np.float64]
 
 _ALIKE = 1e-6  # relative: what two assumptions give alike does not rest on what is assumed
 

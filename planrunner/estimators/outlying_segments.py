@@ -14,14 +14,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.least_squares import whitener
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.observation.observations import SIGNIFICANCE
-
-Array = NDArray[np.float64]
 
 LEAST_REDUNDANCY = 0.1
 """Below this redundancy an error is visible only if it is more than three times (1/√0.1) as large as elsewhere."""

@@ -18,6 +18,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.kept import kept
 from planrunner.estimators import least_squares
@@ -27,8 +28,6 @@ from planrunner.observation.correlated_errors import CorrelatedError, explained,
 from planrunner.observation.drift import NO_DRIFT, DriftCourses
 from planrunner.observation.observations import SIGNIFICANCE, Observations, WithinSegmentNoise, within_segment_noise
 from planrunner.uncertainty.influences import Influence
-
-Array = NDArray[np.float64]
 
 BASES = ("residual", "within_segment")
 _WIDEST = 1e9  # of the largest spread: what exceeds the noise then is not the means' scatter

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.findings import closest
 from planrunner.error_model.terms import ErrorModel, columns_of
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError
@@ -14,8 +14,6 @@ from planrunner.instruments.models import NoiseModel
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import Poses, StimulusError
 from planrunner.plan.schedule import Rest, Segment
-
-Array = NDArray[np.float64]
 
 
 def matrix_at_rest(

@@ -9,12 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.kept import kept
-
-Array = NDArray[np.float64]
 
 TOLERANCE = (
     1e-9  # singular values below this times the largest count as zero; planned attitudes are exact to about 1e-15

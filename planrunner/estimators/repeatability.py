@@ -21,6 +21,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.base.said import Said, said
@@ -45,8 +46,6 @@ from planrunner.estimators.root_of_square import root_of
 from planrunner.observation.observations import SIGNIFICANCE, recorded_times, variances_differ
 from planrunner.plan.kinds import CHANNEL, ListOf, MapOf, Record, Text, key
 from planrunner.plan.selection import matches
-
-Array = NDArray[np.float64]
 
 PROBABILITY = 0.95
 _ORDERED = 8  # repeats from which their order can say anything

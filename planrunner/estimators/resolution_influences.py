@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.estimators.interface import EstimateRequest
 from planrunner.instruments.models import SensorModel
 from planrunner.observation.observations import dithered
 from planrunner.uncertainty.influences import Aspect, Influence
-
-Array = NDArray[np.float64]
 
 
 def resolution_influences(

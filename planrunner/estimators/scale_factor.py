@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import said
 from planrunner.error_model.observed import axis_of
@@ -52,8 +52,6 @@ from planrunner.plan.units import Unit, unit
 from planrunner.uncertainty.conditions import StatedCondition, influences_on
 from planrunner.uncertainty.derivatives import jacobian
 from planrunner.uncertainty.influences import Influence
-
-Array = NDArray[np.float64]
 
 TERMS = ("offset", "rate")
 

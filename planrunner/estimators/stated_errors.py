@@ -14,8 +14,8 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.kept import kept
 from planrunner.error_model.terms import LinearModel
 from planrunner.estimators.interface import Setup
@@ -28,8 +28,6 @@ from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.uncertainty.conditions import StatedCondition
 from planrunner.uncertainty.influences import InputQuantity, Inputs
-
-Array = NDArray[np.float64]
 
 DIRECTIONS = ("east", "north", "up")
 UP = (0.0, 0.0, 1.0)

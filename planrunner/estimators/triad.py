@@ -14,11 +14,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.uncertainty.derivatives import length
-
-Array = NDArray[np.float64]
 
 RowFormula = Callable[[Array], Array]
 """One quantity (n,) of an output's row of coefficients (p, n)."""

@@ -13,16 +13,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import least_squares
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.observation.correlated_errors import CorrelatedError, mixed, stacked_roots
 from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.decision import coverage_factor
-
-Array = NDArray[np.float64]
 
 CREDIBLE = 0.95
 """Probability with which B is below its bound."""

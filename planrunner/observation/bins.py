@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Bins
 from planrunner.instruments.interfaces import Block
 from planrunner.observation.lattice import levels_of, settled
 from planrunner.physics.sampled_motion import period_of, turned_by
 
-Array = NDArray[np.float64]
 BUDGET = 200_000  # largest recording that is used unchanged, in samples, and approximate number of bins of a longer one
 PER_PERIOD = 64  # bins in a turn or a period: within one, what turns is its value at the middle and a curvature
 FEWEST = 64  # bins in a segment

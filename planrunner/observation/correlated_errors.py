@@ -10,12 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.uncertainty.influences import Influence, InputQuantity
-
-Array = NDArray[np.float64]
 
 _RESOLVED = (
     1e-12  # of the largest variance: differences of observations are taken to be known no better than a millionth

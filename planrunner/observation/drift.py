@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.observation.observations import Observations, recorded_times
@@ -22,8 +22,6 @@ from planrunner.observation.refusals import EstimationError
 from planrunner.observation.temperature import CHANGED
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, key
 from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
-
-Array = NDArray[np.float64]
 
 BY_EVIDENCE, NONE = "by_evidence", "none"
 ORDERS = ("linear", "quadratic", "cubic")

@@ -13,14 +13,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.observations import Observations
 from planrunner.plan.kinds import QuantityOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.uncertainty.influences import Aspect, InputQuantity, Inputs
 from planrunner.uncertainty.monte_carlo import square_root
-
-Array = NDArray[np.float64]
 
 SPAN = parse_quantity("24 h")
 

@@ -4,9 +4,9 @@ by piece."""
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planrunner.base.arrays import Array
+
 COARSER = 1.2  # of the declared count: a larger common step is another resolution
 DISTINCT = 20  # different values needed to recognise a lattice
 MANY = 4  # different values needed to recognise the lattice of a channel without a declared count

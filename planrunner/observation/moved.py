@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.observation.refusals import ObservationError
 from planrunner.physics.earth import Site
 from planrunner.physics.moved_body import BodyMotion, by_attitude, by_force, by_rates, slope
 from planrunner.plan.schedule import RecordedMotion
 
-Array = NDArray[np.float64]
 _AVERAGED = 10  # samples of an angle or an attitude, by default
 _GAP = 3.0  # times the median interval: a longer one is a gap, next to which there are no differences
 _SUPPOSED = 100.0  # deg/s

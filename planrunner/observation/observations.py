@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.observation.refusals import EstimationError, UnfitDataError
-
-Array = NDArray[np.float64]
 
 _LEAST = 0.01  # of the scatter within a segment that is taken for white whatever is declared
 _FEW = 20  # degrees of freedom, up to which a correlation of means is hardly known

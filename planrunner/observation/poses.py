@@ -15,9 +15,9 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment, in_time_order
+from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Channel, Observed, ObservedSegment, joined
 from planrunner.instruments.models import SensorModel
 from planrunner.observation.bins import bins_of, seen_along, sizes
@@ -27,7 +27,6 @@ from planrunner.observation.temperature import temperature_of
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import RecordedMotion, Rest
 
-Array = NDArray[np.float64]
 _STEPS = 20
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment, in_time_order
+from planrunner.base.arrays import Array
 from planrunner.base.findings import closest
 from planrunner.error_model.observed import KINDS, Channel, Observed, ObservedSegment, channel_of, joined
 from planrunner.instruments.models import NoiseModel, SensorModel
@@ -22,8 +22,6 @@ from planrunner.physics.moved_body import BodyMotion, averaged
 from planrunner.physics.sampled_motion import fading, motion_at
 from planrunner.plan.schedule import RecordedMotion, Rest, Rock, Spin
 from planrunner.plan.units import unit
-
-Array = NDArray[np.float64]
 
 _REACHED = 0.99  # of full scale
 

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import Find, FindKind, Ranges, RecordedSegment, WatcherOf
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import OutputModel, SensorModel
@@ -33,7 +34,6 @@ from planrunner.observation.standing import PER_SIGMA, RUN, leaves_count, with_s
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.units import DIMENSIONS, unit
 
-Array = NDArray[np.float64]
 RowNumbers = NDArray[np.int64]
 Numbered = RowNumbers | range
 """Numbers of rows; a range where none is missing, which costs nothing to make."""

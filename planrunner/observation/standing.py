@@ -12,13 +12,11 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import Find, FindKind, RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.instruments.models import OutputModel, SensorModel
 from planrunner.plan.schedule import Rest, Spin
-
-Array = NDArray[np.float64]
 
 _LEAST = 100  # samples of a segment that is judged
 _READ = 1 << 14  # samples from which the noise of another segment is taken

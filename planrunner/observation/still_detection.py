@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.observation.refusals import EstimationError
 from planrunner.plan.selection import Detection
 from planrunner.plan.span import Span
 from planrunner.plan.units import DIMENSIONS, unit
-
-Array = NDArray[np.float64]
 
 _MOST_BATCHES = 64
 

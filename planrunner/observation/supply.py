@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.observed import STANDARD_PRESSURE, planned_excess
 from planrunner.instruments.models import NOMINAL_SUPPLY
 from planrunner.observation.temperature import smoothed
 from planrunner.plan.units import unit
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.error_model.observed import REFERENCE_TEMPERATURE
 from planrunner.plan.units import ZERO_CELSIUS
 
-Array = NDArray[np.float64]
 CHANGED = 1.0  # K within a segment, or between the means of consecutive ones: less is no change
 _SMOOTHING = 10  # coefficients of the polynomial by which a segment's temperature is smoothed, at most
 _WORTH = 12.0  # gain of twice the log likelihood per coefficient: 3.5 σ, which noise rarely reaches

@@ -9,11 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
-
-Array = NDArray[np.float64]
 
 ROUNDING = 1e-3
 """Fraction of the sample period: a time stamp nearer than this to a boundary counts as on it. It allows for boundaries rounded to

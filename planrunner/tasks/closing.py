@@ -15,9 +15,9 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.base import plugins
+from planrunner.base.arrays import Array
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.progress import Announce
 from planrunner.plan import source
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from planrunner.gap.answer.comparison import GapComparison
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
 
-Array = NDArray[np.float64]
 ROUNDS = 6
 """Most rounds of `close`."""
 SMALLEST = 0.01

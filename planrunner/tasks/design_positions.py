@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.findings import Findings, InputError
 from planrunner.base.workers import ALONE, Workers
 from planrunner.bench.scheduling import build_schedule
@@ -39,7 +40,6 @@ from planrunner.plan.schedule import Schedule
 from planrunner.plan.selection import Detection
 from planrunner.tasks.check import Checked
 
-Array = NDArray[np.float64]
 _Mark = tuple[int, int]  # (line, column) of what is changed in the plan
 
 SPREAD = 2000  # attitudes over which exchange looks, and over which predictions are judged

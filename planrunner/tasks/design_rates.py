@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.findings import Findings, InputError
 from planrunner.design import bundles
 from planrunner.design.study import Asked, FoundRates, RateSet
@@ -27,8 +27,6 @@ from planrunner.plan.rewriting import RewriteError, with_rates
 from planrunner.plan.schedule import Segment, Spin
 from planrunner.plan.selection import Detection, select
 from planrunner.tasks.check import Checked, Document, check_plan
-
-Array = NDArray[np.float64]
 
 STEPS = 12  # parts of the largest rate: an operator can distinguish such rates, and they are round numbers if the largest is round
 TERMS_BESIDE = ("|rate|", "rate^3")

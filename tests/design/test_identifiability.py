@@ -9,10 +9,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from planrunner.base.arrays import Array
 from planrunner.base.said import Said
 from planrunner.design.identifiability import identify, identify_block
 from planrunner.error_model.flexure_gyro import static_model
-from planrunner.error_model.terms import Array, Term
+from planrunner.error_model.terms import Term
 from planrunner.estimators.interface import Design, DesignBlock
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import Stimulus, segment_means

@@ -29,9 +29,8 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed, TemperatureCourse
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

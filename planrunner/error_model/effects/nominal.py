@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Array, Column, Variant, on_stimulus, per_axis, single, whole
+from planrunner.error_model.effects.interface import Column, Variant, on_stimulus, per_axis, single, whole
 from planrunner.error_model.observed import Observed
 
 DEG = 3.141592653589793 / 180

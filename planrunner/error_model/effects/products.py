@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from planrunner.error_model.effects.interface import Array
+from planrunner.base.arrays import Array
 
 
 def products(vector: Array) -> list[tuple[str, Array]]:

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Array, Column, Shaped, Variant, on_rate, per_axis
+from planrunner.error_model.effects.interface import Column, Shaped, Variant, on_rate, per_axis
 from planrunner.error_model.observed import Observed
 
 _SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2), "accel": ("mg", 9.80665e-3, 1.0)}

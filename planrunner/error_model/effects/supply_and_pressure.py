@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Array, Follows, Variant, per_axis, single
+from planrunner.error_model.effects.interface import Follows, Variant, per_axis, single
 from planrunner.error_model.observed import Observed
 
 DEG = np.pi / 180

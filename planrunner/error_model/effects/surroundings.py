@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import (
-    Array,
     Column,
     Shaped,
     Variant,

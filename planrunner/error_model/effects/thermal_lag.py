@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Array, Shaped, Variant, per_axis
+from planrunner.error_model.effects.interface import Shaped, Variant, per_axis
 from planrunner.error_model.observed import Observed, TemperatureCourse
 
 _SCALES = {"gyro": ("deg/s/K", np.pi / 180, 1e-3), "accel": ("ug/K", 9.80665e-6, 100.0)}

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Array, Variant, per_axis, single
+from planrunner.error_model.effects.interface import Variant, per_axis, single
 from planrunner.error_model.observed import Observed
 
 DEG = np.pi / 180

@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import counted, said
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude, too_few
@@ -47,8 +47,6 @@ from planrunner.plan.schedule import Rest, Segment
 from planrunner.plan.selection import Detection
 from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.uncertainty.influences import Influence
-
-Array = NDArray[np.float64]
 
 _UNITS = ("mg",) * 3 + ("1",) * 3 + ("mrad",) * 3
 _SCALE = np.array([1 / unit(text).factor for text in _UNITS])

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import said
 from planrunner.error_model.terms import ErrorModel, error_model
@@ -41,8 +41,6 @@ from planrunner.observation.observations import Observations, observe
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import DIMENSIONS, Unit, unit
-
-Array = NDArray[np.float64]
 
 _AXES = ("x", "y", "z")
 

@@ -12,14 +12,12 @@ b = 0, s = 1, γ = 0.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import rank
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.uncertainty.derivatives import jacobian
-
-Array = NDArray[np.float64]
 
 NAMES = ("bias_x", "bias_y", "bias_z", "scale_x", "scale_y", "scale_z", "gamma_xy", "gamma_xz", "gamma_yz")
 _PAIRS = ((0, 1), (0, 2), (1, 2))

@@ -9,8 +9,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.findings import closest
 from planrunner.base.said import Said, counted, said
 from planrunner.estimators.allan.confidence import NAMES
@@ -48,8 +48,6 @@ from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, Quanti
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Rest
 from planrunner.uncertainty.influences import Influence
-
-Array = NDArray[np.float64]
 
 WORDS = {
     "Q": said("quantisation: 3·Q²/τ²"),

@@ -16,10 +16,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from planrunner.base.arrays import Array, Integers
 
 LEAST_POINTS = 30  # averages needed for the lag-1 autocorrelation to identify a noise type
 MOST_POINTS = 2**20

@@ -24,12 +24,9 @@ from copy import copy
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array, Integers
 from planrunner.base.dataclass import dataclass
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 TERMS = ("Q", "N", "B", "K")
 FLAT = 2 * math.log(2) / math.pi  # 0.4413; its root is 0.664

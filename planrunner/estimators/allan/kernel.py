@@ -10,12 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array, Integers
 from planrunner.base.compiled import compiled
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 PIECE = 2048  # phase points, 16 kB: a few dozen of them stay in a core's second-level cache
 SHARED = 2**19  # phase points from which waking the other cores pays

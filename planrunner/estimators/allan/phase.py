@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.estimators.interface import EstimationError, UnfitDataError
-
-Array = NDArray[np.float64]
 
 LONGEST = 2**25  # phase points, 268 MB
 SHORTEST = 3  # phase points that give one second difference

@@ -8,15 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Integers
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.allan.confidence import freedom_of_runs
 from planrunner.estimators.allan.table import octave_factors
 from planrunner.estimators.interface import DesignRequest, EstimationError, Remark
 from planrunner.plan.quantity import Quantity
-
-Integers = NDArray[np.int64]
 
 LEAST_FREEDOM = 3.0  # of an Allan variance that takes part in the fit
 _NEGLIGIBLE = 1e-6  # probability

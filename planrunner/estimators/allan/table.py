@@ -6,14 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array, Integers
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.allan.confidence import freedom_of_runs, interval, noise_exponent
 from planrunner.estimators.allan.phase import Phase
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 KINDS = ("overlapping", "modified", "hadamard")
 

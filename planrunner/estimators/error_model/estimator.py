@@ -13,9 +13,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, counted, said
 from planrunner.error_model.effects.interface import (
@@ -70,7 +70,6 @@ from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, unit
 from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence
 
-Array = NDArray[np.float64]
 WITHIN = "within segments"
 """Label of the contrasts within segments, which join the means of the segments in a fit."""
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.base import plugins
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.base.said import Said, said
@@ -37,7 +37,6 @@ from planrunner.physics.stimulus import StimulusError
 from planrunner.plan.schedule import Motion, RecordedMotion, Rest, Rock, Segment
 from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 _PER = {"gyro": "deg/s", "accel": "g"}

@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.effects.interface import HasShape, shown_by
 from planrunner.error_model.observed import Observed
@@ -28,8 +29,6 @@ from planrunner.estimators.interface import UnfitDataError
 from planrunner.observation.flicker import weighted_covariance
 from planrunner.observation.observations import SIGNIFICANCE, variances_differ
 from planrunner.plan.units import Unit
-
-Array = NDArray[np.float64]
 
 _SLOPE = 1e-3  # of the distance to the next value of the catalogue: the step for a derivative with respect to a shape
 _EDGE = 0.02  # of that distance: a shape nearer to the end of the catalogue's values counts as at its bound

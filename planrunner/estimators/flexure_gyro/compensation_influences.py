@@ -8,8 +8,8 @@ influences of the same input, so they are added with their signs. M is part of c
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model import flexure_gyro
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import reported
 from planrunner.estimators.interface import Estimate, EstimateRequest
@@ -18,8 +18,6 @@ from planrunner.observation.correlated_errors import functionals_of
 from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.derivatives import jacobian
 from planrunner.uncertainty.influences import Aspect, Influence
-
-Array = NDArray[np.float64]
 
 
 def residual_influences(

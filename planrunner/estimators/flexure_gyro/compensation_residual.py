@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence, Sized
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
 from planrunner.error_model import flexure_gyro
 from planrunner.estimators import rank
@@ -52,8 +52,6 @@ from planrunner.plan.units import unit
 from planrunner.uncertainty.derivatives import jacobian
 from planrunner.uncertainty.influences import Influence
 from planrunner.uncertainty.monte_carlo import square_root
-
-Array = NDArray[np.float64]
 
 AXES = ("ω_Y", "ω_X")
 _DEG_H = unit("deg/h").factor

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model import flexure_gyro
 from planrunner.error_model.terms import ErrorModel
@@ -43,8 +43,6 @@ from planrunner.plan.schedule import Segment
 from planrunner.plan.units import unit
 from planrunner.uncertainty.influences import Aspect, Influence
 from planrunner.uncertainty.monte_carlo import Draws
-
-Array = NDArray[np.float64]
 
 
 class FlexureGyroStaticParameters(Record):

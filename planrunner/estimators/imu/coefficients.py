@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.error_model.terms import ErrorModel
@@ -22,8 +22,6 @@ from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.estimators.triad import RowFormula, own_frame, scale_and_misalignments, small_angles
 from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
 from planrunner.uncertainty.derivatives import Formula
-
-Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z")
 PLURAL = {"gyro": "gyros", "accel": "accelerometers"}

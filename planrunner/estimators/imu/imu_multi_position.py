@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.error_model.terms import ErrorModel, columns_of, error_model, term_names
@@ -48,8 +48,6 @@ from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Rest, Segment
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, UnknownUnitError, unit
 from planrunner.uncertainty.influences import Influence
-
-Array = NDArray[np.float64]
 
 _RATES, _FORCES = ("rate_x", "rate_y", "rate_z"), ("accel_x", "accel_y", "accel_z")
 A_SENSOR = {"gyro": "a gyro", "accel": "an accelerometer"}

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
 from planrunner.estimators.imu.coefficients import AXES, Framed, Response
 from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 from planrunner.plan.units import unit
-
-Array = NDArray[np.float64]
 
 _WORDS = {"gyro": ("ω", "deg/s"), "accel": ("f", "g")}
 

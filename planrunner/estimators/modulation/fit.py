@@ -11,11 +11,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.physics.earth import Site
 from planrunner.physics.modulation import schuler_rate
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FEWEST_CYCLES = 4

@@ -11,8 +11,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
 from planrunner.estimators.interface import (
     Cell,
@@ -37,8 +37,6 @@ from planrunner.estimators.strapdown.navigation_errors import HOUR, NAUTICAL_MIL
 from planrunner.plan.kinds import ListOf, QuantityOf, Record, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
-
-Array = NDArray[np.float64]
 
 _AMPLITUDE = "modulation_{}"
 LONGEST = 4 * 86400.0  # s, of a planned navigation that errors are predicted for

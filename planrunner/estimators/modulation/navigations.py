@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
 from planrunner.estimators.interface import Estimate, EstimateRequest, EstimationError
@@ -15,8 +15,6 @@ from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, HOUR, N
 from planrunner.instruments.models import TableModel
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.schedule import Cycle, Motion, Spin
-
-Array = NDArray[np.float64]
 
 COURSE = ("time_s", "east_m", "north_m", "velocity_east", "velocity_north")
 _NO_NAVIGATION = "'{}' is not a navigation: `uses` names strapdown_navigation estimates"

@@ -13,13 +13,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.estimators.modulation.fit import largest
 from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
 from planrunner.physics.earth import Site
 from planrunner.physics.modulation import forced_velocity
 from planrunner.physics.rotation_cycle import RotationCycle
-
-Array = NDArray[np.float64]
 
 STEP = 20.0  # s, over which a mean drives the equations
 _FINE = 40  # angles in each step

@@ -10,9 +10,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import Plot
 from planrunner.estimators.rocking.influences import Runs
@@ -22,7 +22,6 @@ from planrunner.estimators.rocking.statistics import AXES
 from planrunner.estimators.rocking.windows import scale
 from planrunner.plan.schedule import Rock
 
-Array = NDArray[np.float64]
 POINTS = 200
 """Largest number of points of a curve; fewer if the run has fewer rocking periods."""
 PLACES = ("static 1", "dynamic 1", "dynamic 2", "static 2")

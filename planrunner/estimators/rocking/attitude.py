@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 
-Array = NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])
 UPRIGHT = 1e-6  # by which an axis may stand off the vertical and still count as vertical
 # The axis whose tilt is an arc sine, by the axis that is vertical: R_x·R_z·R_y with y up, R_z·R_y·R_x with x up, R_x·R_y·R_z with z up.

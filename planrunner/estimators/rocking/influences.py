@@ -13,8 +13,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.estimators.interface import DesignRequest, EstimateRequest
 from planrunner.estimators.rocking.attitude import turned_by
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
@@ -27,7 +27,6 @@ from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.conditions import StatedCondition, influences_on
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
-Array = NDArray[np.float64]
 Runs = Sequence[Sequence[Sequence[ReducedRun]]]
 """The runs, state by state, quadruple by quadruple, four runs each."""
 Request = EstimateRequest[RockingDriftParameters] | DesignRequest[RockingDriftParameters]

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.instruments.parameters import QuantityLike
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, RecordOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
-
-Array = NDArray[np.float64]
 
 
 def _angle(description: str, example: str) -> Any:

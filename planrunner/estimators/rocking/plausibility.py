@@ -6,13 +6,11 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
 from planrunner.estimators.rocking.statistics import AXES, StateDrifts
 from planrunner.observation.observations import SIGNIFICANCE
-
-Array = NDArray[np.float64]
 
 
 def implausible(states: Sequence[StateDrifts], earth_rate: float, stated: float) -> Iterator[Said]:

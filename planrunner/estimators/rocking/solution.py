@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimateRequest, EstimationError, Setup
 from planrunner.estimators.rocking.attitude import (
@@ -23,8 +23,6 @@ from planrunner.estimators.rocking.attitude import (
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
 from planrunner.estimators.rocking.runs import Run
 from planrunner.estimators.rocking.windows import Windows, low_pass, read_pieces, within
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,13 +10,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.rocking.runs import Quadruple
 from planrunner.uncertainty.budget import effective_degrees_of_freedom
 
-Array = NDArray[np.float64]
 AXES = "xyz"
 WEIGHTS = np.array([-0.5, 0.5, 0.5, -0.5])
 

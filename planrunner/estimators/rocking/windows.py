@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.plan.units import UnknownUnitError, unit
 
-Array = NDArray[np.float64]
 ORDER = 4
 REACH = 3.0  # filter lengths 1/cutoff on either side of a window: what lies beyond counts for less than 1e-5
 SAMPLES = 4  # a period of the cutoff, at least

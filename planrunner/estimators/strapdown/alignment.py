@@ -9,9 +9,9 @@ from dataclasses import replace
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.estimators.interface import EstimationError, UnfitDataError
@@ -25,8 +25,6 @@ from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import rotation_about
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.schedule import Cycle, Rest, Segment
-
-Array = NDArray[np.float64]
 
 SHORTEST = 60.0  # s
 # cos = 0.087: beyond, gyro errors turn into heading eleven times as much as at the equator.

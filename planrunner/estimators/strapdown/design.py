@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.findings import closest
 from planrunner.estimators.full_scale import beyond_full_scale, shares_by_name
 from planrunner.estimators.interface import (
@@ -50,8 +50,6 @@ from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquat
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.schedule import Cycle, Rest, Segment, Spin
 from planrunner.plan.units import UnknownUnitError, unit
-
-Array = NDArray[np.float64]
 
 _STEP = 60.0  # s, over which the error equations are driven by a mean
 _LONGEST = 7 * 86400.0  # s that errors are predicted for

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimateRequest, EstimationError
 from planrunner.estimators.strapdown.alignment import STILL, Aligned, align, end_attitude, same_attitude
@@ -34,8 +35,6 @@ from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, T
 from planrunner.plan.quantity import Quantity, QuantityError, parse_quantity, without_uncertainty
 from planrunner.plan.selection import matches
 from planrunner.uncertainty.influences import Aspect, InputQuantity, Inputs
-
-Array = NDArray[np.float64]
 
 S = TypeVar("S")
 

@@ -12,13 +12,11 @@ import math
 from dataclasses import field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.navigation.mechanisation import Knots
 from planrunner.navigation.wgs84 import separation
-
-Array = NDArray[np.float64]
 
 POINTS = 2000  # that a course over time keeps at most
 HOUR = 3600.0

@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
-
-Array = NDArray[np.float64]
 
 REFERENCES = {
     "reference_latitude": "angle",

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.said import Said, counted, said
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Plot, Role, Table, TableColumn
 from planrunner.estimators.strapdown.navigating import Navigated, StrapdownNavigationParameters
@@ -28,8 +28,6 @@ from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import INPUTS, SIZE, ErrorEquations
 from planrunner.plan.schedule import Rest
 from planrunner.plan.units import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 
 def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> Estimate:

@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.said import said
 from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.strapdown.alignment import levelled_out
@@ -27,8 +27,6 @@ from planrunner.physics.earth import Site
 from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.uncertainty.derivatives import jacobian, length
 from planrunner.uncertainty.influences import Influence, InputQuantity
-
-Array = NDArray[np.float64]
 
 SCHULER_PERIOD = 5064.0  # s, 84.4 min
 PERIODS = {"heading": 360.0, "roll": 360.0}

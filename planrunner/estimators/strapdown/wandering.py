@@ -10,13 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
 from planrunner.observation.flicker import weighted_covariance
-
-Array = NDArray[np.float64]
 
 SHORTEST = 10.0  # s, of an interval
 _AXES = 3

@@ -10,13 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array, Integers
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.temperature.curve import Curve, curve, groups_of
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 _BACK = 0.1  # of the range of temperatures: less is the ripple of a chamber's control
 

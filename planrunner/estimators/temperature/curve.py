@@ -28,14 +28,11 @@ from dataclasses import field, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array, Integers
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import least_squares
 from planrunner.estimators.interface import EstimationError
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 FORMS = ("polynomial", "spline")
 FEWEST = 3  # temperatures from which an order can be chosen

@@ -9,9 +9,9 @@ from fnmatch import fnmatchcase
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment, in_time_order
+from planrunner.base.arrays import Array, Integers
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.estimators.interface import Estimate, EstimationError
@@ -22,9 +22,6 @@ from planrunner.observation.observations import recorded_times
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, UnknownUnitError, unit
 from planrunner.uncertainty.influences import Aspect, Inputs
 from planrunner.uncertainty.monte_carlo import square_root
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 _LEAST_IN_BIN = 3  # samples that a scatter about a line can be taken from
 _PIECES = 4096  # of a segment, whose mean temperatures show where it turns

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, counted, said
 from planrunner.estimators import least_squares, rank
@@ -43,8 +43,6 @@ from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.uncertainty.conditions import StatedCondition, influences_on
 from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.influences import Influence
-
-Array = NDArray[np.float64]
 
 _SHOWN = 9  # temperatures of the table of predictions
 _DRAWN = 61

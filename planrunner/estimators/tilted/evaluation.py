@@ -11,13 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.estimators.tilted.rate_lines import RateLines, fit_lines
 from planrunner.estimators.tilted.rate_series import RateSeries
 from planrunner.uncertainty.derivatives import jacobian
-
-Array = NDArray[np.float64]
 
 QUANTITIES = ("K", "F0", "nonlinearity", "asymmetry", "response")
 K, F0, NONLINEARITY, ASYMMETRY, RESPONSE = range(len(QUANTITIES))

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
@@ -58,8 +58,6 @@ from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, Text, key
 from planrunner.plan.units import unit
 from planrunner.uncertainty.conditions import influences_on
 from planrunner.uncertainty.influences import Influence
-
-Array = NDArray[np.float64]
 
 _DEGREE, _ARCSEC = unit("deg").factor, unit("arcsec").factor
 _WORDS = (

@@ -8,14 +8,12 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.estimators.interface import Coefficient, Design, Estimate, EstimationError
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, seeing
 from planrunner.plan.units import unit
 from planrunner.uncertainty.influences import Influence, InputQuantity
-
-Array = NDArray[np.float64]
 
 Used = TypeVar("Used", Design, Estimate)
 

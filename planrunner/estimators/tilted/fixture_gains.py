@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError, Setup
 from planrunner.estimators.stated_errors import orthogonality_tilts, pair_parts, rate_errors
@@ -25,8 +26,6 @@ from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, 
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.uncertainty.conditions import StatedCondition
 from planrunner.uncertainty.derivatives import Formula, angle_of, length
-
-Array = NDArray[np.float64]
 
 FITTED, STATED = "fitted", "stated"
 AXES = ("x", "y", "z")

@@ -12,8 +12,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.stated_errors import UP, rate_part
 from planrunner.estimators.tilted.evaluation import (
@@ -34,8 +34,6 @@ from planrunner.physics.stimulus import Poses
 from planrunner.plan.schedule import Segment
 from planrunner.uncertainty.conditions import StatedCondition, influences_on, slopes
 from planrunner.uncertainty.influences import Aspect, Influence, InputQuantity, Inputs
-
-Array = NDArray[np.float64]
 
 _BESIDE = 1e-6  # rad, of differences
 

@@ -10,15 +10,13 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.model import MountedAxis
 from planrunner.plan.schedule import Segment, Spin
-
-Array = NDArray[np.float64]
 
 BLIND = 1e-3  # cosine (89.94 deg) below which an axis sees nothing of the rotation that could be told from its mounting
 ALONG = 1e-5  # rad by which the fixture's z axis may stand off the rotation axis, as planned

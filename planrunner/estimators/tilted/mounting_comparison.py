@@ -10,14 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
 from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.plan.schedule import Segment
-
-Array = NDArray[np.float64]
 
 
 def scheduled_seconds(segments: Sequence[Segment], seconds: Sequence[float | None]) -> float:

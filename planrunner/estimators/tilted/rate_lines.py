@@ -6,11 +6,9 @@ Also the two half-lines that meet at zero rate, for asymmetry, and the change of
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
-
-Array = NDArray[np.float64]
 
 ENOUGH = 3  # different rates that asymmetry needs beside both signs
 TOLERANCE = 1e-12  # of the condition of normal equations, beyond which rounding takes over

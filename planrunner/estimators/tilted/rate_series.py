@@ -10,16 +10,14 @@ from functools import reduce
 from itertools import takewhile
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.selection import matches
 from planrunner.plan.units import ZERO_CELSIUS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

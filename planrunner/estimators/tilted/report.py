@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
 from planrunner.estimators.interface import Cell, Plot, Role, Table, TableColumn
 from planrunner.estimators.method import Words
@@ -24,7 +24,6 @@ from planrunner.plan.units import ZERO_CELSIUS, Unit, unit
 from planrunner.uncertainty.decision import coverage_factor
 from planrunner.uncertainty.influences import Aspect, Influence
 
-Array = NDArray[np.float64]
 Units = Sequence[tuple[Unit, Unit]]
 
 HALF = 0.5  # of the change expected: where threshold and resolution are reached (IEEE Std 528)

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.estimators.interface import Coefficient, CoefficientRole
@@ -19,8 +19,6 @@ from planrunner.estimators.tilted.evaluation import QUANTITIES, Group, TiltedRes
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.plan.units import ZERO_CELSIUS, Unit
 from planrunner.uncertainty.influences import Influence
-
-Array = NDArray[np.float64]
 
 WORDS = {
     "K": said("scale factor along the axis"),

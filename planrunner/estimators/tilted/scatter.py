@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import least_squares
 from planrunner.estimators.interface import EstimationError
@@ -28,8 +29,6 @@ from planrunner.estimators.tilted.evaluation import (
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.observations import variances_differ
 from planrunner.uncertainty.derivatives import jacobian
-
-Array = NDArray[np.float64]
 
 _RESOLVED = 1e-12  # of the variance of flicker, below which no noise is taken to be
 BASES = ("repeats", "residual", "within_segment")

@@ -11,17 +11,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.estimators.interface import EstimationError
 from planrunner.instruments.models import TableModel
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import Unreachable, joint_angles, rotation_about, spin_axis
 from planrunner.physics.stimulus import StimulusError, segment_means
 from planrunner.plan.schedule import Segment, Spin
-
-Array = NDArray[np.float64]
 
 WHOLE = 1e-3  # of a turn, by which a dwell in whole turns may miss
 

@@ -11,13 +11,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.estimators.tilted.evaluation import Group
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.observations import SIGNIFICANCE
-
-Array = NDArray[np.float64]
 
 
 def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -> float:

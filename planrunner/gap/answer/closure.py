@@ -19,11 +19,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import best_amplitudes, best_scales, log_bayes_factors
 from planrunner.gap.evidence.weighing import DEPENDENT
 from planrunner.gap.hypotheses.candidates import Weighed, Weighing
 
-Array = NDArray[np.float64]
 FOLDS = 4
 FEWEST = 6  # segments; three quarters of fewer carry too little information
 DRAWS = 2000

@@ -13,13 +13,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.documents import JsonObject
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.spectrum import Spectrum, spectrum, white_level
 from planrunner.gap.hypotheses.candidates import Weighing, simulated
 from planrunner.observation.refusals import ObservationError
 
-Array = NDArray[np.float64]
 FEWEST = 3
 """Segments that recording and simulation must share."""
 

@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.gap.answer.sets import EffectSet
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed
 
-Array = NDArray[np.float64]
 DISCRIMINABLE = 10.0  # non-centrality below which two effects are not distinguished
 ALIKE = 0.9  # share at and above which they form one class at any energy
 _RIDGE = 1e-9

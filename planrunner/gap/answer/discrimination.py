@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planrunner.base.arrays import Array
+
 _FLAT = 1e-9  # precision of an unknown parameter, relative to its information from the recording
 _AT_ONCE = 4_000_000  # numbers in the matrices that are evaluated at a time; limits memory
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)

@@ -12,8 +12,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Column
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence import slow_noise
@@ -21,7 +21,6 @@ from planrunner.physics.sampled_motion import motion_at
 from planrunner.plan.schedule import Rest, Rock, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
 
-Array = NDArray[np.float64]
 Columns = Callable[[Observed], Sequence[Sequence[Column]]]
 LATER = 600.0  # s after the recording's end, when a segment is taken to begin
 _SAMPLED = 2.0  # s of a segment at rest; for turns and periods, the whole number that lasts at least this long

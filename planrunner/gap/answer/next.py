@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.gap.answer.discrimination import Rival, expected_loss, expected_probability
 from planrunner.gap.answer.foreseen import Foreseen, following, foresee
 from planrunner.gap.answer.other_sensors import ENOUGH, helpful
@@ -21,7 +21,6 @@ from planrunner.gap.answer.rivals import SILENT, Explanation, Layout, explanatio
 from planrunner.gap.hypotheses.candidates import Candidate, Weighing
 from planrunner.plan.schedule import Segment
 
-Array = NDArray[np.float64]
 Seconds = Callable[[Segment | None, Segment], float]
 SETTLED = 0.95
 """Probability of an explanation at and above which no further measurement is needed. Proposals aim at a higher probability of the true

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Column
 from planrunner.error_model.observed import Channel, Observed
 from planrunner.gap.answer.discrimination import Rival, expected_probability
@@ -22,7 +22,6 @@ from planrunner.gap.answer.rivals import Layout
 from planrunner.gap.hypotheses.candidates import Weighing, nominal_columns
 from planrunner.plan.schedule import Segment
 
-Array = NDArray[np.float64]
 ENOUGH = 0.9  # expected probability of the true explanation with the instrument
 ACCELEROMETER = 50e-6 * 9.80665  # SI·√s, white noise of an additional instrument
 ARCSECOND = np.pi / 180 / 3600  # standard uncertainty of an autocollimator with a level

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.documents import JsonObject
 from planrunner.gap.answer.confusability import matrix
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
-
-Array = NDArray[np.float64]
 
 
 def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:

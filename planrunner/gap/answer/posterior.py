@@ -13,8 +13,8 @@ from itertools import product
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import ActsOnNoise, Effect, triad_of
 from planrunner.gap.answer.sets import EffectSet, key_of, sets_of
 from planrunner.gap.evidence.dispersion import dispersion
@@ -23,7 +23,6 @@ from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.hypotheses.open_set import Kinds, Line, competitors, something_else, unknown
 from planrunner.gap.hypotheses.patterns import Pattern
 
-Array = NDArray[np.float64]
 BESIDE = 0.001  # probability of a tone or bursts beside an effect, from an independent cause
 PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.10, "several": 0.05, "unknown": 0.15}
 """several: three and more effects of the catalogue, or effects and something else, half each; halved again for every further effect."""

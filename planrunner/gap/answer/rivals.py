@@ -6,15 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Column, Effect, Shaped
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.discrimination import Rival
 from planrunner.gap.answer.posterior import Posterior
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing, nominal_columns, simulated
 
-Array = NDArray[np.float64]
 MOST = 5  # maximum number of explanations
 SILENT = ("none", "unknown")
 """Explanations that predict nothing."""

@@ -10,14 +10,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.bench.model import BenchModels
 from planrunner.plan.rewriting import cardinal_orientations, orientation_text
 from planrunner.plan.schedule import Rock, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS, unit
 
-Array = NDArray[np.float64]
 MOST_ORIENTATIONS = 16
 OBLIQUE = 4  # beside those, where a table can set them
 DWELLS = (1, 4)  # in dwells that are usual in the recording

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Shaped, Variant
 from planrunner.gap.evidence.bayes_factors import (
     averaged,
@@ -28,7 +28,6 @@ from planrunner.gap.evidence.bayes_factors import (
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.hypotheses.forms import candidates_of
 
-Array = NDArray[np.float64]
 FIRST = 6  # number of effects from which pairs are formed: the likeliest
 WEIGHED = 10  # number of pairs evaluated in full, selected by a quick evaluation
 BEAM = 3  # number of sets that are extended

@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import log_mean_exp
 from planrunner.gap.evidence.noise_levels import excess_by_channel
@@ -25,7 +26,6 @@ from planrunner.gap.hypotheses.open_set import TONE
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort
 from planrunner.plan.directions import word_of
 
-Array = NDArray[np.float64]
 REPLICATES = 400
 SEED = 20
 _LEVELS = 4  # bins of temperature and time

@@ -14,7 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planrunner.base.arrays import Array
+
 LEVEL = 0.001
 """Significance of the test: one recording in a thousand without misfit fails it."""
 

@@ -11,14 +11,13 @@ from itertools import product
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, log_mean_exp
 from planrunner.gap.evidence.rounding import is_coarse
 from planrunner.observation.lattice import COARSER, coarsening, holds, seen_levels, undeclared_step
 
-Array = NDArray[np.float64]
 HOLDS = 0.02  # standard deviation of the logarithm of a correct declaration
 WRONG = 0.2  # chance that it is off by up to a factor of two
 EXCESS = HOLDS * np.sqrt(np.geomspace(WEAKEST, STRONGEST, 60))

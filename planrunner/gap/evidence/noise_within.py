@@ -15,11 +15,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.spectrum import UPPER, Spectrum
 from planrunner.plan.schedule import Rest
 
-Array = NDArray[np.float64]
 CARRIED = 4.0  # coefficients' worth of the next higher band that every band of a common spectrum counts in addition
 OWN = 16.0  # the same for the spectrum of one segment
 _ROUNDS = 2  # alternations of levels and spectra

@@ -10,17 +10,15 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment, in_time_order
+from planrunner.base.arrays import Array
 from planrunner.base.findings import Findings, Mark
 from planrunner.error_model.observed import Observed
 from planrunner.instruments.models import SensorModel
 from planrunner.observation.samples import measures_motion
 from planrunner.plan.schedule import Rest
 from planrunner.plan.units import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 INTERVALS = 1.5
 """A step in time longer than this many sample intervals is a gap; shorter ones are jitter."""

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.plan.schedule import Rest
 
-Array = NDArray[np.float64]
 NOISES = np.geomspace(0.02, 1.0, 24)  # standard deviations that are compared, in counts
 PLACES = np.linspace(-1.0, 1.0, 801)  # positions of a true mean about a count, in counts
 DITHERED = 0.5  # noise, in counts, below which rounding makes the noise depend on the reading

@@ -16,11 +16,11 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.observation.bins import SPIKE
 from planrunner.plan.schedule import Rest, Rock, Spin
 
-Array = NDArray[np.float64]
 LOW_ORDERS = 5
 OCTAVES = 12  # below half the sampling rate, down to which the remainder is divided into bands
 FINE = 5  # uppermost octaves, each of which has four bands

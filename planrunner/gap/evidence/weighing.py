@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Column
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence import slow_noise
@@ -28,7 +29,6 @@ from planrunner.gap.evidence.bayes_factors import RANGE, STRONGEST, WEAKEST
 from planrunner.gap.evidence.noise_within import NoiseWithin
 from planrunner.gap.evidence.spectrum import Spectrum
 
-Array = NDArray[np.float64]
 FLICKER_FACTORS = (1.0, 0.5, 2.0)
 FLICKER_PRIOR = (0.5, 0.25, 0.25)  # log-normal about the declared level, a factor of two either way
 WALKS = np.geomspace(WEAKEST, 10 * STRONGEST, 13)

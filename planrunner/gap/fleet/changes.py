@@ -19,12 +19,11 @@ from collections.abc import Iterator, Sequence
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.gap.fleet.attribution import ALL_RUNS, COVERAGE, Estimates, Source
 
-Array = NDArray[np.float64]
 LEVEL = 0.01
 """Largest p-value of a change that is reported, after the correction for the number of changes that were tried."""
 LEAST = 2

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import log_mean_exp
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.patterns import Factor, Pattern, Sort
 from planrunner.plan.schedule import Rest, Spin
 
-Array = NDArray[np.float64]
 BURSTS = Pattern("bursts", Sort.BURSTS, Factor.TIME)
 LENGTHS = (1.0, 2.0, 4.0)  # s
 CHANCES = (0.005, 0.02, 0.08)  # probability of a burst in a window

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Column, Effect, Variant
 from planrunner.error_model.effects.nominal import PARTS
 from planrunner.error_model.observed import Observed
@@ -36,7 +37,6 @@ from planrunner.gap.evidence.weighing import (
 )
 from planrunner.plan.model import NOMINAL_TERMS
 
-Array = NDArray[np.float64]
 ABSORBED = 1e-4  # share of a signature's energy that remains through rounding when nominal parameters absorb an effect completely
 FULL = NOMINAL_TERMS
 _FORMS = 5

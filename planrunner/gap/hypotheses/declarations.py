@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.declared import rearranged, turned_back
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.recording_checks import MISFIT, STIRRED, segment_means
 
-Array = NDArray[np.float64]
 FITS = 0.1
 """Residual of the fit of M, relative to the applied input, up to which M describes the channel."""
 NEAR = 0.2

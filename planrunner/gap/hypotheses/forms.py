@@ -14,14 +14,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Curved, CurvedAndShaped, Effect, Shaped, is_whole, ways_of
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import RANGE, log_mean_exp
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
 
-Array = NDArray[np.float64]
 _REFINE = 8.0  # log BF at and above which a shape is refined
 _BENT = 30.0  # log BF at and above which an effect may distort the fit of the nominal parameters
 _SETTLING, _GAINED = 8, 1.0  # maximum number of refits; gain in nats that justifies another one

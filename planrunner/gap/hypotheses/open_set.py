@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, averaged, from_eigen, log_mean_exp
 from planrunner.gap.evidence.noise_levels import HOLDS
 from planrunner.gap.evidence.weighing import ChannelWeights, Eigen, Left, eigen
@@ -23,7 +24,6 @@ from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Rows, Sor
 from planrunner.gap.hypotheses.repeating import PERIODIC, Repeating
 from planrunner.plan.schedule import Rest, Spin
 
-Array = NDArray[np.float64]
 PLAIN = 8.0  # nats of one sort at and above which the others are evaluated on the remainder
 ODD_SEGMENT = Pattern("one odd segment", Sort.MEANS, Factor.TIME)
 TONE = Pattern("a tone", Sort.TONE, Factor.BAND)

@@ -13,12 +13,12 @@ from enum import Enum, StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.observation.temperature import CHANGED
 from planrunner.plan.schedule import Rest, Rock, Spin
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
 

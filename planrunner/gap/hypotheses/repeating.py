@@ -12,12 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, log_mean_exp
 from planrunner.gap.evidence.weighing import Eigen, Left, lasting
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.patterns import Factor, Pattern, Sort
 
-Array = NDArray[np.float64]
 PERIODIC = Pattern("offset periodic in time", Sort.SEVERAL, Factor.TIME)
 WAVEFORM = 4  # harmonics of a smooth one
 EDGED = 16  # harmonics of a waveform with edges

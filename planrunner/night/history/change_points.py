@@ -16,12 +16,11 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.night.history.rows import Circumstance, CircumstanceKind
 
-Array = NDArray[np.float64]
 LEVEL = 0.01
 """Largest p-value of a change that is reported."""
 

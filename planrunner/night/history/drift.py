@@ -21,11 +21,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 
-Array = NDArray[np.float64]
 COVERAGE = 2.0
 """Coverage factor k of expanded uncertainties, about 95 %."""
 HORIZON = 3653.0

@@ -17,13 +17,12 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import JsonObject
 
-Array = NDArray[np.float64]
 CONFIDENCE = 0.95
 
 
