@@ -1,4 +1,4 @@
-"""From a recording to results: every estimate of a plan in the order that `uses` requires, then the limits.
+"""Computes the results of a recording: every estimate of a plan in the order that `uses` requires, then the limits.
 
 A failure of one estimate is kept as a message; the others are still made.
 """
@@ -48,9 +48,9 @@ def analyse(
     setup: Setup | None = None,
     notice: Announce | None = None,
 ) -> Results:
-    """All estimates and limits of a plan. notice: receives the progress of passes over the samples.
+    """Makes all estimates of a plan and applies its limits. notice: receives the progress of passes over the samples.
 
-    Never raises because of the data: failures are messages, by the name of the estimate or by `limit on …`.
+    Never raises because of the data: a failure becomes a message under the name of the estimate, or under `limit on …`.
     """
     looked_at = screened(announced(recording, "screening the samples", notice), sensor)
     recording = [replace(item, finds=one.finds) for item, one in zip(recording, looked_at, strict=True)]
@@ -88,7 +88,8 @@ def analyse(
 
 
 def _in_order(estimates: Mapping[str, EstimateSpec]) -> list[str]:
-    """Names in an order in which used estimates come first; estimates in a circle come last and fail because of their missing input."""
+    """Names in an order in which an estimate comes after those that it uses. Estimates that use each other in a circle come last and
+    fail because their input is missing."""
     order: list[str] = []
     waiting = list(estimates)
     while waiting:

@@ -295,7 +295,7 @@ def _named(courses: Sequence[DriftCourse]) -> tuple[str, ...]:
 
 
 def _shares(fit: OutputsFit, shares: NDArray[np.float64]) -> tuple[Said, ...]:
-    """Shares of the scatter by output."""
+    """The share of each output in the scatter, in words."""
     return tuple(
         said("{share:.3g} % ({output})", share=100 * float(share), output=output)
         for output, share in zip(fit.outputs, shares, strict=True)
@@ -359,7 +359,7 @@ def _size(found: SuspectedDrift) -> Said:
 
 
 def _written(courses: Sequence[DriftCourse]) -> str:
-    """The key that asks for these courses."""
+    """The key of the plan that asks for these courses, as it is written."""
     highest = max((course for course in courses if course.order), key=lambda one: one.order, default=None)
     words = [course.name for course in courses if course is highest or not course.order]
     return words[0] if len(words) == 1 else f"[{', '.join(words)}]"
@@ -403,7 +403,7 @@ def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> Said:
 
 
 def _open(fit: OutputsFit, found: Mapping[str, OpenFlicker]) -> Said:
-    """A warning about flicker of these channels that is neither stated nor excluded by the data."""
+    """A warning that these channels may have flicker. The bench file does not declare it, and the data do not exclude it."""
     bounds = [
         said("{bound:.2g} {unit} ({output})", bound=one.bound, unit=one.unit, output=name)
         for name, one in found.items()
@@ -425,7 +425,7 @@ def _open(fit: OutputsFit, found: Mapping[str, OpenFlicker]) -> Said:
 
 
 def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[Said]:
-    """The effects that are weighted in addition to the noise, and the outputs without declared flicker."""
+    """The effects that the weights include in addition to the noise, and the outputs without declared flicker."""
     notes = []
     if fit.effects:
         names = dict.fromkeys(effect.quantity.name for effect in fit.effects)

@@ -16,7 +16,7 @@ def coarse_counts(
 ) -> tuple[Said, ...]:
     """A warning for each of these channels (by default each output of the sensor) whose noise does not dither the counts in some segment.
 
-    Equal inputs then have equal rounding errors, which neither the noise within the segments nor the scatter of repeats shows.
+    Equal inputs then have equal rounding errors, so neither the noise within the segments nor the scatter of repeats shows them.
     """
     found = []
     for output in sensor.outputs:

@@ -42,12 +42,13 @@ class AxisResponse:
 
     @property
     def largest(self) -> int:
-        """The axis along which it responds most."""
+        """The axis along which the output responds most."""
         return max(self.ratios, key=lambda axis: abs(self.ratios[axis]))
 
 
 def contradictions(rows: Sequence[AxisResponse]) -> list[Said]:
-    """Warnings about the outputs of one triad, or of a part of it, that were excited along their own axes."""
+    """Warnings about the outputs of one triad that contradict their declaration. Only outputs that were excited along their own axes
+    are compared."""
     excited = [row for row in rows if row.axis in row.ratios and any(row.ratios.values())]
     reversed_ = [row for row in excited if row.largest == row.axis and row.own < 0]
     found = _all_reversed(reversed_[0].unit) if len(reversed_) == 3 else [_reversed(row) for row in reversed_]

@@ -35,10 +35,10 @@ class Reported:
 
 @dataclass(frozen=True, slots=True)
 class Derived:
-    """q quantities computed from the r coefficients of several fits, one fit after the other.
+    """q quantities computed from the r coefficients of several fits. The coefficients of the fits follow each other.
 
-    values: (q,), in the quantities' units; gradient: (q, r), with respect to the fitted coefficients. between: by basis, (r, r), covariance
-    between the coefficients of different fits; without it, the fits are independent.
+    values: (q,), in the quantities' units; gradient: (q, r), with respect to the fitted coefficients. between: by basis, (r, r),
+    covariance between the coefficients of different fits; by default the fits are independent.
     """
 
     quantities: tuple[Reported, ...]
@@ -49,15 +49,15 @@ class Derived:
     between: Mapping[str, Array] = field(default_factory=dict)
 
     def covariance(self, basis: str) -> Array:
-        """(q, q), contribution of the data."""
+        """The covariance (q, q) that comes from the data."""
         data = independent([fit.covariance(basis) for fit in self.fits])
         if basis in self.between:
             data = data + self.between[basis]
         return np.asarray(self.gradient @ data @ self.gradient.T)
 
     def spread(self, basis: str) -> tuple[Array, Array]:
-        """Standard uncertainties and effective degrees of freedom (Welch–Satterthwaite over the fits) of the contribution of the data,
-        both (q,)."""
+        """Standard uncertainties and effective degrees of freedom (Welch–Satterthwaite over the fits) that come from the data, both
+        (q,)."""
         variance, squares = np.zeros(len(self.values)), np.zeros(len(self.values))
         least = np.full(len(self.values), math.inf)
         for fit, own in zip(self.fits, self._by_fit(), strict=True):
@@ -85,10 +85,10 @@ class Derived:
         return tuple(one.through(gradient) for influences, gradient in by_fit for one in influences)
 
     def draws(self, basis: str, acting: Sequence[Sequence[Influence]]) -> Draws:
-        """Draws of the quantities through the formula; only the influences are approximated to first order.
+        """Monte Carlo draws of the quantities, computed with the formula. Only the influences are approximated to first order.
 
-        The part of a fit is drawn from Student's t with the degrees of freedom of its variance, which is common to all outputs if they are
-        pooled.
+        The contribution of each fit is drawn from Student's t with the degrees of freedom of its variance. Outputs that are pooled
+        share one variance.
         """
         parts = [_draws(fit, basis, influences) for fit, influences in zip(self.fits, acting, strict=True)]
 
@@ -111,8 +111,9 @@ def derived(
     at: Array | None = None,
     between: Mapping[str, Array] | None = None,
 ) -> Derived:
-    """formula: (r, n) → (q, n), of the fits' coefficients, output after output. at: (r,), values of the coefficients, if the fits give only
-    steps from a nearby point. between: as in `Derived`. Raises the errors of the formula."""
+    """Evaluates a formula of fitted coefficients, with its derivatives. formula: (r, n) → (q, n), from the coefficients of all outputs
+    in sequence. at: (r,), values of the coefficients if the fits give only changes from a nearby point. between: as in `Derived`.
+    Raises the errors of the formula."""
     where = np.concatenate([fit.coefficients.ravel() for fit in fits]) if at is None else at
     return Derived(tuple(quantities), formula, *value_and_jacobian(formula, where), fits, between or {})
 
@@ -128,7 +129,7 @@ def _draws(fit: OutputsFit, basis: str, influences: Sequence[Influence]) -> Draw
 
 
 def independent(blocks: Sequence[Array]) -> Array:
-    """Covariance (Σn, Σn) of quantities in independent groups, from the covariance of each group, (n, n)."""
+    """Covariance (Σn, Σn) of quantities in independent groups. blocks: (n, n), the covariance of each group."""
     if len(blocks) == 1:
         return blocks[0]
     size = sum(len(block) for block in blocks)

@@ -1,19 +1,20 @@
-"""Drift among the terms of a fit: which courses the data show, and what was fitted.
+"""Drift among the terms of a fit: which courses the data show, and which of them are fitted.
 
-A course is adopted by evidence if its amplitude in one output, or those in all outputs together, are larger than chance explains, at
-`SIGNIFICANCE` over all that is tried. The scale of chance is the noise within the segments and the declared effects, if they explain
-what is left without the drift; otherwise what is left. In the end the noise and the effects must explain what is left: residuals that a
-drift does not explain are those of an incomplete model, and a part of their pattern always looks like a drift. At least `LEAST_LEFT`
-degrees of freedom must remain over all outputs, or any scatter would look like a drift. A drift is rarely as even as it looks: once a
-course in time is adopted, the next order is fitted too where the segments allow it.
+A course is adopted if its amplitude in one output, or the amplitudes in all outputs together, are larger than chance explains. The test
+has the level `SIGNIFICANCE` over all courses that are tried. The scale of chance is the noise within the segments and the declared
+effects, if they explain the residuals without the drift. Otherwise it is the residuals themselves. In the end the noise and the effects
+must explain the residuals: if they do not, the model is incomplete, and a part of its residual pattern always looks like a drift. At
+least `LEAST_LEFT` degrees of freedom must remain over all outputs, or any scatter would look like a drift. A drift is rarely exactly
+linear: once a course in time is adopted, the next order is fitted too if the segments allow it.
 
-Nor is a drift adopted if a nonlinearity of the outputs is the better explanation: the square of their fitted values leaves no more than
-noise, and its information criterion (BIC) is lower (regression specification error test: J. B. Ramsey, J. R. Stat. Soc. B 31, 1969).
+A drift is not adopted if a nonlinearity of the outputs explains the data better. This is so if the square of their fitted values leaves
+no more than noise, and if its information criterion (BIC) is lower (regression specification error test: J. B. Ramsey, J. R. Stat. Soc.
+B 31, 1969).
 
-A course that is not adopted is suspected in two cases, which the report names. Its evidence is a little weaker, and it would move a
-coefficient by more than its standard uncertainty. Or it follows a recorded temperature that changed, and the segments couple it to a
-coefficient: an amplitude that the data cannot exclude would then move the coefficient by several standard uncertainties, whatever the data
-show.
+A course that is not adopted is suspected in two cases, which the report names. In the first case, its evidence is a little weaker, and
+it would move a coefficient by more than its standard uncertainty. In the second case, it follows a recorded temperature that changed,
+and the segments couple it to a coefficient. An amplitude that the data cannot exclude would then move the coefficient by several
+standard uncertainties.
 """
 
 from __future__ import annotations
@@ -42,10 +43,11 @@ _ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SuspectedDrift:
-    """A course that is not fitted, although the data do not exclude a drift that matters. output, term: place of the coefficient that it
-    affects most, and the term's name. growth: of the standard uncertainty of this coefficient if the course is fitted, infinite if the
-    segments cannot separate both. change: of this coefficient, in the unit of the fit; 0 if they cannot be separated. probability: of an
-    amplitude at least as large as the fitted one by chance; 1 if it was not tested."""
+    """A course that is not fitted, although the data do not exclude a drift that matters. output, term: index of the output and name of
+    the term of the coefficient that the course affects most. growth: factor by which the standard uncertainty of this coefficient grows
+    if the course is fitted; infinite if the segments cannot separate the two. change: change of this coefficient, in the unit of the
+    fit; 0 if the two cannot be separated. probability: chance of an amplitude at least as large as the fitted one; 1 if it was not
+    tested."""
 
     course: DriftCourse
     output: int
@@ -58,10 +60,10 @@ class SuspectedDrift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedDrift:
-    """The courses in a fit. judged: whether a drift could have been found in the data at all. without: (m, p), the coefficients of a fit
-    without drift; explained: (m,), share of the sum of squared residuals that the drift takes away. Both only if courses were adopted.
-    suspected: only if none was adopted. rivals, nonlinear: the courses that the data show, but that are not adopted because a nonlinearity
-    explains the residuals as well, and the share (m,) that it takes away."""
+    """The courses in a fit. judged: whether a drift could have been found in the data at all. without: (m, p), the coefficients of a
+    fit without drift; explained: (m,), share of the sum of squared residuals that the drift explains. Both only if courses were
+    adopted. suspected: only if none was adopted. rivals, nonlinear: courses that the data show but that are not adopted because a
+    nonlinearity explains the residuals as well; and the share (m,) of the squared residuals that the nonlinearity explains."""
 
     courses: tuple[DriftCourse, ...] = ()
     by_evidence: bool = False
@@ -88,12 +90,12 @@ Fits = Callable[[Array], Sequence[LinearFit]]
 
 
 def joined(matrix: Array, courses: Sequence[DriftCourse]) -> Array:
-    """The terms of the model (n, p), then the columns of the courses."""
+    """Columns of the terms of the model (n, p), then columns of the courses."""
     return np.hstack([matrix, *(course.columns for course in courses)]) if courses else matrix
 
 
 def sizes(magnitudes: Array, columns: Array) -> Array:
-    """The declared magnitudes of `joined`: the root mean squares of the courses."""
+    """The declared magnitudes of the columns of `joined`. For the courses, these are root mean squares."""
     further = columns[:, len(magnitudes) :]
     return np.concatenate([magnitudes, np.sqrt(np.mean(further**2, axis=0))]) if further.size else magnitudes
 
@@ -107,8 +109,9 @@ def fitted_drift(
     correlation: Array,
     fits: Fits,
 ) -> FittedDrift:
-    """The courses to fit. names: (p,), of the terms. correlation: (m, m), between the noise of the outputs. fits: the fits of all outputs
-    by the columns of some matrix, with the noise and the declared effects as weights; its arguments come from `joined`.
+    """Chooses the courses of drift to fit and returns them with the results of their tests. names: (p,), of the terms. correlation: (m,
+    m), between the noise of the outputs. fits: fits all outputs by the columns of a matrix, with the noise and the declared effects as
+    weights. Its arguments come from `joined`.
     """
     if not drift.courses:
         return NOTHING_FITTED
@@ -150,7 +153,7 @@ def fitted_drift(
 
 
 def _taken(before: Sequence[LinearFit], after: Sequence[LinearFit]) -> Array:
-    """Share (m,) of the sum of squared residuals that further columns take away."""
+    """Share (m,) of the sum of squared residuals that additional columns explain."""
     left, all_ = (np.array([one.chi_squared for one in each]) for each in (after, before))
     return 1 - left / np.where(all_ > 0, all_, 1.0)
 
@@ -162,7 +165,8 @@ def _criterion(found: Sequence[LinearFit], n: int) -> float:
 
 
 def _nonlinear(matrix: Array, plain: Sequence[LinearFit], fits: Fits) -> tuple[LinearFit, ...]:
-    """The fits (m,) with the square of each output's fitted values as a further column; none if the terms imitate the square of one."""
+    """The fits (m,) with the square of each output's fitted values as an additional column; empty if the terms can reproduce the square
+    of an output."""
     found = []
     for k, one in enumerate(plain):
         fitted = matrix @ one.coefficients
@@ -178,8 +182,8 @@ def _nonlinear(matrix: Array, plain: Sequence[LinearFit], fits: Fits) -> tuple[L
 def _next(
     matrix: Array, magnitudes: Array, drift: DriftCourses, chosen: Sequence[DriftCourse], outputs: int
 ) -> tuple[DriftCourse, ...]:
-    """The courses that may be added: the lowest missing order in time, and the others. The terms and the chosen courses must not imitate
-    them, and enough degrees of freedom must be left."""
+    """The courses that may be added: the lowest missing order in time, and the others. The terms and the chosen courses must not
+    reproduce them, and enough degrees of freedom must remain."""
     base, names = joined(matrix, chosen), {course.name for course in chosen}
     allowed = [one for one in drift.courses if not drift.shown or one.name in drift.shown]
     missing = [course for course in allowed if course.name not in names]
@@ -195,7 +199,7 @@ def _next(
 
 
 def _separable(scaled: Array, course: DriftCourse) -> bool:
-    """Whether columns (n, P), divided by their magnitudes, do not imitate the course."""
+    """Whether columns (n, P), divided by their magnitudes, cannot reproduce the course."""
     basis = np.linalg.svd(scaled, full_matrices=False)[0][:, : rank.look(scaled).rank]
     own = course.columns - basis @ (basis.T @ course.columns)
     return bool(np.all(np.sum(own**2, axis=0) > _SEPARABLE**2 * np.sum(course.columns**2, axis=0)))
@@ -209,7 +213,7 @@ def _suspected(
     hinted: tuple[DriftCourse, float] | None,
     fits: Fits,
 ) -> tuple[SuspectedDrift, ...]:
-    """The courses that are suspected, where none is adopted. hinted: the likeliest of the tested ones, and its probability by chance."""
+    """The suspected courses, if none is adopted. hinted: the most likely of the tested courses, and its probability by chance."""
     found = []
     for course in drift.courses:
         probability = hinted[1] if hinted is not None and hinted[0] is course else 1.0
@@ -248,8 +252,8 @@ def _chance(
     noises: Sequence[WithinSegmentNoise],
     correlation: Array,
 ) -> float:
-    """Probability that the course takes away as much of χ² by chance, in one output or in all together (F-tests, Bonferroni's bound;
-    outputs whose noise is correlated count as fewer, by Satterthwaite's formula)."""
+    """Probability that chance alone reduces χ² as much as the course does, in one output or in all together (F-tests, Bonferroni's
+    bound). Outputs with correlated noise count as fewer, by Satterthwaite's formula."""
     from scipy.special import fdtrc
 
     r, left = course.columns.shape[1], after[0].degrees_of_freedom
@@ -272,7 +276,7 @@ def _chance(
 
 
 def _explained(after: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> bool:
-    """Whether the noise within the segments explains the residuals of all outputs together (F-test); not if it is unknown."""
+    """Whether the noise within the segments explains the residuals of all outputs together (F-test). False if the noise is unknown."""
     from scipy.special import fdtrc
 
     if not all(noise.known for noise in noises):
@@ -283,7 +287,7 @@ def _explained(after: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise])
 
 
 def _is_rounding(matrix: Array, course: DriftCourse, after: Sequence[LinearFit]) -> bool:
-    """Whether the course moves no observation by more than rounding does."""
+    """Whether the course changes no observation by more than rounding errors."""
     p, r = matrix.shape[1], course.columns.shape[1]
     for one in after:
         moved = np.max(np.abs(course.columns @ one.coefficients[-r:]))

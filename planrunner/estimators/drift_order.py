@@ -1,4 +1,5 @@
-"""The order of planned segments and a drift: how much larger uncertainties become if it is fitted, and which order decouples it.
+"""The order of planned segments and its coupling to a drift: how much uncertainties grow if the drift is fitted, and which order
+decouples it.
 
 With the terms' design A and the courses of a drift T, both weighted, the covariance of the coefficients grows from C = (AᵀA)⁻¹ to
 C + G·T·(Tᵀ·M·T)⁻¹·Tᵀ·Gᵀ, with G = C·Aᵀ and M = 1 − A·G (Golub and Van Loan, Matrix Computations, 5.3). A test that is repeated in the
@@ -44,11 +45,11 @@ class FittedWithDrift(Protocol):
 
 
 def planned_drift(request: DesignRequest[FittedWithDrift], blocks: Sequence[DesignBlock]) -> tuple[Remark, ...]:
-    """Remarks about the drift that the plan asks for, or that the segments could show. Raises `EstimationError` for words that exclude each
-    other, and for a temperature that is not recorded.
+    """Remarks about the drift that the plan asks for, or that the segments could show. Raises `EstimationError` for options that
+    exclude each other, and for a temperature that is not recorded.
 
-    A note if a linear drift were fitted only if the segments show it, a warning if the plan asks for a drift that the order of the segments
-    couples to a coefficient, and an error if its courses cannot be separated from the terms at all.
+    The remark is a note if a linear drift would be fitted only when the segments show it. It is a warning if the plan asks for a drift
+    that the order of the segments couples to a coefficient. It is an error if the courses cannot be separated from the terms at all.
     """
     parameters = request.parameters
     names, by_evidence = asked(parameters.drift), BY_EVIDENCE in parameters.drift
@@ -92,8 +93,9 @@ _CLOSING = "repeat the first segment at the end, or add segments"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Design:
-    """matrix: (n, p), weighted and scaled; weights: (n,). start, seconds: (N,), s, of all segments of the estimate; rows: (n,), those
-    that this output uses, in the order of the block. orders: of the drift."""
+    """matrix: (n, p), weighted and scaled; weights: (n,). start, seconds: (N,), s, beginning and duration of all segments of the
+    estimate; rows: (n,), indices of the segments that this output uses, in the order of the block. orders: polynomial orders of the
+    drift."""
 
     block: DesignBlock
     segments: tuple[Segment, ...]
@@ -106,7 +108,8 @@ class _Design:
 
     @classmethod
     def of(cls, block: DesignBlock, planned: Sequence[Segment], orders: int) -> _Design | None:
-        """None for segments whose times are not planned, and for terms that cannot be separated anyway."""
+        """The design of a block. None if the times of the segments are not planned, or if the terms cannot be separated even without a
+        drift."""
         if any(segment.dwell is None for segment in planned) or len(block.labels) < 2:
             return None
         place = {segment.label: row for row, segment in enumerate(planned)}
@@ -125,17 +128,18 @@ class _Design:
         return int(self.matrix.shape[1])
 
     def growth(self) -> Array:
-        """Growth of the standard uncertainties in the planned order, (p,), infinite if the drift cannot be separated."""
+        """Factor by which standard uncertainties grow in the planned order, (p,); infinite if the drift cannot be separated."""
         return _growth(self.matrix, self._courses(self.start, self.seconds)[self.rows], self.weights)
 
     def reordered(self, orders: NDArray[np.int64]) -> Array:
-        """Growth in k other orders, (k, p). orders: (k, n), of the rows in the planned places; all have the same dwell."""
+        """The same factor in k other orders, (k, p). orders: (k, n), indices of the rows that are recorded in the planned places; all
+        rows have the same dwell."""
         # The middle of the test and the average of a course stay, so that the courses are those of the places.
         places = self._courses(self.start, self.seconds)[self.rows[np.argsort(self.start[self.rows])]]
         return _growth(self.matrix, places[np.argsort(orders, axis=1)], self.weights)
 
     def closed(self) -> Array:
-        """Growth with the first segment repeated at the end."""
+        """The same factor with the first segment repeated at the end."""
         order = np.argsort(self.start)
         ends = (self.start + self.seconds)[order]
         pauses = np.sort(
@@ -150,7 +154,7 @@ class _Design:
 
     @property
     def first(self) -> int:
-        """The row that is recorded first."""
+        """Index of the row that is recorded first."""
         return int(self.start[self.rows].argmin())
 
     def _courses(self, start: Array, seconds: Array) -> Array:
@@ -159,7 +163,7 @@ class _Design:
 
 
 def _growth(matrix: Array, courses: Array, weights: Array) -> Array:
-    """Growth for the courses (…, n, r) of any number of orders, (…, p). matrix: (n, p), weighted; weights: (n,), of the courses."""
+    """The same factor for courses (…, n, r) of any number of orders, (…, p). matrix: (n, p), weighted; weights: (n,), of the courses."""
     weighted = courses * weights[:, None]
     scaled = weighted / np.sqrt((weighted**2).sum(axis=-2, keepdims=True) / len(matrix))
     gains, own, beside = _projections(matrix)
@@ -171,13 +175,13 @@ def _growth(matrix: Array, courses: Array, weights: Array) -> Array:
 
 @kept(64)
 def _projections(matrix: Array) -> tuple[Array, Array, Array]:
-    """Of a design A: G = A⁺ (p, n), the diagonal of G·Gᵀ (p,), and M = 1 − A·G (n, n)."""
+    """For a design A: G = A⁺ (p, n), the diagonal of G·Gᵀ (p,), and M = 1 − A·G (n, n)."""
     gains = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
     return gains, np.einsum("ij,ij->i", gains, gains), np.eye(len(matrix)) - matrix @ gains
 
 
 def _distinct(blocks: Sequence[DesignBlock]) -> list[DesignBlock]:
-    """One block for each design: outputs of a triad often share it."""
+    """One block for each distinct design, because outputs of a triad often share one."""
     found: dict[tuple[object, ...], DesignBlock] = {}
     for block in blocks:
         found.setdefault((block.labels, block.matrix.tobytes(), block.sigma.tobytes()), block)
@@ -185,7 +189,7 @@ def _distinct(blocks: Sequence[DesignBlock]) -> list[DesignBlock]:
 
 
 def _proposal(designs: Sequence[_Design]) -> str:
-    """What decouples the drift: a closing segment, another order, or the same segments once more in the opposite order."""
+    """A proposal that decouples the drift: a closing segment, another order, or the same segments once more in the opposite order."""
     first = designs[0].block.labels[designs[0].first]
     closed = max(float(one.closed().max()) for one in designs)
     if closed < COUPLED:
@@ -198,8 +202,8 @@ def _proposal(designs: Sequence[_Design]) -> str:
 
 
 def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | None:
-    """The order of the segments after exchanges of two that decouple the drift best, one after the other, and the largest growth in it;
-    None if the segments cannot be exchanged freely."""
+    """A better order of the segments, and the largest growth in it. Each step makes the exchange of two segments that decouples the
+    drift best. None if the segments cannot be exchanged freely."""
     one = designs[0]
     same = all(other.block.labels == one.block.labels for other in designs)
     alike = np.ptp(one.seconds[one.rows]) < 1e-6 and len({segment.temperature for segment in one.segments}) == 1
@@ -221,5 +225,5 @@ def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | 
 
 
 def _largest(designs: Sequence[_Design], orders: NDArray[np.int64]) -> Array:
-    """The largest growth of all designs in each of k orders, (k,)."""
+    """The largest growth over all designs in each of k orders, (k,)."""
     return np.asarray(np.max([design.reordered(orders).max(axis=1) for design in designs], axis=0))

@@ -1,4 +1,4 @@
-"""Tables of results in format 1, whose columns have only titles: derives the roles from titles and cells.
+"""Reads tables of results in format 1, whose columns have only titles. It derives the roles of the columns from titles and cells.
 
 No other module interprets a title; the present format names the roles.
 """
@@ -24,7 +24,7 @@ _NUMBER = re.compile(
 def earlier_table(
     title: str, titles: Sequence[str], rows: tuple[tuple[Cell, ...], ...], settings: Mapping[str, Json]
 ) -> Table:
-    """A table of format 1 with the roles derived from its titles. settings: those of its estimate."""
+    """A table of format 1 with the roles derived from its titles. settings: the settings of the estimate that made the table."""
     columns = tuple(TableColumn(name, _role(name, [row[k] for row in rows])) for k, name in enumerate(titles))
     return Table(title, columns, rows, title in settings.get(TERMINAL_TABLES, ()))
 

@@ -1,7 +1,8 @@
 """The recording expected from a schedule: segments with the means of a nominal sensor and the declared noise.
 
-The formula of an estimator applied to it gives every coefficient of a run at its nominal value (`planrunner.estimators.method`). Values
-that neither plan nor bench states are assumed in two different ways; a coefficient that is equal in both cases does not depend on them.
+If the formula of an estimator is applied to this recording, it gives every coefficient of a run at its nominal value
+(`planrunner.estimators.method`). Values that neither plan nor bench state are assumed in two different ways. A coefficient that is
+equal in both cases does not depend on them.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ _ALONG_UP = np.eye(3)
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """An estimator's knowledge about outputs, by name. responses: in its terms, as declared for the sensor; directions: their input axes in
-    the sensor's frame, (3,), if the estimator's keys assign them."""
+    """An estimator's knowledge about outputs, by name. responses: coefficients of its terms, as declared for the sensor; directions:
+    (3,), input axes of the outputs in the sensor's frame, if the estimator's keys assign them."""
 
     responses: Responses = field(default_factory=dict)
     directions: Mapping[str, Array] = field(default_factory=dict)
@@ -42,7 +43,7 @@ class Known:
 @dataclass(frozen=True, slots=True)
 class Assumption:
     """Assumed values for quantities that are not stated. noise: of a mean, in the output's unit; gain: output per SI unit of the sensed
-    quantity; kelvin: temperature; attitude: (3, 3)."""
+    quantity; kelvin: temperature in K; attitude: (3, 3)."""
 
     noise: float
     gain: float
@@ -58,8 +59,8 @@ ASSUMPTIONS = (
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """segments: the expected recording. assumed: the assumptions about the used outputs, in words; empty if plan and bench state
-    everything."""
+    """Result of `expected_recording`. segments: the expected recording. assumed: the assumptions about the used outputs, in words;
+    empty if plan and bench state everything."""
 
     segments: tuple[RecordedSegment, ...]
     assumed: tuple[str, ...]
@@ -68,7 +69,8 @@ class Expected:
 def expected_recording(
     request: DesignRequest[object], known: Known, used: Sequence[str], assumption: Assumption
 ) -> Expected:
-    """known: the estimator's knowledge about the outputs; the rest follows from their names and units. used: the relevant outputs."""
+    """Builds the recording that the schedule is expected to give. known: what the estimator knows about the outputs; the rest follows
+    from their names and units. used: the relevant outputs."""
     outputs = request.sensor.outputs
     poses, assumed = _poses(request, assumption)
     felt = poses.felt(request.site)
@@ -108,7 +110,7 @@ def expected_recording(
 
 
 def _poses(request: DesignRequest[object], assumption: Assumption) -> tuple[Poses, list[str]]:
-    """The poses of the segments, for rocking and cycles the first, and what is assumed about them."""
+    """The poses of the segments and the assumptions about them. For rocking and cycles, the pose is the first one."""
     assumed: list[str] = []
     segments: list[Segment] = []
     for segment in request.segments:
@@ -125,7 +127,7 @@ def _poses(request: DesignRequest[object], assumption: Assumption) -> tuple[Pose
 
 
 def _along(about: Sequence[float]) -> Array:
-    """An attitude with z along a direction."""
+    """An attitude whose z axis points along a direction."""
     z = np.asarray(about, dtype=float) / np.linalg.norm(about)
     x = np.eye(3)[int(np.abs(z).argmin())]
     x = x - (x @ z) * z
@@ -140,7 +142,7 @@ def _means(
     felt: Stimulus,
     assumption: Assumption,
 ) -> tuple[Array | float, bool]:
-    """The means (n,) of an output by its name and unit, and whether they follow from declared values."""
+    """The means (n,) of an output, by its name and unit, and whether declared values determine them."""
     try:
         own = unit(output.unit)
     except UnknownUnitError:

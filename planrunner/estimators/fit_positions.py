@@ -1,4 +1,5 @@
-"""The fit for estimators from positions, weighted by the noise within positions, declared flicker and declared errors of the table."""
+"""The fit for estimators from positions. The weights come from the noise within positions, declared flicker and declared errors of the
+table."""
 
 from __future__ import annotations
 
@@ -40,8 +41,8 @@ class FittedFromPositions(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionsDesign:
-    """A linear model at n segments, planned or recorded: the same model is checked and then fitted. matrix: (n, p), SI; magnitudes:
-    (p,), declared sizes of its columns."""
+    """A linear model at n segments, planned or recorded. The same model serves for the check and for the fit. matrix: (n, p), SI;
+    magnitudes: (p,), declared sizes of its columns."""
 
     model: ErrorModel
     segments: tuple[Segment, ...]

@@ -66,12 +66,12 @@ def drift_tables(fits: Sequence[OutputsFit], basis: str) -> tuple[Table, ...]:
 
 
 def bases_shown(chosen: str, fits: Sequence[OutputsFit]) -> list[str]:
-    """The bases of uncertainty that are shown: the chosen one first, then the other one if all fits have it."""
+    """The bases of uncertainty for a table: the chosen one first, then the other one if all fits have it."""
     return [chosen, *(other for other in BASES if other != chosen and all(fit.available(other) for fit in fits))]
 
 
 def spread_columns(basis: str) -> tuple[TableColumn, ...]:
-    """Standard uncertainty, degrees of freedom and expanded uncertainty on one basis."""
+    """Columns for one basis: standard uncertainty, degrees of freedom and expanded uncertainty."""
     shown = basis.replace("_", " ")
     return (
         TableColumn(f"u ({shown})", Role.STANDARD_UNCERTAINTY),

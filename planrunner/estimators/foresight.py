@@ -33,7 +33,7 @@ def design_of(
     designs: Mapping[str, Design],
     setup: Setup | None = None,
 ) -> Design:
-    """Information of the planned segments for one estimate, and the coefficients that a run will give.
+    """Checks how the planned segments determine the results of one estimate, and predicts the coefficients of a run.
 
     designs: those of the preceding estimates. Raises `EstimationError` if the segments are not suitable for the estimator.
     """

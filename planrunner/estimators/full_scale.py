@@ -1,7 +1,7 @@
 """Checks that planned rates act on the fitted outputs and stay within their full scale.
 
-A saturated output bends the line from which its scale factor is computed; an output with its input axis perpendicular to the rotation axis
-shows only its misalignment.
+If an output saturates, the line for its scale factor bends. If an output has its input axis perpendicular to the rotation axis, it
+senses only its misalignment.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ UP = (0.0, 0.0, 1.0)  # about which cycles turn
 def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], shares: Array) -> list[Remark]:
     """An error for each output whose declared full scale is below its reading at the fastest planned rate.
 
-    shares: (n, m), the part of each segment's rate that each output's axis feels. An output whose unit is not a rate is checked only if a
+    shares: (n, m), fraction of each segment's rate along each output's axis. An output whose unit is not a rate is checked only if a
     scale factor K_… is declared; an output of specific force is not checked.
     """
     found = []
@@ -108,13 +108,13 @@ def _axis(motion: Motion) -> tuple[float, float, float] | None:
 
 
 def shares_by_name(segments: Sequence[Segment], mounting: Mapping[str, MountedAxis], outputs: Sequence[str]) -> Array:
-    """The fraction of the rate along each output's axis, (n, m): the axis is the sensor axis in the output's name (gyro_x: x), or the axis
-    in the plan's `mounting`. The fraction is one if the name gives no axis, and zero if the orientation is unknown."""
+    """The fraction of the rate along each output's axis, (n, m): the axis is the sensor axis in the output's name (gyro_x: x), or the
+    axis in the plan's `mounting`. The fraction is one if the name contains no axis, and zero if the orientation is unknown."""
     return shares_along(segments, [input_direction(mounting, name) for name in outputs])
 
 
 def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]) -> Array:
-    """The same for input axes in the sensor's frame, (3,) each; the full rate for None."""
+    """The same fractions for input axes in the sensor's frame, (3,) each; the fraction is one for the axis None."""
     shares = np.zeros((len(segments), len(directions)))
     for row, segment in enumerate(segments):
         about = _axis(segment.motion)
@@ -127,9 +127,9 @@ def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]
 
 
 def input_direction(mounting: Mapping[str, MountedAxis], output: str) -> Array | None:
-    """The input axis of an output in the sensor's frame, (3,): that of `mounting` for the axis in its name, or that axis itself. None
-    if the name gives no axis. If the azimuth of the axis is not given, only the component along z is returned, so that no rate is refused
-    that may be valid."""
+    """The input axis of an output in the sensor's frame, (3,). It is the axis of `mounting` that the output's name gives, or the sensor
+    axis of that name. None if the name contains no axis. If the azimuth of the axis is not given, only the component along z is
+    returned, so that no valid rate is rejected."""
     axis = axis_of(output)
     if axis is None:
         return None

@@ -1,4 +1,4 @@
-"""Groups that repeats form by themselves, where a plan names none: by their labels, by long pauses, and by thirds of their order.
+"""Possible groups of repeats if the plan names none: by their labels, by long pauses, and by thirds of their order.
 
 Repeats of one group have more in common than repeats of different groups if a day, a switch-on or a mounting changed in between.
 """
@@ -19,17 +19,18 @@ _LEAST = 4  # repeats in each third
 
 @dataclass(frozen=True, slots=True)
 class Grouping:
-    """A division of n repeats. group: (n,), number of the group of each; names: of the groups, for messages."""
+    """A division of n repeats. group: (n,), index of the group of each repeat; names: of the groups, for messages."""
 
     group: Integers
     names: tuple[str, ...]
 
 
 def groupings(labels: Sequence[str], pauses: Array | None) -> list[Grouping]:
-    """The divisions of repeats, in order of time, that can be tested: two groups at least, and more repeats than twice the groups.
+    """The divisions of repeats, in order of time, that a test can use. A division has at least two groups, and more repeats than twice
+    the number of groups.
 
-    labels: such as day1/r2 or startup-b-07; the number at the end counts within a group. pauses: (n − 1,), s between repeats; None if
-    not known.
+    labels: such as day1/r2 or startup-b-07, where the last number counts the repeats of a group. pauses: (n − 1,), s between repeats;
+    None if not known.
     """
     stems = [re.sub(r"\d+$", "", label) for label in labels]
     found = [
@@ -49,7 +50,7 @@ def groupings(labels: Sequence[str], pauses: Array | None) -> list[Grouping]:
 
 
 def _ranges(labels: Sequence[str], group: Integers) -> Grouping:
-    """Groups of neighbours, named by their first and last repeat."""
+    """Groups of neighbouring repeats, named by their first and last repeat."""
     held = [
         [label for label, own in zip(labels, group, strict=True) if own == one] for one in range(int(group[-1]) + 1)
     ]

@@ -45,8 +45,8 @@ R = TypeVar("R", bound=Record)
 
 @dataclass(frozen=True, slots=True)
 class Coefficient:
-    """One estimated quantity with its standard uncertainty, both in `unit`. period: in `unit`, of a circular quantity, such as 360 of a
-    heading in deg: values that differ by it are the same; infinite for all others."""
+    """One estimated quantity with its standard uncertainty, both in `unit`. period: in `unit`, for a circular quantity, such as 360 for
+    a heading in deg. Values that differ by the period are equivalent. It is infinite for other quantities."""
 
     name: str
     value: float
@@ -58,12 +58,12 @@ class Coefficient:
     role: CoefficientRole = CoefficientRole.LOCATION
 
     def near(self, place: float) -> float:
-        """The value in `unit`; for a circular quantity, the equivalent value that is nearest to a given one."""
+        """The value in `unit`. For a circular quantity, this is the equivalent value nearest to the given one."""
         return place + math.remainder(self.value - place, self.period) if math.isfinite(self.period) else self.value
 
 
 class Role(StrEnum):
-    """Kind of the cells of a column. Reports use it, and never a title, to round, align and format cells.
+    """Kind of the cells of a column. Reports use the role, never the title, to round, align and format cells.
 
     A `VALUE` is rounded by the first uncertainty column to its right, and shown in five digits if there is none; a `NUMBER` is set or
     stated and has no uncertainty. A number of the role `SHARE` is a fraction of 1, shown in percent. `LABEL` is text.
@@ -80,7 +80,7 @@ class Role(StrEnum):
 
     @property
     def uncertain(self) -> bool:
-        """Whether it determines the rounding of values to its left."""
+        """Whether the column contains uncertainties, which determine the rounding of values to its left."""
         return self in (Role.STANDARD_UNCERTAINTY, Role.EXPANDED_UNCERTAINTY)
 
 
@@ -113,7 +113,7 @@ Cell = str | float | None
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table for readers. rows: one cell per column. terminal: shown on the terminal as well as in reports."""
+    """A table for readers. rows: each has one cell per column. terminal: whether the terminal shows the table too."""
 
     title: str
     columns: tuple[TableColumn, ...]
@@ -145,17 +145,17 @@ class Plot:
 class Estimate:
     """Coefficients, their covariance (m, m) in the products of their units, and the information needed to judge them.
 
-    An estimator gives the covariance from its data (type A) and the `influences`, which the data do not show; the analysis adds both to the
-    covariance of the coefficients, and writes the `budgets`.
+    An estimator gives the covariance of its data (type A) and the `influences`, which the data cannot show. The analysis adds both to
+    get the covariance of the coefficients, and writes the `budgets`.
 
-    headline: the names that the terminal shows first. settings: choices made (such as the basis of the uncertainties). extra: plain data
-    for estimates that use this one; coefficients that are known at several temperatures, or at the common temperature of all segments, are
-    in extra["by_temperature"] as {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}}, with
-    the type A uncertainty, for `temperature_model`, and optionally the mean times of the data, "time_s": [...].
+    headline: names of the coefficients that the terminal shows first. settings: choices made (such as the basis of the uncertainties).
+    extra: plain data for estimates that use this one; coefficients that are known at several temperatures, or at the common temperature
+    of all segments, are in extra["by_temperature"] as {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...],
+    "unit": "..."}}, with the type A uncertainty, for `temperature_model`, and optionally the mean times of the data, "time_s": [...].
 
-    data_covariance: the type A part alone, which the analysis keeps when it adds the influences. An estimate that uses this one starts from
-    it and propagates the influences (`Influence.through`), so that an input that acts on both counts once and with its sign. expected: of a
-    schedule, not of a recording.
+    data_covariance: the type A part alone. The analysis keeps it when it adds the influences. An estimate that uses this one starts
+    from `data_covariance` and propagates the influences (`Influence.through`). An input that acts on both estimates therefore counts
+    once and with its sign. expected: whether the estimate comes from a schedule instead of a recording.
     """
 
     name: str
@@ -187,8 +187,8 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """The test set-up except site and sensor: the table, the fixture of the sensor, the stated uncertainties, the information on this run
-    (name → text), and whether the bench plays back a recording."""
+    """The test set-up without site and sensor: the table, the fixture of the sensor, the stated uncertainties, the information on this
+    run (name → text), and whether the bench plays back a recording."""
 
     table: TableModel | None = None
     mounting: Mapping[str, MountedAxis] = field(default_factory=dict)
@@ -199,8 +199,9 @@ class Setup:
 
 @dataclass(frozen=True, slots=True)
 class EstimateRequest(Generic[P]):
-    """name: of this estimate in the plan. parameters: the record of the estimator's keys. uses: the estimates that it uses, by their names
-    in the plan. detection: given if the plan requires spans to be found in the data (`planrunner.plan.selection.Detection`)."""
+    """The request to estimate from a recording. name: of this estimate in the plan. parameters: the record of the estimator's keys.
+    uses: the estimates that it uses, by their names in the plan. detection: given if the plan requires spans to be found in the data
+    (`planrunner.plan.selection.Detection`)."""
 
     name: str
     segments: tuple[RecordedSegment, ...]
@@ -214,7 +215,7 @@ class EstimateRequest(Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class DesignRequest(Generic[P]):
-    """The request before anything is recorded; if `detection` is given, the spans are not known yet. `uses` holds the designs of the
+    """The request before anything is recorded. If `detection` is given, the spans are not known yet. `uses` holds the designs of the
     estimates that this one uses."""
 
     name: str
@@ -245,10 +246,11 @@ class DesignBlock:
 
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """An error or doubt of an estimator about planned segments; `check` prints it as a finding at `key` of the estimate.
+    """An error or warning of an estimator about planned segments. `check` prints it as a finding at `key` of the estimate.
 
-    code: such as `physics-release`, listed in docs/findings.md. error: the plan must not run. note: nothing has to be
-    changed. conditions: the remark explains why the fit is ill-conditioned, so that the general message is not repeated.
+    code: such as `physics-release`, listed in docs/findings.md. error: whether the plan must not run. note: whether the remark only
+    informs and nothing has to be changed. conditions: whether the remark explains why the fit is ill-conditioned, so that the general
+    message is not repeated.
     """
 
     code: str
@@ -263,8 +265,8 @@ class Remark:
 @dataclass(frozen=True, slots=True)
 class Foresight:
     """Prediction of a run: `predicted` coefficients at nominal values with expected uncertainties, `unpredicted` ones without. Both are
-    empty if the coefficients of a run are not known. expected: estimates of the expected observations, one for each set of assumed values,
-    for estimates that use this one. notes: remarks on the prediction."""
+    empty if the coefficients of a run are not known. expected: for estimates that use this one, estimates from the expected
+    observations, one for each set of assumed values. notes: remarks on the prediction."""
 
     predicted: tuple[Coefficient, ...] = ()
     unpredicted: tuple[Unpredicted, ...] = ()
@@ -273,16 +275,17 @@ class Foresight:
 
     @property
     def known(self) -> bool:
-        """Whether it is known which coefficients a run will give."""
+        """Whether the coefficients of a run are known."""
         return bool(self.predicted or self.unpredicted)
 
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """blocks: one per output; none without a linear model. notes: on the planned segments. extra: plain data for the designs of estimates
-    that use this one. An estimator that gives coefficients by temperature puts their `temperatures` [K] there (an empty list if there are
-    none), and `names_by_temperature` if they are known. foresight: gives the prediction of a run. It takes longer than the rest of a
-    design, so it is computed when it is first needed: by a limit, an estimate that uses this one, or a reader.
+    """What an estimator states about planned segments. blocks: one per output; empty without a linear model. notes: on the planned
+    segments. extra: plain data for the designs of estimates that use this one. An estimator that gives coefficients by temperature puts
+    their `temperatures` [K] there (an empty list if there are none), and `names_by_temperature` if they are known. foresight: computes
+    the prediction of a run. The prediction takes longer than the rest of a design, so it is computed only when a limit, an estimate
+    that uses this one, or a reader needs it.
     """
 
     blocks: tuple[DesignBlock, ...]
@@ -327,7 +330,7 @@ class FindsSpans(Protocol):
 
 
 class Estimator(Protocol[R]):
-    """A plug-in. R: the record of its keys."""
+    """An estimator plug-in. R: the record of its keys."""
 
     summary: str
     Parameters: type[R]
@@ -337,6 +340,6 @@ class Estimator(Protocol[R]):
 
 
 def estimator_of(spec: EstimateSpec) -> Estimator[Record]:
-    """The plug-in that an estimate in a plan names. Raises `InputError`."""
+    """Finds the plug-in that an estimate in a plan names. Raises `InputError`."""
     estimator: Estimator[Record] = plugins.load(plugins.ESTIMATORS, spec.estimator)()
     return estimator

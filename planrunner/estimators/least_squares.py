@@ -1,8 +1,8 @@
 """Weighted linear least squares: one kernel with full covariance for all estimators.
 
 Columns are divided by their declared magnitudes, the augmented matrix [A | y] is reduced by QR, and rank, solution and covariance come
-from its small triangle (Golub and Van Loan, Matrix Computations, 5.3). Terms that the data cannot separate are an error that names
-them, never a minimum-norm guess.
+from its small triangle (Golub and Van Loan, Matrix Computations, 5.3). If the data cannot separate some terms, an error names these
+terms; no minimum-norm solution is returned.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from planrunner.estimators.interface import EstimationError, UnfitDataError
 class LinearFit:
     """A fit of n observations by p coefficients.
 
-    coefficients: (p,). cofactor: (p, p), the covariance of the coefficients when `sigma` is the true standard uncertainty of the
-    observations (their covariance divided by the unit weight's variance otherwise). residuals: (n,), observed minus fitted.
-    chi_squared: the weighted sum of squared residuals. condition: of the scaled and weighted columns.
+    coefficients: (p,). cofactor: (p, p), the covariance of the coefficients if `sigma` is the true standard uncertainty of the
+    observations. Otherwise it is their covariance divided by the variance factor. residuals: (n,), observed minus fitted. chi_squared:
+    the weighted sum of squared residuals. condition: of the scaled and weighted columns.
     """
 
     coefficients: Array
@@ -47,7 +47,7 @@ def fit(
     names: Sequence[str] = (),
     covariance: Array | None = None,
 ) -> LinearFit:
-    """Least-squares coefficients for `matrix` (n, p) and `observed` (n,); see `fit_each`, of one output."""
+    """Least-squares coefficients of one output for `matrix` (n, p) and `observed` (n,). See `fit_each` for the other arguments."""
     spread = None if sigma is None else np.asarray(sigma)[None]
     whitening = None if covariance is None else whitener(covariance[None])
     return fit_each(matrix, observed[None], spread, magnitudes, names, whitening)[0]
@@ -101,13 +101,12 @@ def fit_each(
 
 
 def whitener(covariance: Array) -> Array:
-    """W (…, n, n) with W·V·Wᵀ = 1: linear combinations of observations of the covariance V (…, n, n) that are uncorrelated and have
-    variance one."""
+    """The matrix W (…, n, n) with W·V·Wᵀ = 1. It makes observations of covariance V (…, n, n) uncorrelated with variance one."""
     return _triangular_inverse(np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
 
 
 def _triangular_inverse(lower: Array) -> Array:
-    """Of lower triangular matrices (…, n, n), by halves: products of matrices take a small part of the time of a general inverse."""
+    """Inverses of lower triangular matrices (…, n, n) by recursive halving. This takes a small part of the time of a general inverse."""
     n = lower.shape[-1]
     if n <= _SMALL:
         return np.asarray(np.linalg.inv(lower))
@@ -123,7 +122,8 @@ _SMALL = 64  # rows of a matrix that is inverted as a whole
 
 
 def _triangles(matrix: Array, observed: Array, weight: Array | None, whitening: Array | None, scale: Array) -> Array:
-    """R of the QR factorisations of the weighted [matrix·scale | observed] of m outputs, shape (m, p + 1, p + 1) or fewer rows."""
+    """The matrix R of the QR factorisation of the weighted [matrix·scale | observed] for each of m outputs, shape (m, p + 1, p + 1) or
+    fewer rows."""
     if whitening is None and len(matrix) >= 2 * _CHUNK:
         weights = [None] * len(observed) if weight is None else list(weight)
         return np.array([_triangle(matrix, one, own, scale) for one, own in zip(observed, weights, strict=True)])
@@ -141,7 +141,7 @@ _BATCH = 4  # chunks scaled and reduced at a time, so that all of it stays in th
 
 
 def _triangle(matrix: Array, observed: Array, weight: Array | None, scale: Array) -> Array:
-    """R of the QR factorisation of weight·[matrix·scale | observed] of many rows, shape (p + 1, p + 1).
+    """The matrix R of the QR factorisation of weight·[matrix·scale | observed] with many rows, shape (p + 1, p + 1).
 
     Chunks of rows are reduced first, then their triangles together (Demmel et al., SIAM J. Sci. Comput. 34, 2012).
     """

@@ -20,10 +20,10 @@ from planrunner.uncertainty.global_risk import GlobalRisk, Prior, global_risk
 class LimitVerdict:
     """One limit and its verdict. value, standard_uncertainty, expanded_uncertainty, lower and upper are in `unit`.
 
-    quantity: `estimate.coefficient`; requirement: in words, such as `within ±5 deg/h`; probability: that the true value conforms.
-    guard_band: required distance of the value from the limits; guard_factor: guard band divided by U; coverage: coverage probability of U.
-    false_decision: the specific risk that this verdict is wrong. consumer_risk, producer_risk: the global risks of the rule where the limit
-    states a prior.
+    quantity: `estimate.coefficient`; requirement: in words, such as `within ±5 deg/h`; probability: probability that the true value
+    conforms. guard_band: required distance of the value from the limits; guard_factor: guard band divided by U; coverage: coverage
+    probability of U; false_decision: the specific risk that this verdict is wrong. consumer_risk, producer_risk: the global risks of
+    the decision rule if the limit states a prior.
     """
 
     quantity: str
@@ -52,7 +52,8 @@ VerdictKind = Literal["pass", "warned", "fail", "none"]
 
 
 def verdict_kind(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnings: int) -> VerdictKind:
-    """The verdict on all limits. failures: what could not be estimated or judged; warnings: number of those that may invalidate it."""
+    """The overall verdict on all limits. failures: messages about estimates and limits without a result; warnings: number of warnings
+    that may invalidate the verdict."""
     if failures:
         return "fail"
     if not limits:
@@ -63,8 +64,8 @@ def verdict_kind(limits: Sequence[LimitVerdict], failures: Mapping[str, str], wa
 
 
 def hold(limit: Limit, estimates: Mapping[str, Estimate]) -> LimitVerdict:
-    """The verdict on one limit (`plan.model.Limit`). A circular coefficient is first shifted by whole turns to be nearest to the middle of
-    the two bounds. Raises `EstimationError` if its quantity is missing or has another dimension."""
+    """The verdict on one limit (`plan.model.Limit`). A circular coefficient is first shifted by whole turns so that it is as near as
+    possible to the middle of the two bounds. Raises `EstimationError` if its quantity is missing or has another dimension."""
     coefficient = _coefficient(limit.quantity, estimates)
     lower, upper = bounds(limit, coefficient)
     u, freedom = coefficient.standard_uncertainty, coefficient.degrees_of_freedom
@@ -99,7 +100,7 @@ def hold(limit: Limit, estimates: Mapping[str, Estimate]) -> LimitVerdict:
 def _global(
     limit: Limit, coefficient: Coefficient, tolerance: tuple[float, float], acceptance: tuple[float, float]
 ) -> GlobalRisk:
-    """NaN without a prior, or if the uncertainty is not known."""
+    """Global risks of the decision rule; NaN without a prior, or if the uncertainty is not known."""
     if limit.prior is None or not math.isfinite(coefficient.standard_uncertainty):
         return GlobalRisk(math.nan, math.nan)
     if not limit.prior.standard_uncertainty:
@@ -121,7 +122,7 @@ def _coefficient(quantity: str, estimates: Mapping[str, Estimate]) -> Coefficien
 
 
 def bounds(limit: Limit, coefficient: Coefficient) -> tuple[float, float]:
-    """Lower and upper bound of a `plan.model.Limit` in the coefficient's unit, infinite if there is none.
+    """Lower and upper bound of a `plan.model.Limit` in the coefficient's unit; infinite for a bound that is not given.
 
     Raises `EstimationError` for a limit with another dimension, without a bound, or that no value can meet.
     """

@@ -13,8 +13,8 @@ NAMED = 3
 
 
 def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tuple[Said, ...]:
-    """A sentence about the samples left out of the segments, and another about the gaps in them. sample_rate: Hz, for segments without
-    their own."""
+    """One sentence about the samples left out of the segments, and another about the gaps in the segments. sample_rate: Hz, for
+    segments without their own."""
     left_out, gaps = [], []
     for recorded in segments:
         statistics = recorded.statistics

@@ -1,11 +1,11 @@
 """The common method of estimators: a result is a function of observations, and the same function predicts the results of a run.
 
-    found = method.quantities(request) the formula: coefficients, their covariance and what they depend on words = method.words(request,
-    found) tables, plots and notes for readers
+    found = method.quantities(request)      the formula: coefficients, their covariance and their influences
+    words = method.words(request, found)    tables, plots and notes for readers
 
 `estimate` calls both. The prediction of a run calls only the first, on the observations expected from the schedule. A check of a plan
-therefore gives every coefficient of the run and its uncertainty, computed with the same formula. If this takes too long, or if the samples
-themselves are needed, an estimator has a separate prediction (`ForeseesResults`), which tests compare with a run.
+therefore gives every coefficient of the run and its uncertainty, computed with the same formula. If this takes too long, or if the
+samples themselves are needed, an estimator has a separate prediction (`ForeseesResults`), which tests compare with a run.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Quantities:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Words:
-    """Explanations of an estimate for readers; the fields are those of `interface.Estimate`."""
+    """Tables, plots and notes of an estimate for readers. The fields are those of `interface.Estimate`."""
 
     headline: tuple[str, ...] = ()
     settings: Mapping[str, Json] = field(default_factory=dict)
@@ -75,7 +75,7 @@ Q = TypeVar("Q", bound=Quantities)
 
 
 class Method(ABC, Generic[P, Q]):
-    """An estimator as a formula and its explanations. P: the record of its keys; Q: the result of its formula."""
+    """An estimator that consists of a formula and of explanations for readers. P: the record of its keys; Q: the result of its formula."""
 
     summary: str
     Parameters: type[P]
@@ -85,19 +85,19 @@ class Method(ABC, Generic[P, Q]):
 
     @abstractmethod
     def quantities(self, request: EstimateRequest[P]) -> Q:
-        """The formula. Raises `EstimationError`."""
+        """Computes the coefficients from the observations. Raises `EstimationError`."""
 
     @abstractmethod
     def words(self, request: EstimateRequest[P], found: Q) -> Words:
-        """Explanations for readers."""
+        """Makes tables, plots and notes for readers."""
 
     def known(self, request: DesignRequest[P]) -> Known:
-        """What this method knows about the outputs; the rest follows from their names and units. `design` refuses unsuitable segments, not
-        this."""
+        """What this method knows about the outputs. The rest follows from their names and units. This method does not reject unsuitable
+        segments; `design` does."""
         return Known()
 
     def estimate(self, request: EstimateRequest[P]) -> Estimate:
-        """Raises `EstimationError`."""
+        """Computes the estimate from a recording. Raises `EstimationError`."""
         found = self.quantities(request)
         words = self.words(request, found)
         return Estimate(
@@ -149,7 +149,7 @@ def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
 
 @cache
 def _foresees(estimator: type) -> bool:
-    """Looks once for each class: a protocol looks at every attribute."""
+    """Whether an estimator class has a separate prediction. The answer is cached, because a protocol check inspects every attribute."""
     return issubclass(estimator, ForeseesResults)
 
 
@@ -190,7 +190,7 @@ def _alike(one: Coefficient, others: Sequence[Coefficient]) -> bool:
 
 
 def _evaluated(estimator: Estimator[P], request: DesignRequest[P], expected: Expected, number: int) -> Estimate | None:
-    """The estimate from an expected recording, with its complete uncertainty; None if the estimator cannot make it."""
+    """The estimate from an expected recording with its complete uncertainty; None if the estimator cannot compute one."""
     uses = {
         name: design.expected[min(number, len(design.expected) - 1)]
         for name, design in request.uses.items()

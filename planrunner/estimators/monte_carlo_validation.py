@@ -47,13 +47,13 @@ R = TypeVar("R", bound=Record, contravariant=True)
 
 @runtime_checkable
 class Chains(Protocol[R]):
-    """An estimator that defines its draws."""
+    """An estimator that defines its own Monte Carlo draws."""
 
     def chain(self, request: EstimateRequest[R], estimate: Estimate) -> Draws: ...
 
 
 def linear_chain(estimate: Estimate) -> Draws:
-    """Draws of all coefficients of a combined estimate, to first order in everything."""
+    """Draws of all coefficients of a combined estimate, with everything approximated to first order."""
     data = estimate.covariance if estimate.data_covariance is None else estimate.data_covariance
     scatter = t_draws(data, [budget.lines[0].degrees_of_freedom for budget in estimate.budgets])
     stated = influence_draws(estimate.influences, len(estimate.coefficients))
@@ -62,7 +62,8 @@ def linear_chain(estimate: Estimate) -> Draws:
 
 
 def validated(estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_order: bool) -> Estimate:
-    """The estimate with a table of the Monte Carlo results for its headline coefficients, or for all if there is no headline.
+    """The estimate with an additional table: Monte Carlo results for its headline coefficients, or for all coefficients if there is no
+    headline.
 
     first_order: whether `draws` are those of `linear_chain`.
     """

@@ -1,9 +1,9 @@
 """Segments that do not agree with the others, and segments whose errors the others would not reveal.
 
-The test is that of the mean-shift model: segment i of an output has an error δ, which is described by an additional column with a one at i.
-Its t value is the externally studentised residual (Cook and Weisberg, Residuals and Influence in Regression, 1982, 2.2.2; for correlated
-observations Baarda, A Testing Procedure for Use in Geodetic Networks, 1968). The largest value of all is judged with Bonferroni's bound.
-The search is repeated among the others until none is significant, so that two wrong labels do not hide each other.
+The test uses the mean-shift model: segment i of an output has an error δ, which an additional column with a one in row i describes. Its
+t value is the externally studentised residual (Cook and Weisberg, Residuals and Influence in Regression, 1982, 2.2.2; for correlated
+observations Baarda, A Testing Procedure for Use in Geodetic Networks, 1968). The largest t value of all segments is tested with
+Bonferroni's bound. The search is repeated among the others until none is significant, so that two wrong labels do not hide each other.
 
 The redundancy of a segment is the share of its error that appears in its residual. If it is small, the segment alone determines a
 coefficient: its error enters the result without a trace in the residuals (Baarda, ibid.).
@@ -29,9 +29,9 @@ _ROUNDING = 1e-10  # of an output's largest fitted value: smaller errors are tho
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """error: difference of the segment's mean from the value expected from the others, in the output's unit. deviations: the same in
-    standard deviations; probability: of a value at least this large among all segments and outputs by chance. changes: (p,), change of
-    the output's coefficients if the segment is left out."""
+    """A segment that does not agree with the others. error: difference of its mean from the value expected from the others, in the
+    output's unit. deviations: this difference in standard deviations; probability: chance of a value at least this large among all
+    segments and outputs. changes: (p,), change of the output's coefficients if the segment is left out."""
 
     output: str
     label: str
@@ -43,15 +43,16 @@ class Outlier:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """outliers: of all outputs, the most improbable first; none if the residuals have fewer than two degrees of freedom. unchecked: labels
-    of the segments whose error would hardly show in any output's residuals; none where there are no residuals at all."""
+    """Agreement of the segments of a fit. outliers: of all outputs, the least probable first; empty if the residuals have fewer than
+    two degrees of freedom. unchecked: labels of the segments whose error would hardly appear in the residuals of any output; empty if
+    there are no residuals at all."""
 
     outliers: tuple[Outlier, ...] = ()
     unchecked: tuple[str, ...] = ()
 
 
 def agreement(fit: OutputsFit, basis: str) -> Agreement:
-    """How the segments of a fit agree with each other."""
+    """Tests how the segments of a fit agree with each other."""
     if not fit.freedom:
         return Agreement()
     found: list[Outlier] = []
@@ -67,7 +68,7 @@ def agreement(fit: OutputsFit, basis: str) -> Agreement:
 
 
 def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> list[Outlier]:
-    """whole: the shifts while no segment has a column yet."""
+    """Outliers of one output. whole: the shifts before any segment has a column."""
     from scipy.special import stdtr
 
     found: list[Outlier] = []
@@ -94,8 +95,8 @@ def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> li
 
 @dataclass(frozen=True, slots=True)
 class _Shifts:
-    """The effect of one additional column for each segment. errors, drops: (n,), its δ and the decrease of χ², 0 for a segment that the
-    model fits regardless of its reading; redundancy: (n,); chi_squared: without the column."""
+    """The effect of one additional column for each segment. errors, drops: (n,), δ of each segment and the decrease of χ²; both are 0
+    for a segment that the model fits whatever its reading is. redundancy: (n,); chi_squared: without the column."""
 
     errors: Array
     drops: Array
@@ -105,8 +106,8 @@ class _Shifts:
 
 @dataclass(frozen=True, slots=True)
 class _Weighed:
-    """An output's observations and their weights. covariance, weights: (n, n), the second the inverse of the first; columns: (n, P),
-    scaled; residuals: (n,)."""
+    """Weighted observations of an output. covariance, weights: (n, n), each the inverse of the other; columns: (n, P), scaled;
+    residuals: (n,)."""
 
     covariance: Array
     weights: Array
@@ -122,7 +123,7 @@ class _Weighed:
         return cls(covariance, whitening.T @ whitening, columns, fit.fits[k].residuals)
 
     def shifts(self, taken: tuple[int, ...]) -> _Shifts:
-        """taken: segments that have a column already."""
+        """The shifts. taken: segments that already have a column."""
         n = len(self.residuals)
         columns = np.column_stack([self.columns, np.eye(n)[:, list(taken)]])
         weighted = self.weights @ columns

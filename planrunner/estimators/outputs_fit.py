@@ -1,12 +1,13 @@
 """Several outputs fitted by one design: coefficients with joint covariance on either basis, and their degrees of freedom.
 
 The prior knowledge about the observations is one covariance V for each output: the noise observed within the segments, and the declared
-correlated errors (`correlated_errors`). The fit is generalised least squares with V. Two bases of uncertainty follow, which answer
+correlated errors (`correlated_errors`). The fit is generalised least squares with V. There are two bases of uncertainty, which answer
 different questions:
 
-    within_segment   V is used as it is. The noise has many degrees of freedom; the effects are added as influences. Does not include
-    unstated changes from segment to segment (switch-on, an incomplete model) residual         V gives the proportions, and the scatter of
-    the segments about the model one common factor: includes unstated effects, but has few degrees of freedom
+    within_segment   V is used as it is. The noise has many degrees of freedom; the effects are added as influences.
+                     Unstated changes from segment to segment (switch-on, an incomplete model) are not included.
+    residual         V gives the proportions, and the scatter of the segments about the model gives one common factor.
+                     Unstated effects are included, but there are few degrees of freedom.
 """
 
 from __future__ import annotations
@@ -37,15 +38,16 @@ _WIDEST = 1e9  # of the largest spread: what exceeds the noise then is not the m
 class OutputsFit:
     """m outputs fitted by p terms each from n segments. units: of the outputs; labels: of the segments; matrix: (n, p), the terms' columns.
 
-    noises: the noise within the segments, for each output. spreads: (m, n), the standard uncertainties in the weights, without the effects:
-    those of the noises, with or without a part between segments (`between_segments`). between: (m,), that part. ratios: (m,), residual
-    variance over that expected from noise and effects. effects: those that are in the weights; the others (if the noise of an output is not
-    known) are in `unweighted`. pooled: whether one variance factor applies to all outputs, which is true if the proportions of their noise
-    are known beforehand; pooled_freedom: its degrees of freedom. drift: the courses that are fitted together with the terms, q columns;
-    `fits` and the degrees of freedom are those of all P = p + q columns. all_gains: (m, P, n), their coefficients from observations.
-    all_cofactors: by basis, (m, P, m, P), covariance of their coefficients before the variance factors. within: number of observations at
-    the end that are no means of segments (`Observations`). unstated: effects about whose size nothing is stated, per unit; they are not in
-    the fit. names: (p,), of the terms.
+    noises: for each output, the noise within the segments. spreads: (m, n), the standard uncertainties in the weights, without the
+    effects. They are those of the noise, with or without a part between segments (`between_segments`). between: (m,), this part between
+    segments. ratios: (m,), residual variance divided by the variance expected from noise and effects. effects: the effects that are in
+    the weights; `unweighted`: the other effects, which occur if the noise of an output is not known. pooled: whether one variance
+    factor applies to all outputs, which is true if the proportions of their noise are known beforehand; pooled_freedom: its degrees of
+    freedom. drift: the courses that are fitted together with the terms, q columns; `fits` and the degrees of freedom are those of all P
+    = p + q columns. all_gains: (m, P, n), their coefficients from observations. all_cofactors: by basis, (m, P, m, P), covariance of
+    their coefficients before the variance factors. within: number of observations at the end that are no means of segments
+    (`Observations`). unstated: effects about whose size nothing is stated, per unit; they are not in the fit. names: (p,), of the
+    terms.
     """
 
     outputs: tuple[str, ...]
@@ -75,17 +77,17 @@ class OutputsFit:
 
     @property
     def all_coefficients(self) -> Array:
-        """Of the terms and of the drift, shape (m, P)."""
+        """Coefficients of the terms and of the drift, shape (m, P)."""
         return np.array([fit.coefficients for fit in self.fits])
 
     @property
     def coefficients(self) -> Array:
-        """Of the terms, shape (m, p)."""
+        """Coefficients of the terms, shape (m, p)."""
         return self.all_coefficients[:, : self.matrix.shape[1]]
 
     @property
     def gains(self) -> Array:
-        """The coefficients of the terms from observations, shape (m, p, n)."""
+        """Factors from observations to the coefficients of the terms, shape (m, p, n)."""
         return self.all_gains[:, : self.matrix.shape[1]]
 
     @property
@@ -111,7 +113,8 @@ class OutputsFit:
 
     @property
     def variance_factors(self) -> Array:
-        """Residual variance over that expected from the weights, shape (m,): one for each output, or their mean for all if pooled."""
+        """Residual variance divided by the variance expected from the weights, shape (m,): one factor for each output, or their mean
+        for all outputs if pooled."""
         factors = np.array([fit.variance_factor for fit in self.fits])
         return np.full_like(factors, factors.mean()) if self.pooled else factors
 
@@ -130,8 +133,9 @@ class OutputsFit:
         return covariance
 
     def influences(self, basis: str, functionals: Array | None = None) -> tuple[Influence, ...]:
-        """The effects on the coefficients, output after output, or on other linear functions of the observations, given by functionals (q,
-        m, n). On the residual basis, the covariance already includes the effects that are in the weights."""
+        """Influences of the effects on the coefficients, output after output. If functionals (q, m, n) are given, influences on these
+        linear functions of the observations. On the residual basis, the covariance already includes the effects that are in the
+        weights."""
         acting = functionals_of(self.gains) if functionals is None else functionals
         weighted = tuple(one.through(acting, basis == "residual") for one in self.effects)
         return (*weighted, *(one.through(acting) for one in self.unweighted))
@@ -162,7 +166,7 @@ def coefficients_by_noise(matrix: Array, observations: Observations, magnitudes:
 
 @kept(64)
 def _coefficients(matrix: Array, observed: Array, weights: Array, magnitudes: Array, names: tuple[str, ...]) -> Array:
-    """Coefficients (m, p) of outputs (m, n) whose noise has the proportions `weights`, (m, n)."""
+    """Fits the coefficients (m, p) of outputs (m, n). weights: (m, n), the proportions of their noise."""
     return np.array([one.coefficients for one in least_squares.fit_each(matrix, observed, weights, magnitudes, names)])
 
 
@@ -180,11 +184,11 @@ def fit_outputs(
 ) -> OutputsFit:
     """Fit every observed channel by the same terms. Raises `EstimationError`.
 
-    Weights come from the noise within the segments and the effects. On the residual basis, a part between segments is added first if the
-    noise differs between segments or there are effects, and both together do not explain the residuals. Otherwise the segment with the
-    least noise would dominate the fit although its error is as large as the others'. Outputs can be pooled only if their noise is known and
-    needs no such part. equal: give all segments the same weight. drift: courses that are fitted too, or only if the data show them.
-    unstated: as in `OutputsFit`.
+    Weights come from the noise within the segments and the effects. On the residual basis, a part between segments is added first if
+    the noise differs between segments or there are effects, and both together do not explain the residuals. Otherwise the segment with
+    the least noise would dominate the fit although its error is as large as the others'. Outputs can be pooled only if their noise is
+    known and needs no such part. equal: give all segments the same weight. drift: courses that are fitted too, or only if the data show
+    them. unstated: as in `OutputsFit`.
     """
     m = len(observations.channels)
     noises = [within_segment_noise(observations, k) for k in range(m)]
@@ -316,7 +320,7 @@ class _Weighting:
         return (m * (n - p)) ** 2 / common if common else 0.0
 
     def _fit_of(self, output: int, spread: Array) -> LinearFit:
-        """The fit of one output with another spread (n,)."""
+        """The fit of one output with a different spread (n,)."""
         one = slice(output, output + 1)
         return self._fits(spread[None], _whitening(spread[None], self.roots[one]), one)[0]
 
@@ -327,7 +331,7 @@ class _Weighting:
 
 
 def _whitening(spreads: Array, roots: Array) -> Array | None:
-    """Of noise with these spreads (m, n) and effects with these roots (m, n, r), (m, n, n); None without effects."""
+    """The whitening (m, n, n) of noise with these spreads (m, n) and of effects with these roots (m, n, r); None without effects."""
     return least_squares.whitener(mixed(spreads, roots)) if roots.size else None
 
 
@@ -336,15 +340,15 @@ def _factors(fits: Sequence[LinearFit]) -> Array:
 
 
 def _gains(fits: Sequence[LinearFit], weighted: Array) -> Array:
-    """(AᵀV⁻¹A)⁻¹·AᵀV⁻¹, (m, p, n). weighted: V⁻¹A, (m, n, p)."""
+    """Computes (AᵀV⁻¹A)⁻¹·AᵀV⁻¹, (m, p, n). weighted: V⁻¹A, (m, n, p)."""
     return np.asarray(np.array([one.cofactor for one in fits]) @ weighted.swapaxes(1, 2))
 
 
 def _cofactors(
     found: _Fitted, noises: Sequence[WithinSegmentNoise], correlation: Array, effects: Array
 ) -> dict[str, Array]:
-    """Cofactors by basis. On both bases, the correlation of the noise between outputs comes from the samples, because the residuals of a
-    few segments do not determine it. effects: (m, n, r), their roots."""
+    """Cofactors of the coefficients, by basis. On both bases, the correlation of the noise between outputs comes from the samples,
+    because the residuals of a few segments do not determine it. effects: (m, n, r), roots of the effects."""
     m, p, _ = found.gains.shape
 
     def products(roots: Array) -> Array:
@@ -360,7 +364,7 @@ def _cofactors(
 
 
 def exceeds_noise(found: LinearFit, noise: WithinSegmentNoise) -> bool:
-    """Whether the residuals are larger than the noise within the segments explains (F-test)."""
+    """Whether the residuals are larger than the noise within the segments can explain (F-test)."""
     if not (found.degrees_of_freedom and noise.known and found.variance_factor > 1):
         return False
     from scipy.special import fdtrc
@@ -374,8 +378,9 @@ def between_segments(
     """The standard deviation between segments that, together with `spread` (n,), makes chi²/dof equal to one (Mandel and Paule, Anal. Chem.
     54, 1982).
 
-    fitted: the fit for a given spread. means: (n,), the observations that have it. chi² decreases monotonically with it; found by
-    bisection. Zero if chi²/dof does not exceed one without it, or would exceed one with any.
+    fitted: computes the fit for a given spread. means: (n,), marks the observations that have this deviation. It is found by bisection,
+    because chi²/dof decreases as it grows. It is zero if chi²/dof does not exceed one without it, and also if chi²/dof exceeds one with
+    any value of it.
     """
     from scipy.optimize import brentq
 

@@ -21,8 +21,8 @@ def matrix_at_rest(
 ) -> Array:
     """The design matrix of positions at rest, shape (n, p), SI.
 
-    needed: the reason for rest, for the message about a segment that moves; otherwise: added to the message about an unknown orientation.
-    Raises `EstimationError` in both cases.
+    needed: the reason why segments must be at rest, for the message about a segment that moves; otherwise: text added to the message
+    about an unknown orientation. Raises `EstimationError` in both cases.
     """
     moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
     if moving:
@@ -36,7 +36,7 @@ def matrix_at_rest(
 def planned_blocks(
     request: DesignRequest[object], outputs: Sequence[str], terms: tuple[str, ...], matrix: Array, magnitudes: Array
 ) -> tuple[DesignBlock, ...]:
-    """The same matrix (n, p), SI, for each output, with the noise that the sensor declares for the planned dwells.
+    """The matrix (n, p) of `matrix_at_rest`, SI, for each output, with the noise that the sensor declares for the planned dwells.
 
     A dwell of unknown length counts as one second. Raises `EstimationError` for an output that the sensor does not have.
     """

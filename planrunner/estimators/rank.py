@@ -21,7 +21,8 @@ TOLERANCE = (
 
 @dataclass(frozen=True, slots=True)
 class MatrixRank:
-    """singular: singular values of the scaled matrix, largest first. null: orthonormal rows, shape (columns − rank, columns)."""
+    """Result of an analysis. singular: singular values of the scaled matrix, largest first. null: orthonormal rows, shape (columns −
+    rank, columns)."""
 
     rank: int
     singular: Array
@@ -29,12 +30,12 @@ class MatrixRank:
 
     @property
     def determinant(self) -> float:
-        """Of the information matrix AᵀA of the scaled matrix A; zero when the rank is short."""
+        """Determinant of the information matrix AᵀA of the scaled matrix A; zero if the matrix does not have full rank."""
         return 0.0 if len(self.null) else float(np.prod(self.singular**2))
 
     @property
     def condition(self) -> float:
-        """Largest over smallest singular value; infinite if the rank is deficient."""
+        """Largest divided by smallest singular value; infinite if the matrix does not have full rank."""
         if len(self.null):
             return float("inf")
         return float(self.singular[0] / self.singular[-1])
@@ -42,7 +43,7 @@ class MatrixRank:
 
 @kept(256)
 def look(scaled: Array, tolerance: float = TOLERANCE) -> MatrixRank:
-    """Rank and null space of a matrix (n, p) whose columns are already scaled; n may be smaller than p."""
+    """Computes the rank and the null space of a matrix (n, p) whose columns are already scaled; n may be smaller than p."""
     p = scaled.shape[1]
     _, singular, rows = np.linalg.svd(scaled, full_matrices=len(scaled) < p)
     largest = singular[0] if len(singular) else 0.0
@@ -51,7 +52,7 @@ def look(scaled: Array, tolerance: float = TOLERANCE) -> MatrixRank:
 
 
 def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, float], ...], ...]:
-    """The null space as a few short combinations of names whose columns add up to zero, by Gauss–Jordan elimination.
+    """The null space as a few short combinations of names whose columns add up to zero. They are found by Gauss–Jordan elimination.
 
     A single name means a column of zeros.
     """
@@ -76,7 +77,7 @@ def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, fl
 
 
 def unidentifiable(null: Array, names: Sequence[str]) -> tuple[str, ...]:
-    """The names in the null space, in their original order: the data determine none of them."""
+    """The names in the null space, in their original order. The data determine none of these terms."""
     return tuple(
         name for name, weight in zip(names, np.abs(null).max(axis=0, initial=0.0), strict=True) if weight > 1e-6
     )

@@ -4,8 +4,9 @@
     two levels    one-way analysis of variance of groups (ISO 5725-2, JCGM 100:2008, H.5): within groups, between groups, and both together,
                   the intermediate precision
 
-Intervals of standard deviations are χ² intervals. The interval of both together is that of Graybill and Wang (J. Am. Stat. Assoc. 75, 1980,
-869), because χ² with Satterthwaite's degrees of freedom contains the true value in only 91 % instead of 95 % of tests of five days.
+Intervals of standard deviations are χ² intervals. The interval of both together is that of Graybill and Wang (J. Am. Stat. Assoc. 75,
+1980, 869), because χ² with Satterthwaite's degrees of freedom contains the true value in only 91 % instead of 95 % of tests of five
+days.
 
 Warnings: repeats that scatter more than their own standard uncertainties allow (χ²); repeats that form groups by their labels, by pauses or
 by thirds of their order (`groups_in_time`), which differ (F test) although the plan names no groups; repeats whose scatter is not random in
@@ -80,9 +81,9 @@ class RepeatabilityParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Repeats:
-    """n values of one quantity. group: (n,), number of the group of each value; own: (n,), standard uncertainties of the values, NaN if not
-    known. expected: for expected values, the variance of their scatter from noise alone; NaN for measured values. pauses: (n − 1,), s
-    between the repeats; None if not known."""
+    """n values of one quantity. group: (n,), index of the group of each value; own: (n,), standard uncertainties of the values, NaN if
+    not known. expected: for expected values, the variance that noise alone causes; NaN for measured values. pauses: (n − 1,), s between
+    the repeats; None if not known."""
 
     name: str
     unit: str
@@ -95,7 +96,7 @@ class Repeats:
     pauses: Array | None = None
 
     def on_circle(self, value: float) -> float:
-        """The value reduced to 0 … period, if there is a period."""
+        """The value reduced to the range from 0 to `period`, for a quantity with a period."""
         if math.isinf(self.period):
             return value
         return 0.0 if abs(math.remainder(value, self.period)) < 1e-9 * self.period else value % self.period
@@ -103,10 +104,11 @@ class Repeats:
 
 @dataclass(frozen=True, slots=True)
 class Variance:
-    """One-way analysis of variance of k groups, n values in all.
+    """One-way analysis of variance of n values in k groups.
 
-    within, between, total: variances with their degrees of freedom or standard uncertainty; between can be negative; terms: (2,), the mean
-    squares between and within groups times their factors, whose sum is the total. ratio: F.
+    within, between, total: variances with their degrees of freedom or standard uncertainty; between can be negative; terms: (2,), mean
+    squares between and within groups, each multiplied by its factor, so that their sum is the total. ratio: F, the ratio of the mean
+    squares.
     """
 
     mean: float
@@ -123,7 +125,7 @@ class Variance:
 
     @property
     def total_interval(self) -> tuple[float, float]:
-        """Interval of the total at `PROBABILITY`."""
+        """Confidence interval of the total at `PROBABILITY`."""
         return _interval_of_sum(self.terms, (self.mean_freedom, self.within_freedom))
 
     @property
@@ -149,14 +151,14 @@ class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
     Parameters = RepeatabilityParameters
 
     def design(self, request: DesignRequest[RepeatabilityParameters]) -> Design:
-        """Checks that something is repeated. Raises `EstimationError`."""
+        """Checks that the plan repeats something. Raises `EstimationError`."""
         parameters = request.parameters
         names = _items(parameters, [segment.label for segment in request.segments], list(request.uses))
         _grouped(names, parameters.groups, bool(parameters.channels))
         return Design(())
 
     def quantities(self, request: EstimateRequest[RepeatabilityParameters]) -> ScatterQuantities:
-        """Scatter of every quantity. Raises `EstimationError`."""
+        """Computes the scatter of every quantity. Raises `EstimationError`."""
         parameters = request.parameters
         names = _items(parameters, [recorded.label for recorded in request.segments], list(request.uses))
         group = _grouped(names, parameters.groups, bool(parameters.channels))
@@ -167,7 +169,7 @@ class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
         return ScatterQuantities(coefficients=coefficients, covariance=np.diag(spread**2), splits=splits)
 
     def words(self, request: EstimateRequest[RepeatabilityParameters], found: ScatterQuantities) -> Words:
-        """The values and their variances."""
+        """Makes the tables of the values and their variances."""
         groups: Mapping[str, Sequence[str]] = request.parameters.groups
         tables = [(_values(one, list(groups)), _variances(one, split)) for one, split in found.splits]
         notes = [note for pair in found.splits for note in _notes(*pair)]
@@ -183,7 +185,7 @@ class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
 
 
 def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Sequence[str]) -> list[str]:
-    """The repeated items: segments for channels, otherwise estimates. Raises `EstimationError`."""
+    """The repeated items: segments if the plan names channels, otherwise estimates. Raises `EstimationError`."""
     if parameters.channels and uses:
         raise EstimationError("both `channels` and `uses` are given: compare either segment means or other estimates")
     if not parameters.channels and not uses:
@@ -200,7 +202,7 @@ def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Seq
 
 
 def _grouped(names: Sequence[str], groups: Mapping[str, Sequence[str]], labels: bool) -> NDArray[np.int64]:
-    """The number of the group of each name. Raises `EstimationError` for a name in no group or in two, and for an empty group."""
+    """The index of the group of each name. Raises `EstimationError` for a name in no group or in two, and for an empty group."""
     number = np.zeros(len(names), dtype=np.int64)
     if not groups:
         return number
@@ -283,7 +285,7 @@ def _coefficients(request: EstimateRequest[RepeatabilityParameters], group: NDAr
 
 
 def _expected_variance(name: str, uses: Sequence[Estimate]) -> float:
-    """Expected scatter from noise alone for a coefficient of expected estimates; NaN for measured ones."""
+    """Scatter that noise alone causes for a coefficient of expected estimates; NaN for measured ones."""
     found = []
     for used in uses:
         if not used.expected or used.data_covariance is None:
@@ -294,8 +296,8 @@ def _expected_variance(name: str, uses: Sequence[Estimate]) -> float:
 
 
 def together(repeats: Sequence[Coefficient]) -> Array:
-    """The values, (n,); for a circular quantity, the equivalent values nearest to the circular mean (Mardia and Jupp, Directional
-    Statistics, 2.2)."""
+    """The values, (n,). For a circular quantity, these are the equivalent values nearest to the circular mean (Mardia and Jupp,
+    Directional Statistics, 2.2)."""
     period = repeats[0].period
     if math.isinf(period) or not all(math.isfinite(one.value) for one in repeats):
         return np.array([one.value for one in repeats])
@@ -344,7 +346,8 @@ def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float
 
 
 def _interval_of_sum(terms: Sequence[float], freedom: Sequence[float]) -> tuple[float, float]:
-    """The interval of a sum of independent mean squares, each times a positive factor, at `PROBABILITY` (Graybill and Wang)."""
+    """The confidence interval at `PROBABILITY` of a sum of independent mean squares, each multiplied by a positive factor (Graybill and
+    Wang)."""
     low, high = 0.0, 0.0
     for term, own in zip(terms, freedom, strict=True):
         below, above = deviation_interval(1.0, own)
@@ -354,7 +357,7 @@ def _interval_of_sum(terms: Sequence[float], freedom: Sequence[float]) -> tuple[
 
 
 def deviation_interval(variance: float, freedom: float) -> tuple[float, float]:
-    """The interval of a standard deviation by χ², at `PROBABILITY`."""
+    """The confidence interval of a standard deviation by χ², at `PROBABILITY`."""
     from scipy.special import chdtri
 
     low = math.sqrt(variance * freedom / float(chdtri(freedom, (1 - PROBABILITY) / 2)))
@@ -493,8 +496,8 @@ def _notes(one: Repeats, split: Variance) -> list[Said]:
 
 
 def chance_of_order(value: Array, group: NDArray[np.int64]) -> float:
-    """The probability that values which follow each other within groups are by chance as alike as these; NaN for fewer than eight
-    within groups.
+    """The probability that random values are at least as similar from one to the next as these values within their groups; NaN for
+    fewer than eight values within groups.
 
     The ratio η = Σ(x_{i+1} − x_i)²/Σ(x_i − x̄)² of n independent normal values has the mean 2 and the variance 4·(n − 2)/(n² − 1) (von
     Neumann); η/4 is close to a symmetric beta variable with these moments. Each group is taken about its own mean.
@@ -555,8 +558,8 @@ def _warnings(one: Repeats, split: Variance) -> list[Said]:
 
 
 def _unnamed_groups(one: Repeats) -> Said | None:
-    """The warning about repeats that are treated as one group, but form groups that differ; None if there are none. With m divisions
-    tried, each is tested at a level m times smaller."""
+    """The warning about repeats that the plan treats as one group but that form different groups; None if they do not. If m divisions
+    are tried, each is tested at 1/m of the significance level."""
     if len(np.unique(one.group)) > 1 or not math.isnan(one.expected):
         return None
     tried = groupings(one.labels, one.pauses)
@@ -581,7 +584,7 @@ def _unnamed_groups(one: Repeats) -> Said | None:
 
 
 def _scatter_differs(one: Repeats) -> bool:
-    """Whether groups of at least three repeats scatter differently within themselves."""
+    """Whether the scatter within groups of at least three repeats differs between groups."""
     held = [one.value[one.group == number] for number in np.unique(one.group)]
     held = [values for values in held if len(values) >= _TO_COMPARE]
     variances = np.array([float(np.var(values, ddof=1)) for values in held])

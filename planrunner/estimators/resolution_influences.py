@@ -1,7 +1,7 @@
 """Influence of the resolution of outputs on coefficients.
 
-Listed in budgets but never added: without dither by noise, rounding is in the standard errors of the means (see `observations`); with
-dither, it is in the scatter of the samples.
+It is listed in budgets but never added. Without dither by noise, the standard errors of the means include rounding (see
+`observations`). With dither, the scatter of the samples includes it.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from planrunner.uncertainty.influences import Aspect, Influence
 def resolution_influences(
     request: EstimateRequest[object], outputs: Sequence[str], functionals: Array
 ) -> tuple[Influence, ...]:
-    """One for each of the m outputs with a stated resolution. functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n);
-    further observations are ignored.
+    """One influence for each of the m outputs with a stated resolution. functionals: (q, m, n), ∂coefficient/∂(mean of output k over
+    segment n); further observations are ignored.
 
     The rounding error of a mean is that of one count if the noise is too small to dither it, otherwise the average over its samples.
     """

@@ -38,9 +38,10 @@ _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 class Results:
     """Results of an analysis.
 
-    estimates: by name, in the plan's order. limits: verdicts. failures: messages, by the name of the estimate (or limit) that could not be
-    made. segments: one mapping of statistics per recorded segment, from `segment_statistics`. origin: source of the samples; None in
-    results of versions that did not record it. unfit: names in `failures` for which the recorded data are the reason, not the plan.
+    estimates: by name, in the plan's order. limits: verdicts. failures: messages by the name of the estimate or limit that has no
+    result. segments: one mapping of statistics per recorded segment, from `segment_statistics`. origin: source of the samples; None in
+    results of versions that did not record it. unfit: names in `failures` that failed because of the recorded data, not because of the
+    plan.
     """
 
     estimates: Mapping[str, Estimate]
@@ -67,7 +68,7 @@ class Results:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Json], file: str = "results.json") -> Results:
-        """The results that `to_json` wrote. Raises `InputError` for another format."""
+        """Reads the results that `to_json` wrote. Raises `InputError` for another format."""
         if not isinstance(data, Mapping) or data.get("planrunner_results") not in range(1, FORMAT + 1):
             message = "this file contains no results in a format that this version can read"
             raise InputError.at(
@@ -91,7 +92,7 @@ class Results:
 
 
 def segment_statistics(recorded: RecordedSegment) -> JsonObject:
-    """One recorded segment's statistics as plain data; means and the like by channel, in the channel's unit."""
+    """Statistics of one recorded segment as plain data. Means and other values are by channel, in the channel's unit."""
     statistics = recorded.statistics
     deviation = np.sqrt(np.diag(np.atleast_2d(statistics.covariance)))
     channels = {
@@ -121,8 +122,8 @@ def segment_statistics(recorded: RecordedSegment) -> JsonObject:
 
 
 def comparable(data: Json) -> Json:
-    """Results as JSON data without the format, the versions that computed them, and what only translations need: those of formats 2 and 3
-    can be compared."""
+    """Results as JSON data for a comparison of formats 2 and 3. The format, the versions that computed them, and data that only
+    translations need are omitted."""
     if isinstance(data, list):
         return [comparable(item) for item in data]
     if not isinstance(data, dict):
@@ -170,7 +171,7 @@ def _estimate_to(estimate: Estimate) -> JsonObject:
 
 
 def _said_to(text: str) -> JsonObject:
-    """A plug-in may give plain text, which is not translated."""
+    """Writes a text as JSON data. A plug-in may give plain text, which is not translated."""
     return (text if isinstance(text, Said) else Said(text)).to_json()
 
 
@@ -234,7 +235,8 @@ def _estimate_from(data: Mapping[str, Json]) -> Estimate:
 
 
 def _plain(value: Json) -> Json:
-    """Plain JSON data: numpy scalars and arrays, tuples and mappings unpacked; numbers that JSON lacks as texts."""
+    """Converts to plain JSON data: numpy scalars and arrays, tuples and mappings become plain values; numbers that JSON lacks become
+    texts."""
     if isinstance(value, Mapping):
         return {str(name): _plain(item) for name, item in value.items()}
     if isinstance(value, np.ndarray):

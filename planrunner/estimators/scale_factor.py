@@ -94,7 +94,7 @@ class ScaleFactorParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineQuantities(Quantities):
-    """rates: (n,), rad/s. common: whether the plan states an error common to all rates."""
+    """Fitted lines. rates: (n,), rad/s. common: whether the plan states an error common to all rates."""
 
     observations: Observations
     rates: Array
@@ -110,7 +110,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
     Parameters = ScaleFactorParameters
 
     def design(self, request: DesignRequest[ScaleFactorParameters]) -> Design:
-        """A line through the planned rates, for each output. Raises `EstimationError`."""
+        """Checks the line through the planned rates for each output. Raises `EstimationError`."""
         rates = _rates(request.segments)
         matrix, magnitudes = line_through(rates)
         names = request.parameters.outputs or tuple(output.name for output in request.sensor.outputs)
@@ -126,7 +126,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
         return Design(blocks, remarks=remarks)
 
     def quantities(self, request: EstimateRequest[ScaleFactorParameters]) -> LineQuantities:
-        """Lines through the means. Raises `EstimationError`."""
+        """Fits a line through the means of each output. Raises `EstimationError`."""
         parameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
@@ -163,7 +163,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
         return _found(request, observations, rates, fit)
 
     def words(self, request: EstimateRequest[ScaleFactorParameters], found: LineQuantities) -> Words:
-        """Means and residuals by rate."""
+        """Makes the tables and plots of means and residuals by rate."""
         parameters = request.parameters
         observations, rates, fit = found.observations, found.rates, found.fit
         rate = rate_and_output(parameters.rate_unit, observations.units[0])[0]
@@ -202,7 +202,7 @@ _ALONG = 0.5  # share of the rate along an output's axis from which its slope is
 
 
 def _rows(request: EstimateRequest[ScaleFactorParameters], found: LineQuantities) -> list[AxisResponse]:
-    """Checks the outputs that measure a rate along a known axis about which all segments turn."""
+    """Checks the outputs that measure a rate along a known axis, if all segments turn about this axis."""
     segments = [one.segment for one in request.segments if isinstance(one.segment.motion, Spin)]
     shares = shares_by_name(segments, request.setup.mounting, found.observations.channels)
     rows = []
@@ -279,7 +279,7 @@ def _found(
 
 
 def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates: Array) -> tuple[CorrelatedError, ...]:
-    """Stated errors of each commanded rate, on outputs with the slopes (m,)."""
+    """Influences of the stated error of each commanded rate on outputs with the slopes (m,)."""
     stated = request.setup.inputs.get("table rate")
     return rate_errors(stated, np.outer(slopes, rates), rates) if stated else ()
 
@@ -287,8 +287,8 @@ def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates:
 def _common(
     request: EstimateRequest[ScaleFactorParameters], functionals: Array, coefficients: Array, rates: Array
 ) -> tuple[Influence, ...]:
-    """The error common to all rates, as declared in the plan, such as that of the table's clock: it changes the slope and causes no
-    scatter.
+    """Influence of the error common to all rates, as declared in the plan, such as an error of the table's clock. It changes the slope
+    and causes no scatter.
 
     functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n); coefficients: (m, 2) of the lines.
     """
@@ -297,7 +297,8 @@ def _common(
         return ()
 
     def answered(moved: Array) -> Array:
-        """The outputs do not change: a change of their expectation changes the fit with the opposite sign."""
+        """Change of the fitted coefficients. The outputs stay the same, so a change of their expected values changes the fit with the
+        opposite sign."""
         return np.asarray(-np.einsum("qmn,mn->q", functionals, coefficients @ line_through(moved)[0].T))
 
     return influences_on(answered, [StatedCondition.single(common, lambda by: rates * (1 + by))])
@@ -308,8 +309,8 @@ def _metrics(
 ) -> list[tuple[Coefficient, Array]]:
     """Each coefficient with its sensitivity to the means of the output, (n,).
 
-    Nonlinearity: largest residual over the largest output [ppm]. Asymmetry: 2·(K₊ − K₋)/(K₊ + K₋) [ppm] of two half-lines that meet
-    at zero rate; it needs both signs and three different rates."""
+    Nonlinearity: largest residual over the largest output [ppm]. Asymmetry: 2·(K₊ − K₋)/(K₊ + K₋) [ppm] of two half-lines that meet at
+    zero rate. It needs rates of both signs and three different rates."""
     one, (matrix, _) = fit.fits[k], line_through(rates)
     observed = fit.observed(k, basis)
     factor = float(fit.variance_factors[k]) if basis == "residual" else 1.0

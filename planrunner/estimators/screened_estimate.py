@@ -1,8 +1,8 @@
-"""What screening found in the samples of an estimate.
+"""Findings of the screening in the samples of an estimate.
 
 The key `outliers` of the plan decides whether the estimate is made without these samples, with them, or not at all.
 
-An estimate without bad samples is compared with the one that uses them, so that a report states what they would have changed.
+If an estimate omits bad samples, it is compared with the estimate that uses them. The report then states the difference.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ _SILENT = (FindKind.LOST,)  # the gaps in time have a warning of their own
 def estimated(
     segments: Sequence[RecordedSegment], outliers: str, estimate: Callable[[tuple[RecordedSegment, ...]], Estimate]
 ) -> tuple[Estimate, tuple[RecordedSegment, ...]]:
-    """The estimate by the choice `outliers`, with its warnings and tables, and the segments that it used.
+    """The estimate as the option `outliers` requires, with its warnings and tables, and the segments that it used.
 
-    Raises `EstimationError` as the estimator does, and `UnfitDataError` for bad samples that are refused.
+    Raises the `EstimationError` of the estimator, and `UnfitDataError` if bad samples are found and refused.
     """
     found = [(recorded, one) for recorded in segments for one in recorded.finds or ()]
     if not found:
@@ -86,7 +86,7 @@ def _effect(
     estimate: Callable[[tuple[RecordedSegment, ...]], Estimate],
     segments: Sequence[RecordedSegment],
 ) -> tuple[Said, tuple[Table, ...]]:
-    """What the bad samples change, in a sentence and as a table."""
+    """The difference that the bad samples make, in a sentence and as a table."""
     try:
         other = {item.name: item for item in estimate(tuple(segments)).coefficients}
     except EstimationError as error:
@@ -155,7 +155,7 @@ def _table(found: Sequence[tuple[RecordedSegment, Find]], excluded: bool) -> Tab
 
 
 def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> Inserted:
-    """The longest finds by kind, segment, channel and time, and how many more there are."""
+    """The longest findings by kind, segment, channel and time, and how many more there are."""
     ordered = sorted(found, key=lambda item: -item[1].rows)
     texts = tuple(_find(recorded, one) for recorded, one in ordered[:NAMED])
     more = len(ordered) - NAMED

@@ -7,7 +7,8 @@ from planrunner.plan.units import Unit, UnknownUnitError, unit
 
 
 def rate_and_output(rate_unit: str, output_unit: str) -> tuple[Unit, Unit]:
-    """Raises `EstimationError` for texts that are not units, and for a `rate_unit` that is not a unit of angular rate."""
+    """The units of the rate and of the output. Raises `EstimationError` for texts that are not units, and for a `rate_unit` that is not
+    a unit of angular rate."""
     try:
         rate, own = unit(rate_unit), unit(output_unit)
     except UnknownUnitError as error:
@@ -20,7 +21,7 @@ def rate_and_output(rate_unit: str, output_unit: str) -> tuple[Unit, Unit]:
 
 
 def slope_unit(rate: Unit, own: Unit) -> tuple[str, float]:
-    """The unit of K and the factor from (output unit)/(rad/s); an output that is a rate itself gives a plain ratio."""
+    """The unit of K, and the factor to it from (output unit)/(rad/s). For an output that is itself a rate, K is a plain ratio."""
     if own.dimension == rate.dimension:
         return "1", own.factor
     return f"({own.text})/({rate.text})", rate.factor

@@ -1,9 +1,10 @@
-"""How declared inputs of site and table change the observations of a linear model: an input is moved, and the model is evaluated again.
+"""How declared inputs of site and table change the observations of a linear model. Each input is changed a little, and the model is
+evaluated again.
 
-Latitude and gravity change the columns of the model. They cause no scatter between segments, so their contribution is added to that of the
-data. Positions, azimuth, right angles between the table's axes, and rates differ between segments and cause scatter, so they belong to the
-weights of a fit (`correlated_errors`). The size of each change depends on the coefficients of the output.
-Signs are those for a stated value that is too large; for positions, those of the rotation error.
+Latitude and gravity change the columns of the model. They cause no scatter between segments, so their contribution is added to that of
+the data. Positions, azimuth, right angles between the table's axes, and rates differ between segments and cause scatter, so they belong
+to the weights of a fit (`correlated_errors`). The sign of each change is that for a stated value that is too large. For positions, it
+is that of the rotation error. Signs are those for a stated value that is too large; for positions, those of the rotation error.
 """
 
 from __future__ import annotations
@@ -36,18 +37,19 @@ _STEP = 1e-4  # of an input; central differences of terms up to the second degre
 
 
 def mean_poses(segments: Sequence[Segment]) -> Poses:
-    """The attitudes of the segments, for spins over whole turns: the angle at which recording begins is not known."""
+    """The attitudes of the segments for averages over the recording. Spins count as whole turns, because the angle at which recording
+    begins is not known."""
     return Poses.of(segments, [None if isinstance(one.motion, Spin) else one.dwell for one in segments])
 
 
 def mean_stimulus(segments: Sequence[Segment], site: Site) -> Stimulus:
-    """The mean stimulus, for spins over whole turns."""
+    """The mean stimulus of the segments. Spins count as whole turns."""
     return mean_poses(segments).felt(site)
 
 
 def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
-    """Latitude and gravity, if they are stated with an uncertainty. The azimuth is not included: it turns the sensor on the table, not the
-    site."""
+    """Latitude and gravity, if they are stated with an uncertainty. The azimuth is not included, because it rotates the sensor on the
+    table but does not change the site."""
     if latitude := inputs.get("latitude"):
         yield StatedCondition.single(latitude, lambda by: replace(site, latitude=site.latitude + by))
     if gravity := inputs.get("gravity"):
@@ -57,8 +59,8 @@ def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
 def site_errors(
     model: LinearModel, segments: Sequence[Segment], site: Site, inputs: Inputs, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """Influences of latitude and gravity, if they are stated with an uncertainty. The outputs do not change: if the model expects more, the
-    effect is the same as if the outputs had read less. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
+    """Influences of latitude and gravity, if they are stated with an uncertainty. The outputs do not change. A larger expected value
+    has the same effect as a smaller reading. coefficients: (m, p), of m outputs, for SI columns and in the outputs' units."""
     stated = [one for one in (inputs.get("latitude"), inputs.get("gravity")) if one]
     if not stated:
         return ()
@@ -70,7 +72,7 @@ def site_errors(
 
 
 def _site_slopes(model: LinearModel, poses: tuple[Array, ...], site: Site, stated: tuple[InputQuantity, ...]) -> Array:
-    """Change of the columns of the model per unit of each of r stated inputs of the site, (r, n, p)."""
+    """Change of the model's columns per unit of each of r stated inputs of the site, (r, n, p)."""
     held = Poses(*poses)
 
     def felt(at: Site) -> Array:
@@ -89,7 +91,7 @@ def table_errors(
 ) -> tuple[CorrelatedError, ...]:
     """The errors of the table for which the bench states an uncertainty.
 
-    coefficients: (m, p), for m outputs and p columns of the model; in the units of the outputs, for columns in SI units.
+    coefficients: (m, p), for m outputs and p columns of the model, in the outputs' units per SI unit of each column.
     """
     position, azimuth = setup.inputs.get("table position"), setup.inputs.get("azimuth")
     orthogonality, rate = setup.inputs.get("table orthogonality"), setup.inputs.get("table rate")
@@ -113,8 +115,8 @@ def table_errors(
 
 
 def _table_slopes(model: LinearModel, poses: tuple[Array, ...], site: Site, table: TableModel | None) -> Array:
-    """Change of the columns of the model per unit of each of r inputs, (r, n, p): a turn about each direction of the site, an angle between
-    each pair of neighbouring axes of a table at rest that reaches the poses, the azimuth, and the rate."""
+    """Change of the model's columns per unit of each of r inputs, (r, n, p). The inputs are a rotation about each site axis, the angle
+    between each pair of neighbouring axes (for a table at rest that reaches the poses), the azimuth, and the rate."""
     held = Poses(*poses)
     felt = held.felt(site)
     both = np.array((felt.omega, felt.specific_force))
@@ -133,7 +135,7 @@ _table_slopes_of_motion = kept(64)(_table_slopes)
 
 
 def _slopes(model: LinearModel, felt: Stimulus, moves: Array, table_rate: Array | float = 0.0) -> Array:
-    """Change of the columns of the model per unit of each of r inputs, (r, n, p).
+    """Change of the model's columns per unit of each of r inputs, (r, n, p).
 
     moves: (2, r, n, 3), change of angular rate and specific force per unit of each input; table_rate: (r, n), of the table's rate.
     """
@@ -155,13 +157,13 @@ def _slopes(model: LinearModel, felt: Stimulus, moves: Array, table_rate: Array 
 
 
 def _followed(slopes: Array, coefficients: Array) -> Array:
-    """Change of the observations of m outputs per unit of each of r inputs, (m, n, r), from slopes (r, n, p) and coefficients (m, p), SI
-    columns and the outputs' units."""
+    """Change of the observations of m outputs per unit of each of r inputs, (m, n, r), from slopes (r, n, p) and coefficients (m, p)."""
     return np.asarray(np.einsum("mp,rnp->mnr", coefficients, slopes))
 
 
 def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[CorrelatedError, ...]:
-    """A relative error of each commanded rate, the same for all segments with that rate; nothing if nothing turns.
+    """Influences of a relative error of each commanded rate. The error is the same for all segments with that rate. The result is empty
+    if the table never rotates.
 
     moved: (m, n), change of the observations per relative change of their rates; rates: (n,), rad/s.
     """
@@ -181,24 +183,24 @@ def common_rate(estimate: str, stated: Quantity | None) -> InputQuantity:
 
 
 def rate_part(rate: float) -> str:
-    """Name of the error of one commanded rate [rad/s]; the same name identifies it wherever it acts."""
+    """Name of the error of one commanded rate [rad/s]. The same name is used wherever this error acts."""
     return f"{np.degrees(rate):.9g} deg/s"
 
 
 def pair_parts(table: TableModel) -> tuple[str, ...]:
-    """Names of the right angles between neighbouring axes of a table."""
+    """Names of the errors of the right angles between neighbouring axes of a table."""
     return tuple(f"{one.name} and {other.name}" for one, other in zip(table.axes, table.axes[1:], strict=False))
 
 
 def orthogonality_tilts(
     axes: Sequence[TableAxis], attitudes: Sequence[Array | None], azimuth: float
 ) -> tuple[Array, ...]:
-    """How a table turns the sensor when neighbouring axes are not at right angles: for each pair, (n, 3), rad per rad.
+    """How a table rotates the sensor when neighbouring axes are not at right angles: for each pair, (n, 3), rad per rad.
 
-    A vector v in the sensor's axes becomes v + tilt × v per radian of deviation of the inner axis of the pair from its right angle, about c
-    = outer × inner. The table reads zero where it is aligned, so that at joint angle q of the inner axis the error is c − R(inner, −q)·c in
-    its own frame, carried inwards by the joints beyond. The joints move from one attitude to the next by the quickest way. Raises
-    `Unreachable`.
+    A vector v in the sensor's axes becomes v + tilt × v per radian of deviation of the inner axis of the pair from its right angle,
+    about c = outer × inner. The error is zero at the position where the table is aligned. At joint angle q of the inner axis, it is
+    therefore c − R(inner, −q)·c in the frame of that axis. The joints farther inside rotate it into the sensor's axes. The joints move
+    from one attitude to the next by the fastest path. Raises `Unreachable`.
     """
     if any(attitude is None for attitude in attitudes):
         raise Unreachable("the orientation is unknown")
@@ -229,9 +231,9 @@ def _orthogonality_tilts(
 
 
 def _positions(position: InputQuantity, segments: Sequence[Segment], moved: Array) -> CorrelatedError:
-    """Position errors about each direction at each orientation; the error is the same whenever the orientation is the same. They change a
-    vector only across its direction: they have no effect on an accelerometer that points up, and their full effect on a level one. moved:
-    (m, n, 3), by direction."""
+    """Position errors about each direction at each orientation. The error is the same whenever the orientation is the same. A position
+    error changes only the component of a vector across its direction. It has no effect on an accelerometer that points up, and its full
+    effect on a level one. moved: (m, n, 3), by direction."""
     names = list(dict.fromkeys(segment.orientation for segment in segments))
     place = [names.index(segment.orientation) for segment in segments]
     m, n, _ = moved.shape
@@ -242,7 +244,7 @@ def _positions(position: InputQuantity, segments: Sequence[Segment], moved: Arra
 
 
 def _tilts(table: TableModel | None, attitudes: Array, site: Site) -> Array:
-    """Effects of one input for each pair of neighbouring axes, (pairs, n, 3); none if the table cannot reach the attitudes."""
+    """Influence of an error for each pair of neighbouring axes, (pairs, n, 3); empty if the table cannot reach the attitudes."""
     if table is not None and len(table.axes) > 1:
         with suppress(Unreachable):
             return np.array(orthogonality_tilts(table.axes, list(attitudes), site.azimuth))
@@ -250,5 +252,5 @@ def _tilts(table: TableModel | None, attitudes: Array, site: Site) -> Array:
 
 
 def _error(quantity: InputQuantity, changes: Array, parts: tuple[str, ...] = ()) -> CorrelatedError:
-    """changes: (m, n, r)."""
+    """A correlated error of the outputs. changes: (m, n, r)."""
     return CorrelatedError(quantity, dict(enumerate(changes)), parts)

@@ -1,9 +1,9 @@
 """The algebra of a triad: scale factors and misalignments from the fitted matrix of three outputs, and the triad's own frame.
 
-An output responds to inputs along the three axes of a frame with a row of coefficients. The row's length, with the sign of the response
-along the output's own axis, is the scale factor; the row divided by it is the input direction, whose components across are the
-misalignments, to first order the angles between the input axis and its nominal direction. Thus the matrix is S·M with S diagonal and
-rows of M of length one. A reversed output has a negative scale factor.
+The response of an output to inputs along the three axes of a frame is a row of coefficients. The scale factor is the length of the row,
+with the sign of the response along the output's own axis. The row divided by the scale factor is the input direction. Its components
+across the own axis are the misalignments, to first order the angles between the input axis and its nominal direction. Thus the matrix
+is S·M with S diagonal and rows of M of length one. A reversed output has a negative scale factor.
 
 In the triad's own frame (x along the first input axis, y in the plane of the first two) M is lower triangular; fixture and housing
 determine the rotation between that frame and the frame of the fitted matrix.
@@ -65,5 +65,5 @@ def own_frame(matrix: Array) -> Array:
 
 
 def small_angles(rotation: Array) -> Array:
-    """(3, n), rad, of rotations (3, 3, n) as rotation vectors, to first order."""
+    """Rotations (3, 3, n) as rotation vectors (3, n), rad, to first order."""
     return np.stack([rotation[1, 2], -rotation[0, 2], rotation[0, 1]])

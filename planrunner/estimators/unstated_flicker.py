@@ -1,11 +1,12 @@
-"""Flicker for which the bench file gives no coefficient B: its largest size that the segments do not exclude, and its effect on intervals.
+"""Flicker for which the bench file gives no coefficient B: the largest size that the segments do not exclude, and its effect on
+intervals.
 
-Flicker increases the scatter of the segments about the model only a little, but it moves constants, which are averages over a long span, by
-much more. The scatter of a few segments therefore cannot show it, and a significance test would not find it: what counts is how large B can
-be. Its posterior follows from the residuals of the fit by restricted likelihood (Harville, J. Am. Stat. Assoc. 72, 1977) with the noise
-within the segments, whose variance is integrated out with its degrees of freedom. The prior of B is half-Cauchy (Gelman, Bayesian Analysis
-1, 2006); its scale is the B whose flicker scatters the segments as much as their noise does: a weak prior, whose upper tail only the data
-can remove.
+Flicker increases the scatter of the segments about the model only a little, but it changes constants, which are averages over a long
+span, much more. A few segments therefore cannot reveal it by their scatter, and a significance test would not find it. The question is
+how large B can be. Its posterior follows from the residuals of the fit by restricted likelihood (Harville, J. Am. Stat. Assoc. 72,
+1977) with the noise within the segments, whose variance is integrated out with its degrees of freedom. The prior of B is half-Cauchy
+(Gelman, Bayesian Analysis 1, 2006); its scale is the B whose flicker scatters the segments as much as their noise does: a weak prior,
+whose upper tail only the data can remove.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ _LEAST = 0.01  # of a variance that flicker within the segments leaves for white
 
 @dataclass(frozen=True, slots=True)
 class OpenFlicker:
-    """quantity: name of the input. bound: of B, in the unit of the channel. output, term: index of the coefficient whose interval is the
-    most affected; widening: factor by which its interval would have to be wider with B at the bound."""
+    """Flicker that the data do not exclude. quantity: name of the input. bound: of B, in the unit of the channel. output, term: index
+    of the coefficient whose interval is the most affected; widening: factor by which its interval would have to be wider with B at the
+    bound."""
 
     quantity: str
     unit: str
@@ -44,8 +46,8 @@ class OpenFlicker:
 
 
 def open_flicker(fit: OutputsFit, basis: str) -> tuple[OpenFlicker, ...]:
-    """The unstated flicker that may make an interval too narrow, one entry for each channel. None where the noise within the segments is
-    not known."""
+    """Finds unstated flicker that may make an interval too narrow, at most one entry for each channel. None if the noise within the
+    segments is not known."""
     if not (fit.unstated and all(noise.known for noise in fit.noises)):
         return ()
     m, p = fit.coefficients.shape
@@ -95,7 +97,8 @@ def _bound(fit: OutputsFit, error: CorrelatedError, output: int) -> float:
 
 
 def _spread(flicker: Array) -> float:
-    """Standard deviation of observations (n, r) about their mean that flicker with B = 1 causes; of one observation, itself."""
+    """Standard deviation that flicker with B = 1 causes in observations (n, r), about their mean; for a single observation, its own
+    standard deviation."""
     n = len(flicker)
     about = flicker - flicker.mean(axis=0) if n > 1 else flicker
     return float(np.sqrt(np.sum(about**2) / max(n - 1, 1)))

@@ -29,7 +29,7 @@ from planrunner.plan.selection import Detection
 
 
 class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, AxesQuantities | MagnitudeQuantities]):
-    """The plug-in."""
+    """The estimator `accelerometer_multi_position`."""
 
     name = "accelerometer_multi_position"
     summary = "Bias, scale factor and misalignment of an accelerometer triad from many positions"
@@ -53,11 +53,11 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
         return Design(blocks, remarks=remarks)
 
     def known(self, request: DesignRequest[AccelerometerMultiPositionParameters]) -> Known:
-        """The axes of the channels, in the order in which the plan names them."""
+        """The axes of the channels. They are x, y and z in the order in which the plan names the channels."""
         return Known(directions=dict(zip(request.parameters.outputs, np.eye(3), strict=True)))
 
     def foresee(self, request: DesignRequest[AccelerometerMultiPositionParameters]) -> Foresight:
-        """The general prediction, if the attitudes are planned."""
+        """Predicts the coefficients from the schedule if the attitudes are planned."""
         if request.parameters.reference == "gravity_magnitude":
             return by_magnitude.foresee(request, lambda: by_expectation(self, request))
         return by_expectation(self, request)
@@ -65,7 +65,7 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
     def quantities(
         self, request: EstimateRequest[AccelerometerMultiPositionParameters]
     ) -> AxesQuantities | MagnitudeQuantities:
-        """Coefficients from the positions or still spans. Raises `EstimationError`."""
+        """Computes the coefficients from the means of the positions or of the still spans. Raises `EstimationError`."""
         parameters = request.parameters
         _three(parameters.outputs)
         if parameters.reference == "gravity_magnitude":
@@ -78,7 +78,7 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
         request: EstimateRequest[AccelerometerMultiPositionParameters],
         found: AxesQuantities | MagnitudeQuantities,
     ) -> Words:
-        """Residuals by position or pose."""
+        """Makes the tables and plots of the residuals, by position or by pose."""
         if isinstance(found, MagnitudeQuantities):
             return by_magnitude.words(request, found)
         return by_orientation.words(request, found)

@@ -1,8 +1,9 @@
-"""Calibration of an accelerometer triad with the magnitude of gravity: nine parameters from still spans or segments in unknown attitudes.
+"""Calibration of an accelerometer triad with the magnitude of gravity: nine parameters from still spans or segments in unknown
+attitudes.
 
-Gauss–Newton with equal weights is followed by one more step: the linear fit of |f| − g that all estimators from positions share, weighted
-by the noise within the poses and the declared flicker of each channel. The flicker affects |f| in proportion to the channel's component of
-gravity. The attitude of a table does not matter, because |f| is g in any attitude.
+Gauss–Newton with equal weights comes first. Then one more step makes the linear fit of |f| − g that all estimators from positions
+share. The weights of this fit come from the noise within the poses and from the declared flicker of each channel. The flicker affects
+|f| in proportion to the channel's component of gravity. The attitude of a table does not matter, because |f| is g in any attitude.
 """
 
 from __future__ import annotations
@@ -88,7 +89,8 @@ def design(request: DesignRequest[AccelerometerMultiPositionParameters]) -> Desi
 def foresee(
     request: DesignRequest[AccelerometerMultiPositionParameters], general: Callable[[], Foresight]
 ) -> Foresight:
-    """The general prediction if all poses are planned; otherwise only the names, because the poses to be found are not known."""
+    """Predicts the coefficients if all poses are planned. Otherwise it gives only their names, because the poses are found only in the
+    recording."""
     if all(segment.attitude is not None for segment in request.segments):
         seen = general()
         if seen.known:
@@ -100,7 +102,7 @@ def foresee(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MagnitudeQuantities(Quantities):
-    """residuals: of |f|, (n,), m/s^2."""
+    """Result of the fit. residuals: (n,), m/s², of |f|."""
 
     poses: Observations
     sphere: GravityFit
@@ -110,7 +112,7 @@ class MagnitudeQuantities(Quantities):
 
 
 def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> MagnitudeQuantities:
-    """The nine parameters with full covariance. Raises `EstimationError`."""
+    """Computes the nine parameters with full covariance. Raises `EstimationError`."""
     basis = request.parameters.uncertainty
     expected = all(recorded.expected for recorded in request.segments)
     found_spans = request.detection is not None and not expected
@@ -134,7 +136,7 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
 
 
 def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found: MagnitudeQuantities) -> Words:
-    """Poses and residuals."""
+    """Makes the tables and plots of poses and residuals."""
     basis, poses, fit, residuals = request.parameters.uncertainty, found.poses, found.fit, found.residuals
     judged = judge(fit, basis, poses.channels)
     notes, warnings = list(judged.texts), list(judged.warnings)
@@ -213,20 +215,21 @@ def _weighted(
 
 
 def _along_poses(drift: DriftCourses, poses: Observations, directions: Array) -> DriftCourses:
-    """A drift of the three channels as it reaches |f| − g: what it adds to a reading is taken away again. directions: (n, 3)."""
+    """How a drift of the three channels appears in |f| − g: the drift adds to a reading, so its share is subtracted. directions: (n,
+    3)."""
     courses = (replace(one, columns=-directions * one.columns, parts=poses.channels) for one in drift.courses)
     return replace(drift, courses=tuple(courses))
 
 
 def _along(effect: CorrelatedError, directions: Array) -> CorrelatedError:
-    """An effect on channels as it reaches |f|. directions: (n, 3)."""
+    """How an effect on the channels appears in |f|."""
     change = sum(directions[:, channel, None] * one for channel, one in effect.changes.items())
     within = sum(directions[:, channel] ** 2 * one for channel, one in effect.within.items())
     return replace(effect, changes={0: np.asarray(change)}, within={0: np.asarray(within)})
 
 
 def _gravity(request: EstimateRequest[AccelerometerMultiPositionParameters], fit: OutputsFit) -> tuple[Influence, ...]:
-    """The magnitude with which |f| is compared."""
+    """The magnitude of gravity with which |f| is compared."""
     gravity = request.setup.inputs.get("gravity")
     return (Influence(gravity, fit.gains[0].sum(axis=1)[:, None]),) if gravity else ()
 
@@ -237,7 +240,8 @@ def _fitted(
     recorded: Sequence[RecordedSegment],
     basis: str,
 ) -> tuple[GravityFit, OutputsFit]:
-    """Raises `EstimationError` if segments are too few or too similar, `UnfitDataError` if the spans found are."""
+    """The fit of the nine parameters. Raises `EstimationError` if the segments are too few or too similar, and `UnfitDataError` if the
+    spans that are found are too few or too similar."""
     factors = _factors(poses)
     try:
         if len(poses.labels) < len(NAMES):
@@ -295,7 +299,7 @@ def _whole(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> li
 
 
 def _factors(poses: Observations) -> Array:
-    """To m/s², (3,)."""
+    """Factors from the units of the three channels to m/s², shape (3,)."""
     return _factors_of(dict(zip(poses.channels, poses.units, strict=True)))
 
 

@@ -54,7 +54,7 @@ def design_of(terms: Sequence[str], segments: Sequence[Segment], site: Site) -> 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxesQuantities(Quantities):
-    """The fit of the three axes."""
+    """The fitted responses of the three axes."""
 
     observations: Observations
     units: tuple[Unit, ...]
@@ -98,7 +98,7 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
 
 
 def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found: AxesQuantities) -> Words:
-    """Residuals by position."""
+    """Makes the tables and plots of the residuals by position."""
     fit, observations, basis = found.fit, found.observations, request.parameters.uncertainty
     judged = judge(fit, basis)
     notes, warnings = list(judged.texts), list(judged.warnings)
@@ -132,7 +132,7 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
 
 
 def _excited(model: ErrorModel) -> dict[int, int]:
-    """Axis → place among the terms."""
+    """Maps each axis that the positions excite to the index of its term."""
     return {_AXES.index(name[-1]): k for k, name in enumerate(model.names) if name != "bias"}
 
 

@@ -27,8 +27,9 @@ _WORST_CONDITION = 1e4
 
 @dataclass(frozen=True, slots=True)
 class GravityFit:
-    """values: (9,) in the order of `NAMES`; m/s², ratios, rad. residuals: (n,), m/s², of the magnitude. jacobian: (n, 9), of the residuals.
-    directions: (n, 3), d(residual)/d(reading). condition: of the Jacobian with biases over g."""
+    """A fit of the magnitude of gravity. values: (9,), in the order of `NAMES`; m/s² for biases, ratios for scale factors, rad for
+    angles. residuals: (n,), m/s², of the magnitude. jacobian: (n, 9), derivatives of the residuals by the parameters. directions: (n,
+    3), d(residual)/d(reading). condition: condition number of the Jacobian with the biases divided by g."""
 
     values: Array
     residuals: Array
@@ -38,7 +39,7 @@ class GravityFit:
 
 
 def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
-    """Nine parameters from mean readings (n, 3), m/s², of n ≥ 9 still poses, all of the same weight. Raises `EstimationError`."""
+    """Fits the nine parameters to mean readings (n, 3) in m/s² of n ≥ 9 still poses with equal weights. Raises `EstimationError`."""
     if len(readings) < len(NAMES):
         raise EstimationError(too_few(len(readings)))
     values = np.array([0.0, 0, 0, 1, 1, 1, 0, 0, 0])

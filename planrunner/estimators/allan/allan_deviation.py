@@ -106,7 +106,7 @@ class AllanDeviationParameters(Record):
 
 
 class AllanDeviation:
-    """The plug-in."""
+    """The estimator `allan_deviation`."""
 
     summary = "Allan deviations with confidence intervals, and noise coefficients N, B, K, Q with uncertainties"
     Parameters = AllanDeviationParameters
@@ -320,7 +320,8 @@ def _hadamard(phase: Phase, chosen: Sequence[Deviation], parameters: AllanDeviat
 
 
 def _judge(result: _Result, found: DescribedRange) -> float:
-    """Notes and warnings about the range of the fit; by how much the uncertainties are widened because no range is described."""
+    """Adds notes and warnings about the range of the fit. Returns the factor that widens the uncertainties if the model describes no
+    range."""
     name, drift = result.name, found.drift
     if drift is not None:
         result.notes.append(
@@ -477,8 +478,8 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
 def _foreseen(
     request: DesignRequest[AllanDeviationParameters], name: str
 ) -> tuple[list[Coefficient], list[Unpredicted]]:
-    """N and B as declared, with the uncertainty expected from the planned record; the other terms, and N and B without a declaration, are
-    unpredicted."""
+    """The predicted coefficients. N and B are those that the bench file declares, with the uncertainty expected from the planned
+    record. Coefficients without a declaration, and Q and K, are unpredicted."""
     parameters = request.parameters
     output = request.sensor.output(name)
     assert output is not None  # design refuses others

@@ -36,8 +36,9 @@ _GRID = 600  # terms of a sum over lags
 def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None) -> int | None:
     """α of the averages over `factor` samples, from the phase runs; None if there are fewer than `LEAST_POINTS`.
 
-    before: α at the next shorter averaging time. It is kept unless the α of the averages differs from it by more than half a step and by
-    more than two of its standard deviations, because thirty averages alone mistake white noise for a neighbouring type one time in four.
+    before: α at the next shorter averaging time. It is kept unless the α of the averages differs from it by more than half a step and
+    by more than two of its standard deviations, because thirty averages alone mistake white noise for a neighbouring type one time in
+    four.
     """
     averages, count = [], 0
     for run in runs:
@@ -62,7 +63,7 @@ def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None
 
 
 def _delta(parts: Sequence[Array]) -> float:
-    """r/(1 + r) of the lag-1 autocorrelation r, pooled over the parts."""
+    """Computes r/(1 + r) from the lag-1 autocorrelation r, pooled over the parts."""
     products, squares = 0.0, 0.0
     for part in parts:
         centred = part - part.mean()
@@ -73,10 +74,10 @@ def _delta(parts: Sequence[Array]) -> float:
 
 
 def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modified: bool = False) -> float:
-    """EDF of a fully overlapped variance. order: 2 for Allan, 3 for Hadamard; points: of the phase run; 0 if the run is too short for one
-    term.
+    """Equivalent degrees of freedom (EDF) of a fully overlapped variance. order: 2 for Allan, 3 for Hadamard; points: of the phase run;
+    0 if the run is too short for one term.
 
-    An alpha for which the variance does not converge (α > 1 − 2·order) is replaced by the limit.
+    If the variance does not converge for an alpha (α > 1 − 2·order), the limit replaces this alpha.
     """
     alpha = min(2, max(alpha, 2 - 2 * order))
     terms = points - order * factor - (factor if modified else 0) + (1 if modified else 0)
@@ -122,7 +123,7 @@ def _white_phase(order: int, factor: int, terms: int) -> float:
 
 
 def _generalised(t: Array, filtering: float, alpha: int, order: int) -> Array:
-    """s_z(t, F, α, d): covariance of order-d differences at a lag of t averaging times, to within a factor."""
+    """Computes s_z(t, F, α, d), the covariance of order-d differences at a lag of t averaging times, up to a constant factor."""
     signs = [(-1) ** k * math.comb(2 * order, order + k) for k in range(order + 1)]
     total: Array = signs[0] * _averaged(t, filtering, alpha)
     for k in range(1, order + 1):
@@ -131,7 +132,7 @@ def _generalised(t: Array, filtering: float, alpha: int, order: int) -> Array:
 
 
 def _averaged(t: Array, filtering: float, alpha: int) -> Array:
-    """s_x(t, F, α)."""
+    """Computes s_x(t, F, α) of the same source."""
     if math.isinf(filtering):
         return _integrated(t, alpha + 2)
     width = 1.0 / filtering
@@ -140,7 +141,7 @@ def _averaged(t: Array, filtering: float, alpha: int) -> Array:
 
 
 def _integrated(t: Array, alpha: int) -> Array:
-    """s_w(t, α) for α from −4 to 4."""
+    """Computes s_w(t, α) of the same source for α from −4 to 4."""
     size = np.abs(t)
     if alpha % 2 == 0:
         sign = -1.0 if alpha in (2, -2) else 1.0

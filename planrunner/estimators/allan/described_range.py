@@ -32,8 +32,9 @@ _WHITE, _WALK = TERMS.index("N"), TERMS.index("K")
 
 @dataclass(frozen=True)
 class DescribedRange:
-    """fitted: the deviations that take part in `fit`, Hadamard deviations where `drift` is given; shorter, longer: how many averaging times
-    are left out at either end; fits: whether the model describes the rest; probability: of its χ² or a larger one."""
+    """The averaging times that the noise model describes. fitted: the deviations that take part in `fit`; these are Hadamard deviations
+    if `drift` is given. shorter, longer: number of averaging times omitted at either end. fits: whether the model describes the
+    remaining ones. probability: chance of a χ² at least this large."""
 
     fit: NoiseFit
     fitted: Sequence[Deviation]
@@ -49,7 +50,7 @@ class DescribedRange:
 
     @property
     def fits(self) -> bool:
-        """Whether the model is not contradicted by χ², nor by squares that are significantly negative."""
+        """Whether χ² does not contradict the model and no squared coefficient is significantly negative."""
         spreads = np.sqrt(np.diag(self.fit.covariance))
         return self.probability >= _DOUBT and bool(np.all(self.fit.squares >= -_NEGATIVE * spreads))
 
@@ -106,12 +107,12 @@ class _Ranges:
 
 
 def _walks(fit: NoiseFit) -> bool:
-    """Whether the fit found a random walk, which a drift imitates."""
+    """Whether the fit found a rate random walk. A steady drift looks the same."""
     return bool(fit.squares[_WALK] > 2 * math.sqrt(fit.covariance[_WALK, _WALK]))
 
 
 def _white(fit: NoiseFit) -> NoiseFit:
-    """The white noise of a fit alone: a drift also goes into what it says of the others."""
+    """The white noise from a fit with this term alone, because a drift distorts the other terms."""
     return replace(
         fit,
         squares=np.where(np.arange(len(TERMS)) == _WHITE, np.maximum(fit.squares, 0.0), 0.0),

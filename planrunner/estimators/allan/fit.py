@@ -42,9 +42,9 @@ _MOST_LENGTHS = 40
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """squares: (4,) of Q²/τ0², N²/τ0, B², K²·τ0 in unit², 0 where left out; an absent noise type may have either sign, because a fit
-    restricted to positive values would bias the others. covariance: (4, 4) of them; fitted: (k,) variances of the model; chi_square with
-    `freedom` degrees of freedom; terms: the fitted terms."""
+    """Result of a fit of noise coefficients. squares: (4,), Q²/τ0², N²/τ0, B² and K²·τ0 in unit², 0 for omitted terms. A square can be
+    negative if the noise type is absent, because a fit restricted to positive values would bias the other terms. covariance: (4, 4), of
+    the squares. fitted: (k,), variances by the model. chi_square: with `freedom` degrees of freedom. terms: the fitted terms."""
 
     squares: Array
     covariance: Array
@@ -55,8 +55,8 @@ class NoiseFit:
 
 
 def model_matrix(factors: Integers, order: int = ALLAN) -> Array:
-    """(k, 4): Allan (or Hadamard) variance at each averaging factor if the square of one coefficient is 1 and the others
-    are 0; one column per coefficient, in the order of `TERMS`."""
+    """The design matrix (k, 4): the Allan (or Hadamard) variance at each averaging factor for a squared coefficient of 1. Each column
+    is one coefficient, in the order of `TERMS`."""
     m = factors.astype(float)
     quantisation, flat, walk = _FACTORS[order]
     return np.column_stack([quantisation / m**2, 1 / m, np.full(m.size, flat), walk * m])
@@ -81,7 +81,7 @@ class VarianceCovariance:
                 self.parts[i, j] = self.parts[j, i] = part
 
     def among(self, first: int, last: int) -> VarianceCovariance:
-        """Of the averaging factors first … last − 1 alone."""
+        """The covariance for the averaging factors with the indices first to last − 1."""
         fewer = copy(self)
         fewer.parts = self.parts[first:last, first:last]
         return fewer
@@ -101,8 +101,8 @@ def covariance_for(factors: Integers, lengths: Integers, order: int = ALLAN) -> 
 
 
 def _grouped(lengths: Integers) -> tuple[Integers, Array]:
-    """Distinct lengths and the number of runs of each; if there are very many, lengths within some per cent are treated as the shortest of
-    them."""
+    """Distinct lengths and the number of runs of each. If there are very many lengths, those that differ by a few per cent are treated
+    as equal to the shortest of them."""
     found, counts = np.unique(lengths, return_counts=True)
     if found.size > _MOST_LENGTHS:
         edges = np.geomspace(found[0], found[-1] + 1, _MOST_LENGTHS)
@@ -149,7 +149,8 @@ def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array, or
 
 
 def _nodes(near: int, far: int, lengths: Integers, order: int) -> tuple[Array, Array]:
-    """Lags and weights for the sum of a function that has corners at a·near − b·far and features of size `near` about them."""
+    """Lags and weights for the numerical sum of a function with corners at a·near − b·far. The function changes over a width of about
+    `near` around these corners."""
     longest = int(lengths.max())
     lowest, highest = -min(longest - order * near, 8 * far), min(longest - order * far, 8 * far)
     edges = {lowest, highest + 1}
@@ -184,8 +185,8 @@ def fit_noise(
     order: int = ALLAN,
     covariance: VarianceCovariance | None = None,
 ) -> NoiseFit:
-    """Fit of `terms` to Allan (or Hadamard) variances (k,) at `factors`, not all 0; `freedom` (k,): degrees of freedom, for the initial
-    weights. covariance: of these variances, computed for runs of these lengths where it is not given.
+    """Fits `terms` to Allan (or Hadamard) variances (k,) at `factors`, not all of them 0. freedom: (k,), degrees of freedom, for the
+    initial weights. covariance: of these variances; by default it is computed for runs of these lengths.
 
     Raises `ValueError` if there are fewer averaging times than terms.
     """
@@ -230,7 +231,7 @@ def _not_too_sure(
     full: Array, free: Array, squares: Array, chosen: Sequence[int], covariance_of: VarianceCovariance, gains: Array
 ) -> Array:
     """The covariance (4, 4), in which a coefficient that cannot be distinguished from zero is replaced by its upper bound, two standard
-    uncertainties above the estimate. Otherwise a coefficient that is too small by chance would also seem too certain."""
+    uncertainties above the estimate. Without this, a coefficient that is too small by chance would also have too small an uncertainty."""
     widening = np.ones(4)
     for place, k in enumerate(chosen):
         spread = math.sqrt(full[k, k])
@@ -242,7 +243,7 @@ def _not_too_sure(
 
 
 def expected_covariance(factors: Integers, squares: Array, lengths: Integers, terms: Sequence[str] = TERMS) -> Array:
-    """(4, 4) covariance of the squares that `fit_noise` would find for the given noise; used before anything is recorded."""
+    """The covariance (4, 4) of the squares that `fit_noise` would find for the given noise. It is used before anything is recorded."""
     chosen = [TERMS.index(name) for name in TERMS if name in terms]
     covariance = _sound(covariance_for(factors, lengths)(squares))
     white = np.linalg.solve(np.linalg.cholesky(covariance), model_matrix(factors)[:, chosen])
@@ -253,7 +254,8 @@ def expected_covariance(factors: Integers, squares: Array, lengths: Integers, te
 
 
 def _sound(covariance: Array) -> Array:
-    """The covariance with small negative eigenvalues, which numerical integration can cause, set to zero, so that it has a square root."""
+    """The covariance with small negative eigenvalues set to zero, so that it has a square root. Numerical integration can cause such
+    eigenvalues."""
     size = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     lifted = (vectors * np.maximum(values, 1e-6)) @ vectors.T

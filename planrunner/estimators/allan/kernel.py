@@ -2,8 +2,8 @@
 
 The module is imported only where such sums are needed (see `planrunner.base.compiled`).
 
-The overlapping sums go through the record in short pieces, all averaging times per piece: with octave averaging times, a piece that one
-averaging time has read is the middle part for the next one, so memory is read once per octave instead of three times.
+The overlapping sums read the record in short pieces and update all averaging times for each piece. With octave averaging times, a piece
+that one averaging time has read is the middle part for the next one. Memory is therefore read once per octave instead of three times.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def _modified_serial(x, factors, sums):  # type: ignore[no-untyped-def]
 
 
 def integrate(values: Array, offset: float, carry: float, out: Array) -> float:
-    """Writes the running sum of `values − offset`, which starts at `carry`, to `out`; returns its last value."""
+    """Writes the running sum of `values − offset` to `out` and returns its last value. carry: the value at which the sum starts."""
     return float(_integrate(values, offset, carry, out))
 
 

@@ -26,9 +26,10 @@ _PAUSE = 1.5  # sample intervals between two samples that make a gap
 
 @dataclass(frozen=True)
 class Phase:
-    """runs: phase points [unit · sample intervals], each run beginning with 0. interval: s between phase points. decimation: samples
-    between them. samples: used; lost: in runs too short for one difference, or beyond a run's last whole phase point; missing: samples in
-    the gaps; gaps: number of gaps that ended a run; bridged: samples filled in."""
+    """The phase record of one output. runs: phase points [unit · sample intervals]; each run begins with 0. interval: s between phase
+    points. decimation: samples between them. samples: number of samples used; lost: number of samples in runs that are too short for
+    one difference, or after the last whole phase point of a run; missing: number of samples in the gaps; gaps: number of gaps that
+    ended a run; bridged: number of samples filled in."""
 
     runs: tuple[Array, ...]
     interval: float

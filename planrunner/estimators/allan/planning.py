@@ -23,14 +23,15 @@ _EXPONENTS = (-2, -1, 0, 1, 2)  # of the kinds of noise that an Allan variance d
 
 @dataclass(frozen=True, slots=True)
 class PlannedRecord:
-    """interval: s between samples; lengths: (r,), points of the phase of each segment, one more than its samples."""
+    """A planned record. interval: s between samples; lengths: (r,), phase points of each segment, one more than its samples."""
 
     interval: float
     lengths: Integers
 
 
 def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
-    """The record that the segments will give; None if a dwell is not known. Raises `EstimationError` for several sample rates."""
+    """The record that the segments will give, or None if the length of a dwell is not known. Raises `EstimationError` for several
+    sample rates."""
     hertz = {segment.sample_rate or request.sensor.sample_rate for segment in request.segments}
     if not request.segments or any(segment.dwell is None for segment in request.segments):
         return None
@@ -122,7 +123,7 @@ def planned_averaging(
 
 
 def _least_freedom(factor: int, lengths: Integers) -> float:
-    """Degrees of freedom of an Allan variance if the type of noise is unknown: the smallest over the possible types."""
+    """Degrees of freedom of an Allan variance if the type of noise is unknown: the smallest value over the possible types."""
     return min(freedom_of_runs(alpha, 2, factor, lengths) for alpha in _EXPONENTS)
 
 

@@ -1,7 +1,7 @@
 """Noise coefficients of the sensed quantity, for an output in pulses or volts with a scale factor.
 
-The scale factor is a quantity in the plan, such as `0.2012 (deg/h)/(pulse/s)`, or a coefficient of an estimate that is used, such as
-`drift.SF_Y`; its unit decides if it is sensed quantity per output or output per sensed quantity.
+The scale factor is a quantity in the plan, such as `0.2012 (deg/h)/(pulse/s)`, or a coefficient of an estimate in `uses`, such as
+`drift.SF_Y`. Its unit decides whether it is sensed quantity per output or output per sensed quantity.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _COEFFICIENT = r"[A-Za-z][A-Za-z0-9_-]{0,39}\.[A-Za-z][^ \x00-\x1f]{0,59}"
 
 
 class ScaleFactorKind:
-    """A quantity, or `estimate.coefficient`."""
+    """Kind of a plan's value: a quantity, or `estimate.coefficient`."""
 
     what = "a quantity or a coefficient"
 
@@ -44,8 +44,8 @@ class ScaleFactorKind:
 class SensedBy:
     """Conversion of an output's noise coefficients to those of the sensed quantity.
 
-    units: Q, N, B, K → unit and factor from the output's unit times s, √s, 1, 1/√s to it. power: exponent of the scale factor in that
-    factor, 1 or −1. quantity: the scale factor, in its own unit.
+    units: for each of Q, N, B and K, the unit of the result and the factor to it. The factor converts from the output's unit times s,
+    √s, 1 and 1/√s. power: exponent of the scale factor in that factor, 1 or −1. quantity: the scale factor, in its own unit.
     """
 
     units: Mapping[str, tuple[str, float]]
@@ -56,7 +56,7 @@ class SensedBy:
 def sensed_by(
     stated: Quantity | str, name: str, output: str, uses: Mapping[str, Estimate] | Mapping[str, Design]
 ) -> SensedBy:
-    """The scale factor `stated` for the output `name`, recorded in the unit `output`. Raises `EstimationError`."""
+    """Interprets the scale factor `stated` for the output `name`, which is recorded in the unit `output`. Raises `EstimationError`."""
     if isinstance(stated, Quantity):
         own = stated.unit
         value, u = stated.value / own.factor, stated.standard_uncertainty / own.factor
@@ -99,7 +99,7 @@ def _coefficient(stated: str, uses: Mapping[str, Estimate] | Mapping[str, Design
 
 
 def _foreseen(used: Design) -> tuple[Coefficient, ...]:
-    """The scale factor for the prediction of a run; a coefficient that cannot be predicted gets the right unit and the value one."""
+    """The scale factor for the prediction of a run. For a coefficient that cannot be predicted, the value is one and the unit is right."""
     return (*used.predicted, *(Coefficient(one.name, 1.0, one.unit, math.nan) for one in used.unpredicted))
 
 

@@ -1,8 +1,9 @@
 """Steady drift of an output: whether a record contains more of it than its noise explains, and how large it is.
 
-The halves of a run differ by the drift over half the run and by the noise, whose variance is twice the Allan variance at half the run. That
-variance is taken from a fit of Hadamard variances, which a steady drift does not change. It is not exactly known, above all because little
-is known of a random walk: the differences are judged by its upper bound, two standard uncertainties above what was found.
+The halves of a run differ by the drift over half the run and by the noise, whose variance is twice the Allan variance at half the run.
+That variance is taken from a fit of Hadamard variances, which a steady drift does not change. That variance is uncertain, mainly
+because the random walk is poorly known. The differences are therefore judged by its upper bound, two standard uncertainties above the
+estimate.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ _CHANCE = 1e-3  # probability of differences at least this large by noise alone
 
 @dataclass(frozen=True, slots=True)
 class SteadyDrift:
-    """slope with its standard uncertainty, in the output's unit per second, a weighted mean over the runs; for the uncertainty the noise is
-    taken one standard uncertainty above what was found; probability: of so large
-    differences between the halves of runs by noise alone."""
+    """A steady drift. slope: weighted mean over the runs, in the output's unit per second, with its standard uncertainty, for which the
+    noise is taken one standard uncertainty above its estimate. probability: chance that noise alone causes differences this large
+    between the halves of runs."""
 
     slope: float
     standard_uncertainty: float
@@ -34,7 +35,7 @@ class SteadyDrift:
 
 
 def steady_drift(phase: Phase, fit: NoiseFit) -> SteadyDrift:
-    """fit: of the Hadamard variances of the same record."""
+    """Estimates the steady drift of a record. fit: the fit of the Hadamard variances of the same record."""
     from scipy.special import chdtrc
 
     halves = np.array([(run.size - 1) // 2 for run in phase.runs], dtype=np.int64)

@@ -17,12 +17,13 @@ _PULSES = {"Q": "pulse", "N": "pulse/sqrt(s)", "B": "pulse/s", "K": "pulse/s/sqr
 
 
 def named_units(dimension: Dimension) -> Mapping[str, str] | None:
-    """Q, N, B, K → the field's units for a rate or an acceleration; None for anything else."""
+    """Maps Q, N, B and K to the field's units for a rate or an acceleration; None for any other quantity."""
     return _NAMED.get(dimension)
 
 
 def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
-    """Q, N, B, K → the unit's text and the factor from the output's unit times s, √s, 1, 1/√s to it. Raises `EstimationError`."""
+    """For each of Q, N, B and K, the text of its unit and the factor to it from the output's unit times s, √s, 1 and 1/√s. Raises
+    `EstimationError`."""
     try:
         own = unit(output)
     except UnknownUnitError as error:
@@ -36,6 +37,6 @@ def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
 
 
 def squares_to_coefficients(interval: float) -> dict[str, float]:
-    """Q, N, B, K → factor from the root of Q²/τ0², N²/τ0, B², K²·τ0 to the coefficient. interval: τ0 [s]."""
+    """For each of Q, N, B and K, the factor from the square root of Q²/τ0², N²/τ0, B² or K²·τ0 to the coefficient. interval: τ0 [s]."""
     root = math.sqrt(interval)
     return {"Q": interval, "N": root, "B": 1.0, "K": 1 / root}

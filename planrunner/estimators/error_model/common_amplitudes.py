@@ -1,8 +1,9 @@
-"""Amplitudes that several outputs have in common, such as the tilt of the table: one value from the values of all of them.
+"""Amplitudes that several outputs have in common, such as the tilt of the table: one value is estimated from the values of all outputs.
 
-Each output is fitted by itself. The values z of all amplitudes, with their joint covariance C, are then moved to where those of one common
-amplitude agree, by least squares: z − C·Rᵀ(R·C·Rᵀ)⁻¹·R·z, with R·z = 0 the agreement (H. Theil, Principles of Econometrics, 1971, 6.8).
-This is the joint fit of all outputs. It also moves their other amplitudes, as far as they are correlated with the common one.
+Each output is fitted by itself. The values z of all amplitudes have the joint covariance C. Least squares then adjusts them so that the
+values of a common amplitude agree: z − C·Rᵀ(R·C·Rᵀ)⁻¹·R·z, where R·z = 0 states the agreement (H. Theil, Principles of Econometrics,
+1971, 6.8). This is equivalent to a joint fit of all outputs. It also adjusts their other amplitudes, as far as they are correlated with
+the common one.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from planrunner.estimators.outputs_fit import OutputsFit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonAmplitudes:
-    """amplitudes: what is reported, q of them, from the p of all outputs, output after output. members: (q,) places of each among these p,
-    one for an amplitude of a single output; outputs: (p,), name of the output of each."""
+    """Amplitudes of all outputs and which of them are common. amplitudes: the q reported ones, from the p of all outputs, output after
+    output. members: for each of the q amplitudes, its indices among these p; a single index for an amplitude of one output. outputs:
+    (p,), name of the output of each amplitude."""
 
     amplitudes: tuple[ReportedAmplitude, ...]
     members: tuple[tuple[int, ...], ...]
@@ -28,7 +30,7 @@ class CommonAmplitudes:
 
     @property
     def contrasts(self) -> Array:
-        """R, (r, p): differences of each member of a common amplitude from the first."""
+        """The matrix R (r, p): the difference of each member of a common amplitude from the first member."""
         rows = []
         for places in self.members:
             for place in places[1:]:
@@ -38,7 +40,8 @@ class CommonAmplitudes:
         return np.array(rows).reshape(-1, len(self.outputs))
 
     def joining(self, covariance: Array) -> Array:
-        """(q, p): from the separate amplitudes to the reported ones. covariance: C, (p, p), of the separate ones."""
+        """The matrix (q, p) that computes the reported amplitudes from the separate ones. covariance: C (p, p), of the separate ones.
+        covariance: C, (p, p), of the separate ones."""
         picked = np.eye(len(self.outputs))[[places[0] for places in self.members]]
         R = self.contrasts
         if not len(R):
@@ -50,7 +53,8 @@ class CommonAmplitudes:
         return np.asarray(picked @ moved)
 
     def disagreement(self, values: Array, covariance: Array) -> tuple[float, int]:
-        """χ² of the differences between members, and its degrees of freedom. values: (p,); covariance: (p, p), with all that is stated."""
+        """χ² of the differences between members, and its degrees of freedom. values: (p,); covariance: (p, p), with all stated inputs
+        included."""
         R = self.contrasts
         if not len(R):
             return 0.0, 0
@@ -61,7 +65,7 @@ class CommonAmplitudes:
 
 
 def common_amplitudes(outputs: Sequence[ModelledOutput]) -> CommonAmplitudes:
-    """The amplitudes of all outputs; those that outputs have in common as one."""
+    """Groups the amplitudes of all outputs: amplitudes that outputs have in common count as one."""
     each = [(one, output.name) for output in outputs for one in output.coefficients]
     places: dict[str | int, list[int]] = {}
     for place, (one, _) in enumerate(each):
@@ -74,7 +78,7 @@ def between_outputs(fits: Sequence[OutputsFit], rows: Sequence[Sequence[int]], c
     """Covariance (p, p) between the fitted amplitudes of different outputs, from the correlation of their samples; zero within an output.
     Only means are taken as correlated, not the contrasts within segments.
 
-    rows: of each fit, places of its segments among those of the estimate; correlation: (m, m) between the samples of the outputs.
+    rows: for each fit, indices of its segments among those of the estimate. correlation: (m, m), between the samples of the outputs.
     """
     n = 1 + max(max(own) for own in rows)
     roots = []

@@ -2,9 +2,9 @@
 
     output = input along its own axis + Σ amplitude · column
 
-The columns are those with which a simulation adds the same effects and a diagnosis looks for them (`planrunner.error_model.effects`), here
-as means over the segments. Their parameters have the catalogue's names and units, so that a result can be stated in a bench file. An
-output that is not recorded as a rate or an acceleration (pulse/s) is K · (input + Σ …), with K its fitted scale factor.
+The columns come from `planrunner.error_model.effects`; a simulation and a diagnosis use the same columns. Here they are means over the
+segments. Their parameters have the catalogue's names and units, so that a result can be stated in a bench file. An output that is
+recorded in another unit than a rate or an acceleration (pulse/s) is K · (input + Σ …), where K is its fitted scale factor.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ WITHIN = "within segments"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedOutput:
-    """observations: of this output alone; site: errors of the site, on them."""
+    """One fitted output. observations: its own observations; site: influences of errors of the site on them."""
 
     model: ModelledOutput
     observations: Observations
@@ -86,7 +86,8 @@ class FittedOutput:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelQuantities(Quantities):
-    """outputs: in the order of the plan. separate: all amplitudes, output after output, before those in common are made one."""
+    """Fitted amplitudes. outputs: in the order of the plan. separate: amplitudes of all outputs in sequence, before common ones are
+    combined."""
 
     outputs: tuple[FittedOutput, ...]
     found: Derived
@@ -104,7 +105,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
     Parameters = ErrorModelParameters
 
     def design(self, request: DesignRequest[ErrorModelParameters]) -> Design:
-        """Information of the planned segments about each output. Raises `EstimationError`."""
+        """Checks how well the planned segments determine the amplitudes of each output. Raises `EstimationError`."""
         parameters = request.parameters
         _known_monitors(parameters, {output.name: output.unit for output in request.sensor.outputs})
         by_name: dict[str, DesignBlock] = {}
@@ -138,7 +139,8 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         return Design(blocks, notes=notes, remarks=tuple(dict.fromkeys(remarks)))
 
     def foresee(self, request: DesignRequest[ErrorModelParameters]) -> Foresight:
-        """The coefficients of the expected recording; without uncertainties if a shape is to be found, which only a recording shows."""
+        """Predicts the coefficients from the expected recording. It gives no uncertainties if a shape is to be fitted, because only a
+        recording determines a shape."""
         outputs = [one for group in _planned(request) for one in group.outputs]
         parts = [(one, part) for one in outputs if (part := shaped_part(one)) is not None]
         unstated = dict.fromkeys(name for one in outputs for name in _unstated(one, request.parameters))
@@ -159,12 +161,12 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         return Foresight(unpredicted=tuple(found))
 
     def known(self, request: DesignRequest[ErrorModelParameters]) -> Known:
-        """The axes of the outputs."""
+        """The input axes of the outputs."""
         named = [one for group in _planned(request) for one in group.outputs]
         return Known(directions={one.name: np.eye(3)[one.errors.axis] for one in named})
 
     def quantities(self, request: EstimateRequest[ErrorModelParameters]) -> ModelQuantities:
-        """Amplitudes from the means of the segments. Raises `EstimationError`."""
+        """Computes the amplitudes from the means of the segments. Raises `EstimationError`."""
         parameters = request.parameters
         units = {name: text for one in request.segments for name, text in one.units.items()}
         _known_monitors(parameters, units)
@@ -205,7 +207,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         )
 
     def words(self, request: EstimateRequest[ErrorModelParameters], made: ModelQuantities) -> Words:
-        """Residuals by output, and both bases of uncertainty."""
+        """Makes the tables and plots of residuals by output, with both bases of uncertainty."""
         basis = request.parameters.uncertainty
         notes: dict[FitNote, list[str]] = {}
         warnings: list[Said] = []
@@ -254,7 +256,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
 
 
 def _unstated(one: ModelledOutput, parameters: ErrorModelParameters) -> list[str]:
-    """Effects with a shape in an output that is fitted to samples, of which the plan expects nothing."""
+    """Effects with a shape that are fitted to samples and for which the plan states no expected values."""
     if one.within is None:
         return []
     shaped = [amplitude.effect.id for amplitude in one.columns.amplitudes if amplitude.shape]
@@ -272,7 +274,7 @@ def _planned(request: DesignRequest[ErrorModelParameters]) -> tuple[Together, ..
 
 
 def _only_recorded(one: ModelledOutput, request: DesignRequest[ErrorModelParameters]) -> list[str]:
-    """What the effects of an output depend on and no segment states, because a channel of the recording shows it."""
+    """Inputs of an output's effects that no segment states, because a channel of the recording gives them."""
     channels = {
         Follows.SUPPLY: request.parameters.supply_channel,
         Follows.PRESSURE: request.parameters.pressure_channel,
@@ -321,7 +323,7 @@ def _known_monitors(parameters: ErrorModelParameters, units: Mapping[str, str]) 
 
 
 def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remark]:
-    """An error for amplitudes that the planned segments do not show or separate, with what would show them."""
+    """An error for amplitudes that the planned segments do not determine or separate. It names a remedy."""
     amplitudes = one.columns.amplitudes
     seen = rank.look(_matrix(one) / one.columns.magnitudes)
     if not len(seen.null):
@@ -336,7 +338,7 @@ def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remar
 
 
 def _shares(one: ModelledOutput, segments: Sequence[Segment]) -> Array:
-    """The part of each segment's rate that an output feels, (n, 1)."""
+    """The fraction of each segment's rate along the input axis of an output, (n, 1)."""
     axis = np.eye(3)[one.errors.axis]
     return shares_along(segments, [axis if one.errors.kind == "gyro" else 0 * axis])
 
@@ -344,9 +346,9 @@ def _shares(one: ModelledOutput, segments: Sequence[Segment]) -> Array:
 def _fitted(
     request: EstimateRequest[ErrorModelParameters], group: Together, shown: Collection[str] = ()
 ) -> list[FittedOutput]:
-    """The outputs of a group. shown: names of the courses of a drift that some output shows.
+    """Fits the outputs of a group. shown: names of the courses of drift that at least one output shows.
 
-    How far errors of table and site move an output depends on its amplitudes, which a first fit gives.
+    A first fit gives the amplitudes of an output, because they determine how strongly errors of table and site affect it.
     """
     parameters, basis = request.parameters, request.parameters.uncertainty
     recorded = [request.segments[row] for row in group.rows]
@@ -392,13 +394,13 @@ def _fitted(
 
 
 def _matrix(one: ModelledOutput) -> Array:
-    """(n + r, p): of the means, then of the contrasts within segments."""
+    """Design matrix (n + r, p): rows of the means, then rows of the contrasts within segments."""
     matrix = one.columns.matrix
     return matrix if one.within is None else np.vstack([matrix, one.within.contrasts.matrix])
 
 
 def _with_contrasts(means: Observations, one: ModelledOutput) -> Observations:
-    """The means of an output, then the contrasts within segments."""
+    """Observations of an output: the means, then the contrasts within segments."""
     if one.within is None or not len(one.within.contrasts.sigma):
         return means
     contrasts = one.within.contrasts
@@ -427,14 +429,15 @@ def _block_with_contrasts(block: DesignBlock, one: ModelledOutput) -> DesignBloc
 
 
 def _padded(rows: Array, contrasts: Contrasts | None) -> Array:
-    """Rows (n, …) of the means, and zeros for the contrasts."""
+    """Rows (n, …) of the means, followed by zeros for the contrasts."""
     if contrasts is None:
         return rows
     return np.concatenate([rows, np.zeros((len(contrasts.sigma), *rows.shape[1:]))])
 
 
 def _extended(error: CorrelatedError, contrasts: Contrasts | None, own: bool = False) -> CorrelatedError:
-    """An error of the means, which does not act on the contrasts within segments; own: flicker, which acts on them too."""
+    """Extends an error of the means to the contrasts within segments. The error itself does not affect the contrasts. own: flicker,
+    which affects the contrasts too."""
     if contrasts is None or not len(contrasts.sigma):
         return error
     changes = {}
@@ -447,7 +450,8 @@ def _extended(error: CorrelatedError, contrasts: Contrasts | None, own: bool = F
 
 
 def _modelled(course: DriftCourse, drift: DriftCourses, output: ModelledOutput) -> bool:
-    """Whether the plan names the effect of the temperature on the bias of an output, so that no drift with temperature is sought in it."""
+    """Whether the plan models the temperature dependence of an output's bias. If so, no drift with temperature is sought in this
+    output."""
     return (
         drift.by_evidence
         and bool(course.changed)
@@ -471,7 +475,7 @@ def _of_channel(together: Observations, k: int) -> Observations:
 
 
 def _contradictions(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[FittedOutput]) -> list[Said]:
-    """Warnings about outputs that do not respond as they are declared."""
+    """Warnings about outputs that do not respond as declared."""
     found = []
     for kind in KINDS:
         rows = [
@@ -492,7 +496,7 @@ def _contradictions(request: EstimateRequest[ErrorModelParameters], outputs: Seq
 
 
 def _stacked(rows: Sequence[Array]) -> Array:
-    """One output's coefficients a row, (m, P): those of the others are zero."""
+    """The coefficients of all outputs as a matrix (m, P) with one row per output; a row is zero at the coefficients of the others."""
     ends = np.cumsum([len(row) for row in rows])
     made = np.zeros((len(rows), int(ends[-1])))
     for k, (row, end) in enumerate(zip(rows, ends, strict=True)):
@@ -501,7 +505,7 @@ def _stacked(rows: Sequence[Array]) -> Array:
 
 
 def _of_output(errors: Sequence[CorrelatedError], output: int) -> tuple[CorrelatedError, ...]:
-    """As errors of an output alone."""
+    """Converts errors to errors of this output alone."""
     return tuple(
         replace(
             one,
@@ -514,7 +518,7 @@ def _of_output(errors: Sequence[CorrelatedError], output: int) -> tuple[Correlat
 
 
 def _stated(request: EstimateRequest[ErrorModelParameters], one: FittedOutput) -> tuple[Influence, ...]:
-    """On the fitted amplitudes of one output."""
+    """Influences of stated inputs on the fitted amplitudes of one output."""
     functionals = functionals_of(one.fit.gains)
     recorded = replace(request, segments=tuple(request.segments[row] for row in one.model.rows))
     return (
@@ -525,7 +529,8 @@ def _stated(request: EstimateRequest[ErrorModelParameters], one: FittedOutput) -
 
 
 def _between(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[FittedOutput]) -> dict[str, Array]:
-    """By basis, the covariance between amplitudes of different outputs; noise is correlated as in the segments that all of them use."""
+    """By basis, the covariance between amplitudes of different outputs. The correlation of their noise comes from the segments that all
+    of them use."""
     rows = [one.model.rows for one in outputs]
     shared = sorted(set.intersection(*map(set, rows)))
     if len(outputs) < 2 or not shared:
@@ -541,7 +546,7 @@ def _between(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[F
 
 
 def _disagreement(request: EstimateRequest[ErrorModelParameters], made: ModelQuantities) -> list[Said]:
-    """A warning if outputs give different values of an amplitude that they have in common."""
+    """A warning if the outputs give different values of a common amplitude."""
     from scipy.special import chdtrc
 
     separate = made.separate
@@ -573,7 +578,7 @@ def _disagreement(request: EstimateRequest[ErrorModelParameters], made: ModelQua
 
 
 def _common_table(made: ModelQuantities, basis: str) -> list[Table]:
-    """What each output alone gives for amplitudes in common."""
+    """Table of the value that each output alone gives for each common amplitude."""
     u, _ = made.separate.spread(basis)
     rows = [
         (
@@ -598,8 +603,8 @@ def _common_table(made: ModelQuantities, basis: str) -> list[Table]:
 
 
 def _as_added(outputs: Sequence[FittedOutput], common: CommonAmplitudes, found: Derived) -> dict[str, dict[str, str]]:
-    """The values as a bench file states them for `driver: added_effects`: effect → parameter → value with its unit. Without scale factors
-    of outputs in other units, which are no effects."""
+    """The values as a bench file states them for `driver: added_effects`: effect → parameter → value with its unit. Scale factors of
+    outputs in other units are omitted, because they are not effects."""
     held = {
         place: value for places, value in zip(common.members, found.values.tolist(), strict=True) for place in places
     }
@@ -628,7 +633,7 @@ def _as_added(outputs: Sequence[FittedOutput], common: CommonAmplitudes, found: 
 
 
 def _names(one: ModelledOutput, effect: str) -> bool:
-    """Whether an effect is in the model of an output."""
+    """Whether the model of an output contains an effect."""
     return any(part.effect.id == effect for part in one.errors.chosen)
 
 

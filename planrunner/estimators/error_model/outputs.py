@@ -46,8 +46,8 @@ _SENSED = {"angular rate": "gyro", "acceleration": "accel"}
 
 @dataclass(frozen=True, slots=True)
 class ReportedAmplitude:
-    """What is reported of one amplitude. si: its SI value per `unit`. common: whether outputs that name it have it in common. origin: in
-    `unit`, from which a fitted value counts."""
+    """How one amplitude is reported. si: its SI value per `unit`. common: whether all outputs that name the amplitude share one value.
+    origin: in `unit`, the value that corresponds to a fitted value of zero."""
 
     name: str
     unit: str
@@ -59,12 +59,14 @@ class ReportedAmplitude:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelledOutput:
-    """The linear model of one output: means = own/unit.factor + matrix · amplitudes, where the output is recorded in what it measures
-    (`direct`); otherwise the amplitude of the gain is the whole scale factor, and the other columns are scaled by it.
+    """The linear model of one output. If the output is recorded in the unit of the measured quantity (`direct`), means =
+    own/unit.factor + matrix · amplitudes. Otherwise the amplitude of the gain is the whole scale factor, and the other columns are
+    scaled by it.
 
-    rows: places of its segments among those of the estimate. gain: place of the scale factor among the amplitudes, None where it is not
-    fitted. within: the fit of its samples, near which it is linear; None for an output of which the means suffice. followed: effect and
-    amplitude of each column with which it follows errors of the table and the site, if these are not `columns`.
+    rows: indices of its segments among those of the estimate. gain: index of the scale factor among the amplitudes, None if it is not
+    fitted. within: the fit of its samples, which gives the point of linearisation; None for an output that needs only the means.
+    followed: effect and amplitude of each column by which errors of the table and the site affect the output, if these are not
+    `columns`.
     """
 
     errors: OutputErrors
@@ -90,13 +92,14 @@ class ModelledOutput:
 
     @property
     def ideal(self) -> Array | float:
-        """The part of the means (n,), in the output's unit, that is not fitted: an ideal sensor's, where no scale factor is."""
+        """The part of the means (n,), in the output's unit, that is not fitted: the reading of an ideal sensor if no scale factor is
+        fitted, otherwise zero."""
         if self.within is not None:
             return self.within.offset
         return 0.0 if self.gain is not None else self.columns.own / self.unit.factor
 
     def reported(self, fitted: Array) -> Array:
-        """The coefficients in their units, (p, n), from fitted ones (p, n) in the output's unit per SI."""
+        """The coefficients (p, n) in their own units, from fitted ones (p, n) in the output's unit per SI."""
         if self.direct:
             values = fitted * self.unit.factor
             if self.gain is not None:
@@ -111,8 +114,8 @@ class ModelledOutput:
         return np.asarray(values / si + origins)
 
     def ratios(self, fitted: Array) -> dict[int, float]:
-        """Axis → response to the output's own quantity along it, in SI, from fitted amplitudes (p,); 1 along its own axis where no scale
-        factor is fitted."""
+        """Maps each axis to the response along it relative to the output's own quantity, in SI, from fitted amplitudes (p,). The
+        response along the output's own axis is 1 if no scale factor is fitted."""
         own = {} if self.gain is not None else {self.errors.axis: 1.0}
         along = [one.along for one in self.columns.amplitudes]
         return own | {
@@ -129,7 +132,8 @@ class ModelledOutput:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Together:
-    """Outputs that use the same segments. rows: places of these among those of the estimate."""
+    """A group of outputs that use the same segments. rows: indices of these segments among those of the estimate. rows: places of these
+    among those of the estimate."""
 
     model: ErrorsAtSegments
     segments: tuple[Segment, ...]
@@ -146,7 +150,8 @@ def models(
     states: SegmentStates,
     samples: SampledOutputs,
 ) -> tuple[Together, ...]:
-    """units: of the outputs, as declared or recorded; states: of the segments; samples: of all of them. Raises `EstimationError`."""
+    """Builds the models of all outputs. units: of the outputs, as declared or recorded; states: of the segments; samples: of all
+    segments. Raises `EstimationError`."""
     for name in parameters.axes:
         if name not in parameters.outputs:
             raise EstimationError(f"`axes` names '{name}'", closest(name, parameters.outputs), f"axes.{name}")
@@ -164,12 +169,12 @@ def models(
 
 
 def changes_within(one: OutputErrors) -> bool:
-    """Whether an effect of an output changes it within segments."""
+    """Whether an effect changes an output within segments."""
     return any(isinstance(part.effect, ChangesWithinSegments) for part in one.chosen)
 
 
 def with_shape(group: Together, k: int, part: EffectPart) -> Together:
-    """The group with another shape of an effect in its k-th output."""
+    """The same group, but with another shape of an effect in its k-th output."""
     old = group.outputs[k]
     errors = replace(old.errors, chosen=tuple(part if one.effect is part.effect else one for one in old.errors.chosen))
     (columns,) = replace(group.model, outputs=(errors,)).of_outputs()
@@ -287,7 +292,7 @@ def _sampled(
     states: SegmentStates,
     samples: SampledOutputs,
 ) -> Together:
-    """Outputs that are fitted to samples."""
+    """The outputs that are fitted to samples."""
     held = tuple(_as_if_held(segments[row]) for row in rows)
     try:
         felt = mean_stimulus(held, site)
@@ -314,7 +319,8 @@ def _sampled(
 
 
 def _as_if_held(segment: Segment) -> Segment:
-    """For errors of the table and the site: a table that rocks counts as one at rest, and in an unknown attitude they do not act."""
+    """The segments as they apply to errors of the table and the site: a rocking table counts as one at rest, and in an unknown attitude
+    these errors have no influence."""
     if not isinstance(segment.motion, Rock | RecordedMotion):
         return segment
     attitude = np.zeros((3, 3)) if segment.attitude is None else segment.attitude
@@ -322,7 +328,8 @@ def _as_if_held(segment: Segment) -> Segment:
 
 
 def _must_change(output: SampledOutput) -> None:
-    """Raises `EstimationError` for effects within segments that do not act here, or not on an output of this unit."""
+    """Raises `EstimationError` for effects within segments that cannot occur in this plan, or that do not affect an output of this
+    unit."""
     errors = output.errors
     key, model = f"outputs.{errors.output}", ErrorsAtSamples.of(output.observed, errors)
     for part in errors.chosen:
@@ -353,7 +360,7 @@ def _modelled(errors: OutputErrors, own: Unit, columns: OutputColumns, rows: tup
 
 
 def _must_act(errors: OutputErrors, columns: OutputColumns) -> None:
-    """Raises `EstimationError` for effects that do not act here, and for parameters that an effect does not have."""
+    """Raises `EstimationError` for effects that cannot occur in this plan, and for parameters that an effect does not have."""
     key = f"outputs.{errors.output}"
     for item in errors.chosen:
         here = [one.name for one in columns.amplitudes if one.effect is item.effect]

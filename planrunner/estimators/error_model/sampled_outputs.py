@@ -1,4 +1,4 @@
-"""The samples of a recording, or the planned ones of a schedule, for outputs that are fitted to samples."""
+"""The samples of a recording, or the planned samples of a schedule, for outputs that are fitted to samples."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LEAST = 1e-9  # of the largest value of an output: the least noise of a sample 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledOutputs:
-    """recording: all segments of the estimate, recorded or expected."""
+    """Access to samples. recording: all segments of the estimate, recorded or expected."""
 
     recording: Sequence[RecordedSegment]
     site: Site
@@ -40,7 +40,7 @@ class SampledOutputs:
         return tuple(place[id(one)] for one in in_time_order([self.recording[row] for row in rows]))
 
     def of(self, group: Sequence[OutputErrors], rows: Sequence[int]) -> list[SampledOutput]:
-        """The samples of outputs. Raises `EstimationError`."""
+        """The samples of the given outputs. Raises `EstimationError`."""
         held, parameters = [self.recording[row] for row in rows], self.parameters
         channels = [self._channel(errors, held[0].units[errors.output]) for errors in group]
         try:
@@ -97,7 +97,7 @@ class SampledOutputs:
         return Channel(errors.output, errors.kind, errors.axis, text, factor, *numbers)
 
     def _expected(self) -> Mapping[str, Mapping[str, float]]:
-        """The stated parameters of effects, in their units."""
+        """The expected parameters of effects as the plan states them, in their units."""
         parameters = self.parameters
         if not parameters.expected:
             return {}

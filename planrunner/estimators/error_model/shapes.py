@@ -25,16 +25,16 @@ _LEAST = 3.0  # standard uncertainties of an amplitude: of a smaller one the mea
 
 
 def shaped_part(output: ModelledOutput) -> EffectPart | None:
-    """The part of an output's model whose shape the means of segments are to show."""
+    """The part of an output's model whose shape must be fitted to the means of segments."""
     if output.within is not None:
         return None
     return next((one for one in output.errors.chosen if isinstance(one.effect, ShapedOverSegments)), None)
 
 
 def with_shapes(group: Together, together: Observations) -> Together:
-    """The group with the shapes of its effects at their best values, each with the column of its derivative.
+    """The group with the shapes of its effects at their best values. Each shape has the column of its derivative.
 
-    together: observations of the group's outputs. Raises `UnfitDataError` if they do not show a shape.
+    together: observations of the group's outputs. Raises `UnfitDataError` if the observations do not determine a shape.
     """
     for k, output in enumerate(group.outputs):
         part = shaped_part(output)

@@ -1,12 +1,13 @@
 """Effects that change an output within segments, fitted to samples: shapes by variable projection, then one linear fit with the means.
 
-The samples of a segment are split into their mean and what differs from it. For given shapes, such as a time constant, the amplitudes are
-linear, and χ² of their fit is a function of the shapes alone (G. Golub and V. Pereyra, SIAM J. Numer. Anal. 10, 1973), whose smallest
-value is sought within the bounds of the catalogue. There the model is made linear in amplitudes and shapes: J = ∂y/∂(amplitudes, shapes).
-For white noise of standard deviation σ, what the N samples within the segments contribute to the fit is contained in as many contrasts as J
-has columns: with JᵀJ = V·S·Vᵀ of the centred columns, the contrasts S^(−1/2)·Vᵀ·Jᵀ·y have uncorrelated noise σ, and the design √S·Vᵀ. They
-join the means of the segments as further observations of the generalised least-squares fit (`outputs_fit`), so that drift, errors of the
-table and scatter between segments act on the means as in every other fit.
+The samples of a segment are split into their mean and the differences from it. For given shapes, such as a time constant, the
+amplitudes are linear, and χ² of their fit is a function of the shapes alone (G. Golub and V. Pereyra, SIAM J. Numer. Anal. 10, 1973).
+The fit searches for its smallest value within the bounds of the catalogue. At this minimum, the model is linearised in amplitudes and
+shapes: J = ∂y/∂(amplitudes, shapes). For white noise of standard deviation σ, as many contrasts as J has columns contain everything
+that the N samples within the segments contribute to the fit. With JᵀJ = V·S·Vᵀ of the centred columns, the contrasts S^(−1/2)·Vᵀ·Jᵀ·y
+have uncorrelated noise σ and the design √S·Vᵀ. They join the means of the segments as additional observations of the generalised
+least-squares fit (`outputs_fit`). Drift, errors of the table and scatter between segments therefore act on the means as in every other
+fit.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ _IN_ONE = 0.8  # Σ e² of a contrast that one segment alone decides
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """The shape of an effect and its values in the catalogue, ascending. discrete: whether it has only these."""
+    """The shape of an effect and its values in the catalogue, ascending. discrete: whether the effect allows only these values."""
 
     part: EffectPart
     values: Array
@@ -56,7 +57,7 @@ class Shape:
         return self.part.effect.id
 
     def at(self, place: float) -> float:
-        """The value at a place among the catalogue's values, counted from 0; smooth between them."""
+        """The shape at a position among the catalogue's values, counted from 0; interpolated between them."""
         from scipy.interpolate import PchipInterpolator
 
         if self.discrete or len(self.values) < 3:
@@ -66,7 +67,7 @@ class Shape:
         )
 
     def step(self, value: float) -> float:
-        """For a derivative."""
+        """Step of the position for a numerical derivative."""
         near = int(np.clip(np.searchsorted(self.values, value), 1, len(self.values) - 1))
         return _SLOPE * float(self.values[near] - self.values[near - 1])
 
@@ -78,8 +79,9 @@ class Shape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contrasts:
-    """What the samples within segments contribute, in the output's unit. matrix: (r, p); values: (r,), of the linear model; sigma: (r,);
-    flicker: (r, r), root of their covariance for flicker with B = 1."""
+    """Contribution of the samples within segments, in the output's unit. matrix: (r, p) and values: (r,), of the linear model; sigma:
+    (r,), standard deviations; flicker: (r, r), root of the covariance for flicker with B = 1. matrix: (r, p); values: (r,), of the
+    linear model; sigma: (r,); flicker: (r, r), root of their covariance for flicker with B = 1."""
 
     matrix: Array
     values: Array
@@ -91,12 +93,12 @@ class Contrasts:
 class WithinFit:
     """An output fitted to samples.
 
-    amplitudes: p, those of the model and then the shapes that are not discrete. matrix: (n, p), the linear model of the means, as in
+    amplitudes: p of them, those of the model and then the continuous shapes. matrix: (n, p), the linear model of the means, as in
     `OutputColumns`; mean: (n,), observed; offset: (n,), part of the means that is not fitted, both in the unit of the output. own,
-    available: as in `OutputColumns`. shapes: effect → value. at_bound: effects whose shape is at a bound. coloured: how many times
-    larger the variance of slow noise is than white noise explains; 1 if it is white. uneven: how many times more the contributions of the
-    segments to an effect vary, at most; 1 if they agree. moved_error: (n,), standard errors of the means of
-    segments whose motion the recording shows, from what the fit leaves; NaN for the others.
+    available: as in `OutputColumns`. shapes: effect → value. at_bound: effects whose shape is at a bound. coloured: ratio of the
+    variance of slow noise to the variance that white noise explains; 1 if the noise is white. uneven: largest ratio of the variance
+    between segments' contributions to an effect to the expected variance; 1 if they agree. moved_error: (n,), standard errors of the
+    means of segments whose motion the recording shows, from the residuals of the fit; NaN for the others.
     """
 
     amplitudes: tuple[Amplitude, ...]
@@ -115,9 +117,9 @@ class WithinFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledOutput:
-    """The samples of one output. observed: their stimulus, in the order of the segments; values: (N,), in the output's unit; None for a
-    schedule. variance: (n,), of one value in each segment; error: (n,), of the mean of each segment. gain: whether the scale factor is
-    among the amplitudes. flicker: declared, in the output's unit."""
+    """The samples of one output. observed: stimulus at the samples, in the order of the segments. values: (N,), in the output's unit;
+    None for a schedule. variance: (n,), of one sample in each segment; error: (n,), standard error of the mean of each segment. gain:
+    whether the scale factor is among the amplitudes. flicker: declared bias instability, in the output's unit."""
 
     observed: Observed
     errors: OutputErrors
@@ -132,7 +134,7 @@ class SampledOutput:
 
 
 def shapes_of(model: ErrorsAtSamples) -> tuple[Shape, ...]:
-    """The shapes of a model; without those of effects that cannot act here."""
+    """The shapes of a model, without the shapes of effects that cannot occur in this plan."""
     found = []
     for part in model.errors.chosen:
         if shaped(part):
@@ -143,13 +145,13 @@ def shapes_of(model: ErrorsAtSamples) -> tuple[Shape, ...]:
 
 
 def fit_within(output: SampledOutput) -> WithinFit:
-    """Raises `UnfitDataError` if the samples do not show a shape."""
+    """Fits an output to its samples. Raises `UnfitDataError` if the samples do not determine a shape."""
     model = ErrorsAtSamples.of(output.observed, output.errors)
     return _Problem(output, model, shapes_of(model)).solved()
 
 
 class _Problem:
-    """Least squares over the samples of one output, weighted as means and differences from them."""
+    """Least squares over the samples of one output. The weights treat means, and differences from the means, separately."""
 
     def __init__(self, output: SampledOutput, model: ErrorsAtSamples, shapes: tuple[Shape, ...]):
         self.output, self.model, self.shapes = output, model, shapes
@@ -165,7 +167,7 @@ class _Problem:
     # -- the model -----------------------------------------------------------------------------------------------------
 
     def columns(self, values: Sequence[float], amplitudes: Array | None = None) -> SampleColumns:
-        """At the stimulus that these amplitudes give; without them, at the nominal one."""
+        """Columns of the model, evaluated at the stimulus that the given amplitudes produce; at the nominal stimulus if none are given."""
         stimulus = {} if amplitudes is None else self._stimulus(amplitudes)
         key = (tuple(values), tuple(stimulus.values()))
         if key not in self._kept:
@@ -180,11 +182,11 @@ class _Problem:
 
     @cached_property
     def moving(self) -> tuple[int, ...]:
-        """Places of the amplitudes of the stimulus."""
+        """Indices of the amplitudes that change the stimulus."""
         return tuple(n for n, one in enumerate(self.amplitudes) if of_stimulus(one.effect))
 
     def _stimulus(self, amplitudes: Array) -> dict[tuple[str, str], float]:
-        """In SI; fitted values are in the output's unit per SI, as those of the other amplitudes."""
+        """Amplitudes of the stimulus in SI. Fitted values, like those of the other amplitudes, are in the output's unit per SI."""
         if not self.moving:
             return {}
         response = self._response(amplitudes)
@@ -192,7 +194,7 @@ class _Problem:
         return {(effect, name): float(amplitudes[n]) / response for effect, name, n in named}
 
     def _response(self, amplitudes: Array) -> float:
-        """The output per SI unit of what it measures."""
+        """The output per SI unit of the measured quantity."""
         along = [n for n, one in enumerate(self.amplitudes) if one.along == self.output.errors.axis]
         direct = self.output.nominal * self.factor == 1.0 or not along
         return 1 / self.factor if direct else float(amplitudes[along[0]])
@@ -201,13 +203,13 @@ class _Problem:
         return {shape.id: value for shape, value in zip(self.shapes, values, strict=True)}
 
     def linear(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """The output before an effect on it, in its unit, (N,)."""
+        """The output (N,) in its unit before an effect that acts on the output itself."""
         columns = self.columns(values, amplitudes)
         ideal = 0.0 if self.output.gain else columns.own / self.factor
         return np.asarray(ideal + amplitudes @ columns.rows)
 
     def values(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """The output (N,)."""
+        """The modelled output (N,)."""
         linear = self.linear(values, amplitudes)
         return self.model.output(linear * self.factor, self._named(values)) / self.factor
 
@@ -227,7 +229,7 @@ class _Problem:
         return np.asarray(rows)
 
     def _natural(self, n: int) -> float:
-        """A step of an amplitude of the stimulus."""
+        """Step of an amplitude of the stimulus for a numerical derivative."""
         return 10 * self.amplitudes[n].factor * self.output.nominal
 
     # -- weights -------------------------------------------------------------------------------------------------------
@@ -239,14 +241,14 @@ class _Problem:
         return np.asarray(rows - self.means(rows)[..., self.owner])
 
     def weighted(self, rows: Array) -> Array:
-        """(…, N) → (…, N + n), of variance one."""
+        """Weighted values of variance one: (…, N) → (…, N + n)."""
         means = self.means(rows)
         return np.concatenate([(rows - means[..., self.owner]) / self.sigma[self.owner], means / self.error], axis=-1)
 
     # -- amplitudes and shapes -----------------------------------------------------------------------------------------
 
     def nominal(self) -> Array:
-        """Amplitudes of an ideal sensor, with those that the plan expects."""
+        """Amplitudes of an ideal sensor, together with the values that the plan expects."""
         found = np.zeros(len(self.amplitudes))
         for place, one in enumerate(self.amplitudes):
             stated = self.output.expected.get(one.effect.id, {})
@@ -256,7 +258,7 @@ class _Problem:
         return found
 
     def planned(self) -> list[float]:
-        """The shapes that the plan expects, otherwise from the middle of the catalogue's values."""
+        """The shapes that the plan expects; for other shapes, the middle of the catalogue's values."""
         return [
             self.output.expected.get(shape.id, {}).get(_shape_name(shape.part), shape.at((len(shape.values) - 1) / 2))
             for shape in self.shapes
@@ -291,7 +293,7 @@ class _Problem:
         return best, left
 
     def search(self, observed: Array, start: list[float] | None) -> list[float]:
-        """Places of the shapes with the smallest χ²."""
+        """Finds the positions of the shapes with the smallest χ²."""
         from scipy.optimize import least_squares, minimize_scalar
 
         def chi_squared(places: Sequence[float]) -> float:
@@ -357,7 +359,8 @@ class _Problem:
         return self._linearised(values, amplitudes, observed, coloured)
 
     def _reweighted(self, values: Sequence[float], observed: Array) -> float:
-        """The noise of samples and means from what a fit leaves; the factor by which their ratio changes."""
+        """Computes the noise of samples and means again from the residuals of a fit; also returns the factor by which their ratio
+        changes."""
         before = self.sigma / self.error
         amplitudes, _ = self.projected(values, observed)
         left = observed - self.values(values, amplitudes)
@@ -379,9 +382,9 @@ class _Problem:
         return float(max(ratio.max(), 1 / ratio.min()))
 
     def _of_moved(self, left: Array) -> None:
-        """The errors of the means of segments whose motion the recording shows, from the residuals (N,), which contain the noise of the
-        reference too, and not the motion: that of white noise, where the scatter between segments shows what is beyond it; otherwise from
-        the scatter of batches."""
+        """Errors of the means of segments whose motion the recording shows, from the residuals (N,). These contain the noise of the
+        reference, but not the motion. If the scatter between segments covers any error beyond white noise, the error is that of white
+        noise; otherwise it comes from the scatter of batches."""
         alone = len(self.counts) <= len(self.amplitudes)
         for s in np.flatnonzero(self.output.observed.moved):
             own = left[self.output.observed.segments()[s]]
@@ -438,12 +441,13 @@ class _Problem:
         )
 
     def _rescaled(self, amplitudes: Array, values: Sequence[float]) -> Array:
-        """Amplitudes that keep their values in the unit of display, whose SI value may depend on a shape."""
+        """Amplitudes whose values in the display unit stay the same when the shape changes. Their SI values may depend on the shape."""
         factors = [one.factor for one in self.columns(values).amplitudes]
         return np.asarray(amplitudes * factors / np.array([one.factor for one in self._latest]))
 
     def _contrasts(self, tangents: Array, values: Array, left: Array, coloured: float) -> tuple[Contrasts, float]:
-        """See the text of the module; and the largest ratio of `_uneven`. left: (N,), residuals; coloured: factor of the variance."""
+        """Contrasts as described in the docstring of the module, and the largest ratio of `uneven_ratios`. left: (N,), residuals;
+        coloured: factor of the variance of slow noise."""
         weight = 1 / self.sigma[self.owner]
         centred = self.centred(tangents) * weight
         size = np.sqrt(np.sum(centred**2, axis=1))
@@ -476,7 +480,7 @@ class _Problem:
         return contrasts, float(uneven.max(initial=1.0))
 
     def _colour(self, left: Array) -> float:
-        """How many times larger the variance of batch means is than that of white noise, 1 if not significantly. left: (N,), residuals less
+        """Ratio of the variance of batch means to that of white noise; 1 if it is not significantly larger. left: (N,), residuals minus
         their mean in each segment."""
         from scipy.special import chdtrc
 
@@ -493,13 +497,13 @@ class _Problem:
 
 
 def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], coloured: float) -> Array:
-    """How many times larger the variance of each contrast (S,) is than that of white noise, from the scatter of the contributions of the
-    segments; 1 if the contrasts together do not show it significantly. functionals: (S, N), orthonormal; left: (N,), residuals over their
-    noise; first: (n,), first sample of each segment; coloured: as in `WithinFit`.
+    """Ratio of the variance of each contrast (S,) to that of white noise, from the scatter of the contributions of the segments. It is
+    1 if the contrasts together are not significantly uneven. functionals: (S, N), orthonormal; left: (N,), residuals divided by their
+    noise; first: (n,), index of the first sample of each segment; coloured: as in `WithinFit`.
 
-    The errors of a reference differ from motion to motion, and a longer segment would not have less of them. R = Σ c²/(1 − Σ e²), where a
-    segment contributes c to a contrast, and e to the square of its length: unbiased for contributions with the variance R·e, of which the
-    fit leaves Σ c = 0. Sandwich of clustered data: K.-Y. Liang, S. L. Zeger, Biometrika 73, 1986.
+    The errors of a reference differ from motion to motion, and a longer segment does not reduce them. R = Σ c²/(1 − Σ e²), where c is
+    the contribution of a segment to a contrast, and e its share of the squared length. R is unbiased for contributions with the
+    variance R·e if the fit makes Σ c = 0. Sandwich of clustered data: K.-Y. Liang, S. L. Zeger, Biometrika 73, 1986.
     """
     from scipy.special import chdtrc
 
@@ -519,7 +523,7 @@ def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], col
 
 
 def _solved(rows: Array, values: Array) -> Array:
-    """Least-squares coefficients (p,) of rows (p, N); of those that cannot be separated, the shortest."""
+    """Least-squares coefficients (p,) of rows (p, N). If some cannot be separated, the solution of smallest norm is returned."""
     size = np.sqrt(np.einsum("pn,pn->p", rows, rows))
     size = np.where(size > 0, size, 1.0)
     scaled = rows / size[:, None]

@@ -19,9 +19,9 @@ from planrunner.base.kept import kept
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """expected: residual sum of squares by set. ratios: by set, (5 %, median, 95 %) of the ratio to the first set. Both include noise and
-    declared uncertainties. relative_spread: by set, half of the central 68.27 % interval of the sum, divided by its expectation;
-    ratio_spread: half of the same interval of the ratio, not divided; both from noise alone."""
+    """Predicted residuals. expected: residual sum of squares by set. ratios: by set, (5 %, median, 95 %) of the ratio to the first set.
+    Both include noise and declared uncertainties. relative_spread: by set, half of the central 68.27 % interval of the sum divided by
+    its expectation. ratio_spread: by set, half of the central 68.27 % interval of the ratio. Both spreads come from noise alone."""
 
     expected: dict[str, float]
     ratios: dict[str, tuple[float, float, float]]
@@ -30,8 +30,8 @@ class Prediction:
 
 
 def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[Array]) -> dict[str, Array]:
-    """By set, (2·v, z): effect of z independent inputs of standard deviation one on the outputs minus their prediction by the coefficients,
-    at the verification positions, output after output.
+    """Linear maps by set, (2·v, z), from z independent inputs of standard deviation one to the outputs minus their prediction by the
+    coefficients. The outputs are those at the verification positions, output after output.
 
     verification: (v, p), the verification positions' design. sets: by name, (2, p, n), coefficients from the calibration's observations.
     roots: (N, r) by output, L with L·Lᵀ the covariance of its observations: first the v verification positions, then the sets in their
@@ -47,14 +47,14 @@ def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[A
 
 
 def expected_sum(maps: Array) -> float:
-    """Expected sum of squares of `maps` (r, z) times independent inputs of standard deviation one."""
+    """Expected sum of squares of `maps` (r, z) applied to independent inputs of standard deviation one."""
     return float(np.sum(maps**2))
 
 
 @kept(64)
 def expected_sums(verification: Array, sets: tuple[tuple[Array, Array], ...]) -> tuple[float, ...]:
-    """Expected sum of squared residuals of each set, from noise alone: of size 1 at the verification positions, whose design is (v, p), and
-    in the given proportions (2, n) at the positions of each set, whose design is (n, p)."""
+    """Expected sum of squared residuals of each set from noise alone. The noise is 1 at the verification positions, whose design is (v,
+    p). At the positions of each set, whose design is (n, p), it has the given ratios (2, n) to this."""
     noise = np.concatenate([np.ones((2, len(verification))), *(sigma for _, sigma in sets)], axis=1)
     inverses = {str(k): weighted_inverse(matrix, sigma) for k, (matrix, sigma) in enumerate(sets)}
     maps = noise_maps(verification, inverses, [np.diag(sigma) for sigma in noise])
@@ -62,8 +62,8 @@ def expected_sums(verification: Array, sets: tuple[tuple[Array, Array], ...]) ->
 
 
 def predict_residuals(noise: Mapping[str, Array], stated: Mapping[str, Array], trials: int, seed: int) -> Prediction:
-    """Prediction from seeded simulated experiments. noise, stated: by set, (r, z) and (r, s), effects on the residuals of independent
-    inputs of standard deviation one, which all sets share."""
+    """Prediction from seeded simulated experiments. noise, stated: by set, (r, z) and (r, s), maps from independent inputs of standard
+    deviation one to the residuals. All sets share the inputs."""
     rng = np.random.default_rng(seed)
     first = next(iter(noise))
     drawn = rng.standard_normal((noise[first].shape[1], trials))
@@ -85,13 +85,13 @@ def _range(drawn: Array) -> tuple[float, float, float]:
 
 
 def _half(drawn: Array) -> float:
-    """Half of the width of the central 68.27 %."""
+    """Half of the width of the central 68.27 % interval."""
     low, high = np.quantile(drawn, (0.158655, 0.841345))
     return float(high - low) / 2
 
 
 def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[Array]]:
-    """By set and output, the matrix (v, N) from all observations to the residuals of the verification positions."""
+    """By set and output, the matrix (v, N) that maps all observations to the residuals of the verification positions."""
     v, total = len(verification), len(verification) + sum(gains.shape[2] for gains in sets.values())
     found, start = {}, v
     for name, gains in sets.items():
@@ -105,8 +105,8 @@ def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[A
 
 
 def weighted_inverse(matrix: Array, sigma: Array) -> Array:
-    """Coefficients per unit of each position's standardised noise, (m, p, n), from sigma (m, n) of m outputs. Columns are scaled
-    because SI units would make the matrix ill-conditioned."""
+    """Change of the coefficients per standard deviation of each position's noise, (m, p, n), from sigma (m, n) of m outputs. Columns
+    are scaled because SI units would make the matrix ill-conditioned."""
     size = np.abs(matrix).max(axis=0)
     size[size == 0] = 1.0
     inverse: Array = np.linalg.pinv(matrix / sigma[..., None] / size) / size[:, None]

@@ -83,7 +83,7 @@ class CompensationResidual:
     Parameters = CompensationResidualParameters
 
     def design(self, request: DesignRequest[CompensationResidualParameters]) -> Design:
-        """No coefficients are fitted; the predicted ratios are in the notes and in `extra`. Raises `EstimationError`."""
+        """Makes a design without coefficients. The predicted ratios are in the notes and in `extra`. Raises `EstimationError`."""
         model = flexure_gyro.static_model()
         matrix = static_matrix(model, request.segments, request.site)
         sets: dict[str, tuple[Array, Array]] = {}
@@ -106,15 +106,15 @@ class CompensationResidual:
         return Design((), (*notes, _CLAIM), {"ratios": ratios})
 
     def foresee(self, request: DesignRequest[CompensationResidualParameters]) -> Foresight:
-        """Only the names of the coefficients: sums of a few squared residuals scatter by as much as their size. The notes give their
-        expected ratio."""
+        """Gives only the names of the coefficients, because sums of a few squared residuals scatter by as much as their size. The notes
+        give their expected ratio."""
         first, *others = request.uses
         why = "the noise of a few verification positions determines it"
         named = [*map(_sum, request.uses), *(_ratio(name, first) for name in others)]
         return Foresight(unpredicted=tuple(Unpredicted(name, text, why, words) for name, text, words in named))
 
     def estimate(self, request: EstimateRequest[CompensationResidualParameters]) -> Estimate:
-        """Residuals of each set in `uses`. Raises `EstimationError`."""
+        """Computes the residuals of each set in `uses`. Raises `EstimationError`."""
         for name, used in request.uses.items():
             if used.extra.get("terms") != list(flexure_gyro.static_model().names):
                 raise EstimationError(_NO_SET.format(name))
@@ -152,7 +152,7 @@ class CompensationResidual:
 
 
 def _stated_maps(stated: Sequence[Influence], sets: int, residuals: int) -> Array:
-    """(sets, residuals, s): change of the residuals if each of the s inputs is wrong by its standard uncertainty."""
+    """Change of the residuals, (sets, residuals, s), if each of the s inputs is wrong by its standard uncertainty."""
     columns = [one.sensitivities * one.quantity.standard_uncertainty for one in stated]
     return np.hstack([np.zeros((sets * residuals, 0)), *columns]).reshape(sets, residuals, -1)
 
@@ -165,7 +165,7 @@ def _several(sets: Sized) -> None:
 
 
 def _relative(block: DesignBlock) -> Array:
-    """The noise of the calibration relative to the root mean square of the block: only proportions matter."""
+    """The noise of the calibration relative to its root mean square, because only ratios matter."""
     typical = float(np.sqrt(np.mean(block.sigma**2)))
     return block.sigma / typical if typical > 0 else np.ones_like(block.sigma)
 

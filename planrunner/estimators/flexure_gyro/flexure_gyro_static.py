@@ -80,7 +80,7 @@ class FlexureGyroStaticParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StaticQuantities(Quantities):
-    """stated: influences on SI [U; V], output after output."""
+    """Fitted static coefficients. stated: influences on SI [U; V], output after output."""
 
     observations: Observations
     design: PositionsDesign
@@ -97,7 +97,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
     Parameters = FlexureGyroStaticParameters
 
     def design(self, request: DesignRequest[FlexureGyroStaticParameters]) -> Design:
-        """The design of both outputs at the planned positions. Raises `EstimationError`."""
+        """Checks the design of both outputs at the planned positions. Raises `EstimationError`."""
         parameters = request.parameters
         design = static_design(parameters.terms, request.segments, request.site)
         blocks = design.blocks(request, _two(parameters.outputs))
@@ -111,7 +111,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         return Design(blocks, notes=(note,), extra=information, remarks=remarks)
 
     def known(self, request: DesignRequest[FlexureGyroStaticParameters]) -> Known:
-        """U and V of the physical coefficients that the sensor declares; without them, of a gyro without drift."""
+        """The declared U and V of the sensor; for a sensor without declaration, those of a gyro without drift."""
         parameters = request.parameters
         nominal, names = request.sensor.nominal, flexure_gyro.physical_names(parameters.terms)
         if any(name not in nominal for name in names[:4]):
@@ -121,7 +121,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         return Known({name: (model, own) for name, own in zip(parameters.outputs, outputs, strict=True)})
 
     def quantities(self, request: EstimateRequest[FlexureGyroStaticParameters]) -> StaticQuantities:
-        """Coefficients from the means of the positions. Raises `EstimationError`."""
+        """Computes the coefficients from the means of the positions. Raises `EstimationError`."""
         parameters = request.parameters
         basis = parameters.uncertainty
         observations = observe(request.segments, _two(parameters.outputs), request.sensor)
@@ -150,7 +150,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         )
 
     def words(self, request: EstimateRequest[FlexureGyroStaticParameters], found: StaticQuantities) -> Words:
-        """Residuals, both bases of uncertainty, and the determinant of the positions."""
+        """Makes the tables of residuals, of both bases of uncertainty, and of the determinant of the positions."""
         fit, basis = found.fit, request.parameters.uncertainty
         judged = judge(fit, basis)
         notes, warnings = list(judged.texts), list(judged.warnings)
@@ -180,7 +180,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         )
 
     def chain(self, request: EstimateRequest[FlexureGyroStaticParameters], estimate: Estimate) -> Draws:
-        """Draws of [U; V] from the fit and the stated inputs, through the closed-form inverse."""
+        """Monte Carlo draws of [U; V] from the fit and the stated inputs, passed through the closed-form inverse."""
         made = self.quantities(request)
         return made.found.draws(request.parameters.uncertainty, [made.stated])
 
@@ -197,7 +197,7 @@ def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) ->
 
 
 def local_magnitudes(model: ErrorModel, site: Site) -> Array:
-    """The columns' sizes at the site, (p,): its Earth rate and its gravity, so that determinants compare between sites."""
+    """Sizes of the columns at the site, (p,): its Earth rate and its gravity. With these, determinants can be compared between sites."""
     sizes = {0: 1.0, 1: site.gravity, 2: site.gravity**2}
     return np.array([site.earth_rate if term.unit == "rad/s" else sizes[term.degree] for term in model.terms])
 
@@ -206,9 +206,9 @@ def local_magnitudes(model: ErrorModel, site: Site) -> Array:
 def reported(
     units_of_outputs: tuple[str, ...], model: ErrorModel, products: tuple[str, ...]
 ) -> tuple[tuple[Reported, ...], Array]:
-    """The physical coefficients, then U0 …, V0 …, and the SI value of each one's unit, (q,).
+    """Names of the reported quantities: the physical coefficients, then U0 …, V0 …; and the SI value of the unit of each, (q,).
 
-    The unit of an output is the recorded unit.
+    The unit of an output is the unit in which it is recorded.
 
     Raises `EstimationError` for outputs of different units.
     """
@@ -264,8 +264,8 @@ def _extra(
     fit: OutputsFit,
     parameters: FlexureGyroStaticParameters,
 ) -> dict[str, object]:
-    """Data, in SI, for an estimate that compensates with these coefficients: coefficients, covariance on both bases, the design, and the
-    times and noise of the observations (bias instability: 0.0 if it is not in the weights)."""
+    """Data in SI for an estimate that uses these coefficients for compensation: coefficients, covariance on both bases, the design, and
+    the times and noise of the observations. The bias instability is 0.0 if the weights do not include it."""
     flicker = {effect.quantity.name: effect.quantity.standard_uncertainty for effect in fit.effects}
     return {
         "outputs": list(parameters.outputs),

@@ -27,7 +27,7 @@ def descriptions(products: tuple[str, ...] = ()) -> tuple[Said, ...]:
 
 
 def _drift(axis: str, rate: str, kind: str) -> Said:
-    """kind: `F`, or the axes of the accelerations."""
+    """Description of a drift coefficient. kind: `F`, or the axes of the accelerations."""
     if kind == "F":
         return said(
             "Part of the drift D({drift}) that is independent of acceleration; D({drift}) adds to the rate ω_{rate}",
@@ -53,8 +53,8 @@ def _drift(axis: str, rate: str, kind: str) -> Said:
 
 
 def information(design: PositionsDesign) -> tuple[dict[str, object], Said]:
-    """`determinant` and `condition` by which sets of positions are compared, with rates in Earth-rate units and accelerations in g, and
-    the same in words."""
+    """The values `determinant` and `condition` for comparing sets of positions, with rates in Earth-rate units and accelerations in g;
+    and the same values in words."""
     sight = rank.look(design.matrix / design.magnitudes)
     determinant, condition = sight.determinant, sight.condition
     note = said(

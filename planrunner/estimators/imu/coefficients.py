@@ -2,7 +2,8 @@
 
     measured = S·M·true + b + G·f
 
-S is diagonal (scale factors), the rows of M have length one (misalignments), b is the bias; G, of gyros, the response to specific force f.
+S is diagonal (scale factors), the rows of M have length one (misalignments), and b is the bias. For gyros, G is the response to
+specific force f.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ _DIMENSION = {"gyro": DIMENSIONS["angular rate"], "accel": DIMENSIONS["accelerat
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """How three outputs respond. kind: gyro or accel. units: (3,), in which they are recorded. values: (3, p), coefficients of the model's
-    terms, in those units per SI unit of each column."""
+    """Responses of the three outputs of a triad. kind: gyro or accel. units: (3,), in which the outputs are recorded. values: (3, p),
+    coefficients of the model's terms, in those units per SI unit of each column."""
 
     kind: str
     units: tuple[Unit, ...]
@@ -43,7 +44,7 @@ class Response:
     values: Array
 
     def places(self, quantity: str) -> dict[int, int]:
-        """Direction → place among the terms, of the quantity `rate` or `accel`."""
+        """Maps each direction of the quantity `rate` or `accel` to the index of its term."""
         names = self.model.names
         return {k: names.index(f"{quantity}_{axis}") for k, axis in enumerate(AXES) if f"{quantity}_{axis}" in names}
 
@@ -75,7 +76,7 @@ class Framed:
 
 @dataclass(frozen=True, slots=True)
 class ImuResults:
-    """All reported quantities, as a formula of the fitted responses, triad after triad. frame: that of the fit."""
+    """All reported quantities, as a formula of the fitted responses, triad after triad. frame: the frame of the fit."""
 
     frame: Framed
     quantities: tuple[Reported, ...]
@@ -84,7 +85,7 @@ class ImuResults:
 
 def calibration(fitted: Sequence[Response], lower_triangular: bool) -> ImuResults:
     """The responses in the frame of the fixture, or in the frame of the accelerometers (of the gyros if there are no accelerometers).
-    Raises `EstimationError`, also for an output that does not respond."""
+    Raises `EstimationError`, for example for an output that does not respond."""
     reference = fitted[-1] if lower_triangular else None  # the accelerometers, if there are any
     if lower_triangular:
         _must_turn(fitted)
@@ -123,7 +124,7 @@ def calibration(fitted: Sequence[Response], lower_triangular: bool) -> ImuResult
 
 
 def _split(fitted: Sequence[Response], flat: Array) -> list[Array]:
-    """(3, p, n) of each triad."""
+    """The responses (3, p, n) of each triad."""
     ends = np.cumsum([one.values.size for one in fitted])
     parts = np.split(flat, ends[:-1])
     return [part.reshape(3, -1, flat.shape[1]) for part in parts]
@@ -166,7 +167,8 @@ def _must_turn(responses: Sequence[Response]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """One reported quantity of one output: factor × `of` the output's row of responses, in own unit per SI column."""
+    """One reported quantity of one output: factor × `of`, where `of` computes a value from the output's row of responses, in own unit
+    per SI column."""
 
     reported: Reported
     of: RowFormula
@@ -182,7 +184,7 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
     found: list[_Part] = []
 
     def add(name: str, text: str, of: RowFormula, words: Said, si: float = own.factor) -> None:
-        """text: the unit of the report; si: the SI value of the unit of `of`."""
+        """Adds a quantity. text: the unit of the report; si: the SI value of the unit of `of`."""
         try:
             factor = si / unit(text).factor
         except UnknownUnitError as error:

@@ -127,7 +127,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
     Parameters = ImuMultiPositionParameters
 
     def design(self, request: DesignRequest[ImuMultiPositionParameters]) -> Design:
-        """Information that the planned positions and rates give about each output. Raises `EstimationError`."""
+        """Checks how well the planned positions and rates determine the coefficients of each output. Raises `EstimationError`."""
         parameters = request.parameters
         blocks: list[DesignBlock] = []
         remarks: list[Remark] = []
@@ -143,12 +143,12 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         return Design(tuple(blocks), remarks=tuple(remarks))
 
     def known(self, request: DesignRequest[ImuMultiPositionParameters]) -> Known:
-        """The axes of the channels, in the order in which the plan names them."""
+        """The axes of the channels. They are x, y and z in the order in which the plan names the channels."""
         triads = _triads(request.parameters)
         return Known(directions={name: np.eye(3)[axis] for _, names, _ in triads for axis, name in enumerate(names)})
 
     def quantities(self, request: EstimateRequest[ImuMultiPositionParameters]) -> ImuQuantities:
-        """Coefficients from the means of the segments. Raises `EstimationError`."""
+        """Computes the coefficients from the means of the segments. Raises `EstimationError`."""
         parameters = request.parameters
         basis = parameters.uncertainty
         triads = tuple(_fit(request, *one) for one in _triads(parameters))
@@ -167,7 +167,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         )
 
     def words(self, request: EstimateRequest[ImuMultiPositionParameters], made: ImuQuantities) -> Words:
-        """Matrices, residuals, and both bases of uncertainty."""
+        """Makes the tables of matrices and residuals, with both bases of uncertainty."""
         parameters = request.parameters
         basis = parameters.uncertainty
         triads, frame, found = made.triads, made.frame, made.found
@@ -245,7 +245,7 @@ def _usable(kind: str, segments: Sequence[Segment]) -> list[Segment]:
 
 
 def _design(kind: str, terms: Sequence[str], segments: Sequence[Segment], site: Site) -> PositionsDesign:
-    """The design of each output of a triad, at the segments that it can use. Raises `EstimationError`."""
+    """The design of each output of a triad at the segments that the triad can use. Raises `EstimationError`."""
     model, usable = error_model(terms), _usable(kind, segments)
     try:
         matrix = columns_of(model, mean_poses(usable), site)
@@ -255,7 +255,7 @@ def _design(kind: str, terms: Sequence[str], segments: Sequence[Segment], site: 
 
 
 def _magnitudes(model: ErrorModel, matrix: Array) -> Array:
-    """(p,): the declared sizes, but the largest planned rate for all rates, so that an axis without rotation is detected."""
+    """Declared sizes of the columns, (p,). For all rates it is the largest planned rate, so that an axis without rotation is detected."""
     rates = [k for k, term in enumerate(model.terms) if term.unit == "rad/s"]
     sizes = model.magnitudes
     if rates:
@@ -297,7 +297,7 @@ def _stated(request: EstimateRequest[ImuMultiPositionParameters], one: Triad) ->
 def _earth_rate_alone(
     request: DesignRequest[ImuMultiPositionParameters], blocks: Sequence[DesignBlock]
 ) -> list[Remark]:
-    """Warnings about scale factors that only the Earth's rotation determines; the rank of the design does not show this."""
+    """Warnings about scale factors that only the Earth's rotation determines. The rank of the design does not reveal this."""
     terms = blocks[0].terms
     alone = [
         name

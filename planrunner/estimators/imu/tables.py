@@ -14,7 +14,7 @@ _WORDS = {"gyro": ("ω", "deg/s"), "accel": ("f", "g")}
 
 
 def formula(frame: Framed) -> Said:
-    """How to apply the coefficients."""
+    """Explains how to apply the coefficients."""
     known = {one.kind for one in frame.responses}
     formulas = {
         "gyro": said("gyros: ω = (S·M)⁻¹·(output − b − G·f)"),
@@ -37,7 +37,7 @@ def formula(frame: Framed) -> Said:
 
 
 def matrices(one: Response) -> tuple[Table, ...]:
-    """S·M with b (and G), and the inverse if all three axes were excited."""
+    """Tables of S·M with b (and G), and of the inverse if all three axes were excited."""
     sensed = one.sensed
     if len(sensed) < 3:
         return ()
@@ -70,7 +70,7 @@ def matrices(one: Response) -> tuple[Table, ...]:
 
 
 def inverse_matrix(one: Response) -> Array | None:
-    """(S·M)⁻¹, deg/s or g per recorded unit, shape (3, 3); None if the outputs do not span space."""
+    """The matrix (S·M)⁻¹, (3, 3), in deg/s or g per recorded unit; None if the input axes of the outputs are linearly dependent."""
     matrix = one.values[:, [one.sensed[k] for k in range(3)]] * unit(_WORDS[one.kind][1]).factor
     lengths = np.linalg.norm(matrix, axis=1, keepdims=True)
     if (lengths == 0).any() or np.linalg.cond(matrix / lengths) > 1e6:

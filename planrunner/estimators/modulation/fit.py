@@ -24,13 +24,14 @@ _BESIDE = (1.5, 2.5, 3.5, 4.5)  # oscillations over the record from a harmonic, 
 
 
 class TooLittleError(ValueError):
-    """The record does not determine the periodic part. The message gives the reason."""
+    """Raised if the record does not determine the periodic part. The message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class PeriodicPart:
-    """orders: (m,) positive and negative harmonics; velocities: (m,) their coefficients [m/s]; noise: (m,) standard uncertainty of each
-    [m/s], from the rest of the record; hidden: harmonics that are too near to a free oscillation; period: s."""
+    """The periodic part of a velocity error. orders: (m,), positive and negative harmonics; velocities: (m,), their coefficients [m/s];
+    noise: (m,), standard uncertainty of each [m/s], from the residuals; hidden: harmonics that are too close to a free oscillation;
+    period: s."""
 
     orders: NDArray[np.int_]
     velocities: Complex
@@ -46,7 +47,7 @@ class PeriodicPart:
         return largest(self.orders, self.velocities * self.period / (2j * math.pi * self.orders))
 
     def position_noise(self) -> float:
-        """Upper bound of its standard uncertainty [m]: all harmonics have their peaks at the same time."""
+        """Upper bound of the standard uncertainty of `largest_position` [m], which assumes that the peaks of all harmonics coincide."""
         return float(np.hypot.reduce(self.noise * self.period / (2 * math.pi * np.abs(self.orders))))
 
 
@@ -59,7 +60,8 @@ def largest(orders: NDArray[np.int_], parts: Complex) -> float:
 
 
 def periodic_part(time: Array, velocity: Complex, period: float, highest: int, site: Site) -> PeriodicPart:
-    """time: (n,), s, evenly spaced, from the beginning of a cycle; velocity: (n,), m/s; highest: the highest harmonic to fit.
+    """Separates the periodic part of a velocity error. time: (n,), s, evenly spaced, from the beginning of a cycle; velocity: (n,),
+    m/s; highest: the highest harmonic to fit.
 
     Raises `TooLittleError`.
     """

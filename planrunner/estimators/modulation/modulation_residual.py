@@ -60,7 +60,7 @@ class ModulationResidualParameters(Record):
 
     @property
     def declared(self) -> Array | None:
-        """Constant errors (6,), rad/s and m/s²; None if none are stated."""
+        """Declared constant errors (6,), rad/s and m/s²; None if the plan states none."""
         if not self.gyro_errors and not self.accelerometer_errors:
             return None
         parts = (self.gyro_errors, self.accelerometer_errors)
@@ -74,7 +74,8 @@ class ModulationResidual:
     Parameters = ModulationResidualParameters
 
     def design(self, request: DesignRequest[ModulationResidualParameters]) -> Design:
-        """No coefficients are fitted. Notes give the residuals of the cycles; a remark reports if the comparison is not possible."""
+        """Makes a design without coefficients. Its notes give the residuals of the cycles. A remark reports why the comparison is not
+        possible, if so."""
         moving = [segment for segment in request.segments if rotation(segment.motion, request.setup.table) is not None]
         if not moving or len(request.uses) < 2:
             message = (
@@ -92,7 +93,7 @@ class ModulationResidual:
         return Design((), notes=tuple(_left(segment, request) for segment in told))
 
     def foresee(self, request: DesignRequest[ModulationResidualParameters]) -> Foresight:
-        """The names of the coefficients only, because their values compare the errors of single navigations."""
+        """Gives only the names of the coefficients, because their values compare the errors of single navigations."""
         designs = list(request.uses.items())
         if not all("turned" in design.extra for _, design in designs):
             return Foresight()
@@ -104,7 +105,7 @@ class ModulationResidual:
         return Foresight(unpredicted=tuple(Unpredicted(name, text, why, words) for name, text, words in rows))
 
     def estimate(self, request: EstimateRequest[ModulationResidualParameters]) -> Estimate:
-        """The comparison. Raises `EstimationError`."""
+        """Compares the navigations. Raises `EstimationError`."""
         navigations = compared(request)
         (still,) = (item for item in navigations if item.cycle is None)
         turned = [item for item in navigations if item.cycle is not None]
@@ -137,7 +138,7 @@ class ModulationResidual:
 
 
 def _lacks(request: DesignRequest[ModulationResidualParameters]) -> Remark | None:
-    """Missing navigations, if the designs of the used estimates describe them."""
+    """Missing navigations, as far as the designs of the used estimates describe them."""
     told = {name: used.extra for name, used in request.uses.items() if used is not None and "navigated" in used.extra}
     if len(told) < len(request.uses):
         return None
@@ -181,7 +182,8 @@ def _compared(name: str, still: str) -> tuple[tuple[str, str, Said], tuple[str, 
 
 
 def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coefficient, ...], Array]:
-    """Ratios of CEP rates and suppression, with covariance: the navigation at rest is in all of them."""
+    """Ratios of CEP rates and suppression, with their covariance. They are correlated because all of them contain the navigation at
+    rest."""
     if still.rms == 0.0:
         raise UnfitDataError(f"'{still.name}' has no position error at all, so nothing can be compared with it")
     coefficients, rows = [], []
@@ -300,8 +302,8 @@ def _cycles(
 def _predicted(
     navigations: Sequence[Navigation], request: EstimateRequest[ModulationResidualParameters]
 ) -> list[Table]:
-    """Predicted errors from the declared constant errors only, by the linear error equations. The error about the vertical is not
-    modulated, so the prediction for the horizontal errors alone shows the benefit of a cycle."""
+    """Errors predicted from the declared constant errors by the linear error equations. The error about the vertical is not modulated,
+    so the prediction for the horizontal errors alone shows the benefit of a cycle."""
     declared = request.parameters.declared
     if declared is None:
         return []
@@ -347,7 +349,7 @@ def _plots(navigations: Sequence[Navigation]) -> tuple[Plot, ...]:
 
 
 def _left(segment: Segment, request: DesignRequest[ModulationResidualParameters]) -> str:
-    """The residual of the cycle of a planned segment, and the resulting position error for the declared horizontal errors."""
+    """The residual of the cycle of a planned segment, and the position error that the declared horizontal errors cause through it."""
     table, declared = request.setup.table, request.parameters.declared
     cycle = rotation(segment.motion, table)
     assert cycle is not None

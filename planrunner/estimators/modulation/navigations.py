@@ -26,9 +26,9 @@ _NO_REFERENCE = (
 
 @dataclass(frozen=True, slots=True)
 class Navigation:
-    """One navigation over the time common to all. course: (5, n), time [s], east, north [m], velocities [m/s]; cycle: None at rest;
-    aligned: the cycle during alignment, None at rest; highest: the highest harmonic of interest; spread: relative standard uncertainty of
-    the radial error rate."""
+    """One navigation over the time common to all. course: (5, n), time [s], east and north position error [m], east and north velocity
+    error [m/s]; cycle: None at rest; aligned: the cycle during alignment, None at rest; highest: the highest harmonic of interest;
+    spread: relative standard uncertainty of the radial error rate."""
 
     name: str
     attitude: Array | None
@@ -53,13 +53,13 @@ class Navigation:
 
     @property
     def cep_rate(self) -> float:
-        """√(ln 2) of the slope through the origin of radial error over time [nmi/h]."""
+        """The CEP rate [nmi/h]: √(ln 2) times the slope of the line through the origin that is fitted to radial error over time."""
         time = self.course[0]
         return CEP_SHARE * float(time @ self.radial / (time @ time)) * HOUR / NAUTICAL_MILE
 
 
 def rotation(motion: Motion, table: TableModel | None) -> RotationCycle | None:
-    """The cycle of a motion, with the table's ramps; a constant rate is a cycle of one turn. None for others."""
+    """The cycle of a motion, including the table's ramps. A constant rate is a cycle of one turn. None for other motions."""
     if isinstance(motion, Cycle):
         return RotationCycle.of(motion, table.axes[0].max_acceleration if table else math.inf)
     if isinstance(motion, Spin):
@@ -68,7 +68,7 @@ def rotation(motion: Motion, table: TableModel | None) -> RotationCycle | None:
 
 
 def compared(request: EstimateRequest[object]) -> list[Navigation]:
-    """The navigations used, in their order, over the time common to all. Raises `EstimationError`."""
+    """Reads the navigations of `uses`, in their order, over the time that all of them cover. Raises `EstimationError`."""
     segments = {recorded.label: recorded.segment for recorded in request.segments}
     table = request.setup.table
     courses = {name: _course(name, used) for name, used in request.uses.items()}

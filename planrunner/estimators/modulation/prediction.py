@@ -1,9 +1,9 @@
-"""Predicted errors of a navigation on a turning table from declared constant sensor errors: by the linear error equations, and by
-harmonics.
+"""Predicted errors of a navigation on a turning table from declared constant sensor errors. One prediction uses the linear error
+equations, the other uses harmonics.
 
-An alignment at rest compensates unobservable errors by tilt and azimuth errors (`ErrorEquations.levelled`); at rest they then mostly
-cancel. An alignment through a cycle compensates only the residual of the cycle. Afterwards the errors of gyros and accelerometers, rotated
-with the table, drive the equations.
+An alignment at rest adjusts tilt and azimuth to compensate the unobservable sensor errors (`ErrorEquations.levelled`). As long as the
+unit stays at rest, these errors then mostly cancel. An alignment through a cycle compensates only the residual of the cycle. Afterwards
+the errors of gyros and accelerometers, rotated with the table, are the input of the equations.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def errors_over_time(
     seconds: float,
     site: Site,
 ) -> tuple[Array, Array]:
-    """(times (n,) [s], position errors (n, 2) [m], east and north).
+    """Position errors over time, as (times (n,) [s], errors (n, 2) [m] east and north).
 
     errors: (6,), constant errors of gyros [rad/s] and accelerometers [m/s²] along x, y, z; attitude: (3, 3), rows are the sensor's axes in
     East-North-Up at the first position; cycle, aligned: of the navigation and of the alignment before it, None at rest.

@@ -1,4 +1,4 @@
-"""Curve of the drift angle over each whole run, for readers; the two windows are parts of it.
+"""Curves of the drift angle over each whole run, for readers. The two windows are parts of it.
 
 Accelerometers are averaged over bins of whole rocking periods, which removes the rocking; one pass over the samples gives a few hundred
 numbers per run.
@@ -30,8 +30,8 @@ ARCSEC = math.radians(1 / 3600)
 
 @dataclass(frozen=True, slots=True)
 class StateCurves:
-    """The runs of one state, averaged over its quadruples. time: (n,) s from the beginning of a record. angles: (4, n, 2) rad about the two
-    `level` axes, of static 1, dynamic 1, dynamic 2 and static 2, zero at t0; NaN where samples are missing."""
+    """Curves of one state, averaged over its quadruples. time: (n,) s from the beginning of a record. angles: (4, n, 2), rad, about the
+    two `level` axes, of the runs static 1, dynamic 1, dynamic 2 and static 2; zero at t0, NaN if samples are missing."""
 
     name: str
     level: tuple[int, int]
@@ -43,8 +43,8 @@ class StateCurves:
 def drift_curves(
     runs: Runs, recorded: Sequence[RecordedSegment], conditions: RockingConditions, parameters: RockingDriftParameters
 ) -> list[StateCurves]:
-    """The curves of each state. recorded: all chosen segments, to which the runs refer by index. Raises `EstimationError` for channels that
-    are missing."""
+    """Computes the curves of each state. recorded: all chosen segments. The runs refer to them by index. Raises `EstimationError` for
+    channels that are missing."""
     every = [reduced.run for state in runs for four in state for reduced in four]
     lasting = min(recorded[run.place].statistics.end - recorded[run.place].statistics.start for run in every)
     periods = [run.segment.motion.period for run in every if isinstance(run.segment.motion, Rock)]
@@ -91,7 +91,7 @@ def _curve(
 
 
 def curve_plots(curves: Sequence[StateCurves]) -> list[Plot]:
-    """One for each state and level axis."""
+    """Plots of the curves, one for each state and level axis."""
     return [
         Plot(
             f"Drift angle about {AXES[axis]} (state: {state.name})"

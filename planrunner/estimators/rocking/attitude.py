@@ -1,7 +1,8 @@
-"""Attitudes and tilts of a stabilised element: how gravity shows a tilt, and what an inertially fixed element does at a turning site.
+"""Attitudes and tilts of a stabilised element: how gravity shows a tilt, and how an inertially fixed element moves relative to the
+rotating Earth.
 
-All matrices take components to components (v_element = C @ v_site, site axes East-North-Up) and R_k(a) is the turn of a frame by `a` about
-its axis k: R_z(a) = [[cos a, sin a, 0], [−sin a, cos a, 0], [0, 0, 1]]. Angles are in rad.
+All matrices transform components to components (v_element = C @ v_site, site axes East-North-Up). R_k(a) is the rotation of a frame by
+`a` about its axis k: R_z(a) = [[cos a, sin a, 0], [−sin a, cos a, 0], [0, 0, 1]]. Angles are in rad.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ _SINE = {"xzy": (1, 2, 1), "zxy": (2, 0, 0)}
 
 
 def turned(axis: int, angle: Array | float) -> Array:
-    """R_axis(angle): shape (3, 3), or (n, 3, 3) for angles (n,)."""
+    """The rotation matrix R_axis(angle): shape (3, 3), or (n, 3, 3) for angles (n,)."""
     angle = np.asarray(angle, dtype=float)
     first, second = (axis + 1) % 3, (axis + 2) % 3
     matrix = np.zeros((*angle.shape, 3, 3))
@@ -32,7 +33,8 @@ def turned(axis: int, angle: Array | float) -> Array:
 
 
 def earth_turn(earth: Array, seconds: Array) -> Array:
-    """R(Ω_ie·t): site components at time t after zero to site components at zero, shape (n, 3, 3), for seconds (n,).
+    """The matrices R(Ω_ie·t), shape (n, 3, 3), for times (n,) in s. They transform site components at time t to site components at time
+    zero.
 
     earth: (3,) rad/s, Earth rate in site axes. C(0)·R(Ω_ie·t) is the attitude of an element that is fixed in inertial space.
     """
@@ -44,7 +46,7 @@ def earth_turn(earth: Array, seconds: Array) -> Array:
 
 
 def rotation_vector(between: Array) -> Array:
-    """θ of the frame turn exp(−[θ×]) = `between`, shape (n, 3) for (n, 3, 3); for turns well below 180°."""
+    """The rotation vector θ with exp(−[θ×]) = `between`, shape (n, 3) for (n, 3, 3). It is valid for frame rotations well below 180°."""
     m = between
     vector = 0.5 * np.stack(
         [m[..., 1, 2] - m[..., 2, 1], m[..., 2, 0] - m[..., 0, 2], m[..., 0, 1] - m[..., 1, 0]], axis=-1
@@ -56,7 +58,7 @@ def rotation_vector(between: Array) -> Array:
 
 
 def turned_by(vector: Array) -> Array:
-    """exp(−[θ×]), the frame turn by a rotation vector, shape (n, 3, 3) for (n, 3): the inverse of `rotation_vector`."""
+    """The frame rotation exp(−[θ×]) by a rotation vector, shape (n, 3, 3) for (n, 3). It is the inverse of `rotation_vector`."""
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     x, y, z = np.moveaxis(vector, -1, 0)
     zero = np.zeros_like(x)
@@ -89,8 +91,8 @@ def encoder_attitude(
 class LevelState:
     """A state in which two axes are level.
 
-    nominal: (3, 3), the planned attitude. vertical: the axis along the vertical, `sign` +1 where it points up. sine: the axis whose tilt
-    is an arc sine, turned second to last; other: the other level axis, turned last: C = R_other·R_sine·R_vertical·nominal.
+    nominal: (3, 3), the planned attitude. vertical: the axis along the vertical; sign: +1 if it points up. sine: the axis whose tilt is
+    computed by an arc sine, rotated second to last; other: the other level axis, rotated last: C = R_other·R_sine·R_vertical·nominal.
     """
 
     nominal: Array
@@ -121,7 +123,7 @@ class LevelState:
         return np.stack(pair, axis=-1)
 
     def attitude(self, tilts: Array, heading: float) -> Array:
-        """C (3, 3) for tilts (2,) about the level axes and a turn `heading` about the vertical one."""
+        """The matrix C (3, 3) for tilts (2,) about the level axes and a rotation `heading` about the vertical axis."""
         about = dict(zip(self.level, tilts, strict=True))
         turns = (
             turned(self.other, about[self.other]) @ turned(self.sine, about[self.sine]) @ turned(self.vertical, heading)
@@ -129,13 +131,14 @@ class LevelState:
         return np.asarray(turns @ self.nominal)
 
     def heading(self, attitude: Array) -> float:
-        """The turn about the vertical axis in `attitude` (3, 3)."""
+        """The rotation about the vertical axis in `attitude` (3, 3)."""
         turns = attitude @ self.nominal.T
         return float(np.arctan2(-self.hand * turns[self.other, self.sine], turns[self.other, self.other]))
 
 
 def level_state(nominal: Array, order: str) -> LevelState | None:
-    """The state of a planned attitude; None if no axis is vertical. order: `xzy` or `zxy`, named for y up."""
+    """The state of a planned attitude; None if no axis is vertical. order: `xzy` or `zxy`, the order of rotations for a state with y
+    up."""
     cosines = nominal @ UP
     vertical = int(np.argmax(np.abs(cosines)))
     if abs(cosines[vertical]) < 1 - UPRIGHT:

@@ -1,6 +1,6 @@
 """Checks of a rocking test before it runs: windows, timing, pattern, caging, resolution and axes that cannot be measured.
 
-A fault is an error if the rocking drift would be missing or wrong; it is a warning if the result would only be less accurate than the
+A finding is an error if the rocking drift would be missing or wrong. It is a warning if the result would only be less accurate than the
 method promises.
 """
 
@@ -67,7 +67,8 @@ def _windows(parameters: RockingDriftParameters) -> list[Remark]:
 
 
 def _release_time(request: DesignRequest[RockingDriftParameters], runs: Sequence[Run]) -> list[Remark]:
-    """With a nominal azimuth, the Earth has turned relative to the element since its release, so the time since then must be known."""
+    """Checks that the time since the release is known. With a nominal azimuth it is needed, because the Earth has turned relative to
+    the element since then."""
     parameters = request.parameters
     if parameters.azimuth != "nominal":
         return []
@@ -219,7 +220,8 @@ def _first_end(parameters: RockingDriftParameters) -> float:
 def count_seconds(
     request: DesignRequest[RockingDriftParameters], parameters: RockingDriftParameters
 ) -> tuple[str, float, float] | None:
-    """The coarsest accelerometer, its count [m/s^2], and the time [s] in which the smallest drift changes its reading by one count."""
+    """The accelerometer with the coarsest count, its count [m/s^2], and the time [s] in which the smallest drift changes its reading by
+    one count."""
     coarsest: tuple[str, float, float] | None = None
     for name in parameters.accelerometers:
         output = request.sensor.output(name)
@@ -234,7 +236,7 @@ def count_seconds(
 
 
 def count_in_words(count: float, seconds: float, parameters: RockingDriftParameters, gravity: float) -> str:
-    """One count in arc seconds and g, and how long the smallest drift takes for it."""
+    """States one count in arc seconds and in g, and how long the smallest drift needs to change the reading by one count."""
     size = f"{count / STANDARD_GRAVITY * 1e6:.3g} µg, {count / gravity / ARCSEC:.3g} arcsec"
     return f"at {parameters.smallest_drift}, a change of one count ({size}) takes {seconds:.3g} s"
 

@@ -1,7 +1,7 @@
 """Type B influences on rocking drifts.
 
-Effects that differ from run to run (accelerometer stability and noise, drift, azimuth after caging, counts) appear in the scatter of the
-repeats. The budget lists them for comparison but does not add them; the prediction consists of them. Effects common to all runs (site,
+Effects that differ from run to run (accelerometer stability and noise, drift, azimuth after caging, counts) are part of the scatter of
+the repeats. The budget lists them for comparison but does not add them. The prediction uses them. Effects common to all runs (site,
 installation angles) are added; they almost cancel between static and dynamic runs.
 """
 
@@ -38,7 +38,8 @@ def conditions_of(site: Site, parameters: RockingDriftParameters) -> RockingCond
 
 
 def drifts_of(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """Drifts of one run [deg/h]: two level axes by the accelerometers, then by the gimbals if there are encoders; shape (2,) or (4,)."""
+    """Drifts of one run [deg/h] about the two level axes: by the accelerometers, then by the gimbals if there are encoders; shape (2,)
+    or (4,)."""
     parts = [accelerometer_drift(reduced, conditions)]
     if reduced.first.turn is not None:
         parts.append(gimbal_drift(reduced, conditions))
@@ -64,7 +65,7 @@ def influences_of(
 
 
 def expected_scatter(reduced: ReducedRun, conditions: RockingConditions, request: Request) -> Array:
-    """Covariance of the drifts of one run about their mean over all runs, (k, k) deg²/h², from what is declared."""
+    """Covariance of the drifts of one run about their mean over all runs, (k, k) deg²/h², from the declared effects."""
     own = influences_on(lambda moved: drifts_of(moved, conditions), _of_one_run(reduced, request))
     count = len(drifts_of(reduced, conditions))
     return np.asarray(sum((one.covariance for one in own), np.zeros((count, count))))
@@ -73,7 +74,7 @@ def expected_scatter(reduced: ReducedRun, conditions: RockingConditions, request
 def _of_all_runs(
     conditions: RockingConditions, request: EstimateRequest[RockingDriftParameters]
 ) -> Iterator[StatedCondition[RockingConditions]]:
-    """Latitude, gravity, azimuth and installation angles act on all runs alike."""
+    """Influences that are common to all runs: latitude, gravity, azimuth and installation angles."""
     inputs = request.setup.inputs
     for stated in stated_site(inputs, request.site):
         yield stated.seen_by(lambda site: replace(conditions, earth=site.earth_rate_enu, gravity=site.gravity))
@@ -109,7 +110,7 @@ def _coefficients(runs: Runs, combined: CombinedDrifts, conditions: RockingCondi
 
 
 def _of_one_run(reduced: ReducedRun, request: Request) -> Iterator[StatedCondition[ReducedRun]]:
-    """Quantities that are drawn anew in each run."""
+    """Influences that differ from run to run."""
     parameters, label = request.parameters, reduced.run.label
     names = {axis: f"{label} {AXES[axis]}" for axis in reduced.run.state.level}
     accelerometers = {name: partial(_tilted, reduced, axis) for axis, name in names.items()}
@@ -158,13 +159,13 @@ def _of_one_run(reduced: ReducedRun, request: Request) -> Iterator[StatedConditi
 
 
 def _tilted(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """The drifts if one accelerometer reads more by this amount in the second window than in the first."""
+    """The drifts if the reading of one accelerometer is larger by this amount in the second window than in the first."""
     second = reduced.second
     return replace(reduced, second=replace(second, readings=second.readings + by * np.eye(3)[axis]))
 
 
 def _drifting(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """The drifts if the element also drifts at this rate [rad/s] about one of its axes."""
+    """The drifts if the element drifts additionally at this rate [rad/s] about one of its axes."""
     second, vector = reduced.second, by * reduced.seconds * np.eye(3)[axis]
     readings = second.readings @ turned_by(vector[None])[0].T
     turn = None if second.turn is None else second.turn + vector
@@ -172,14 +173,15 @@ def _drifting(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
 
 
 def _ringed(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """The drifts if the attitude from the encoders turns by this angle from the first window to the second while the element does not."""
+    """The drifts if the attitude from the encoders rotates by this angle from the first window to the second although the element does
+    not rotate."""
     second = reduced.second
     assert second.turn is not None
     return replace(reduced, second=replace(second, turn=second.turn + by * np.eye(3)[axis]))
 
 
 def _noise(request: Request) -> float:
-    """White noise of the noisiest accelerometer [m/s^2] in the difference between two windows, after the filter."""
+    """White noise of the noisiest accelerometer [m/s^2] in the difference between two windows after the filter."""
     parameters = request.parameters
     averaging = max(parameters.window.value, 0.5 / parameters.cutoff.value)
     declared = [request.sensor.output(name) for name in parameters.accelerometers]

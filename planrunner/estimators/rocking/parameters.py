@@ -27,11 +27,11 @@ class Installation(Record):
     zx: Quantity = _angle("Q_zx, z accelerometer about x.", "14 arcsec ± 2 arcsec")
 
     def stated(self) -> dict[str, Quantity]:
-        """By name, in the order in which `RockingConditions` has them."""
+        """Stated angles by name, in the order in which `RockingConditions` expects them."""
         return {"xz": self.xz, "xy": self.xy, "yz": self.yz, "yx": self.yx, "zy": self.zy, "zx": self.zx}
 
     def angles(self) -> Array:
-        """In that order, rad."""
+        """Stated angles [rad] in the order of `stated`."""
         return np.array([one.value for one in self.stated().values()])
 
 
@@ -151,5 +151,5 @@ class RockingDriftParameters(Record):
     pairing_seed: int = key(Number(0, 2**31, integer=True), "Seed of the draw.", 1, default=1)
 
     def second(self, end: float) -> float:
-        """t1 [s] of records that last until `end` [s]."""
+        """The time t1 [s] for records that last until `end` [s]."""
         return end - self.window.value if self.second_window is None else self.second_window.value

@@ -1,4 +1,5 @@
-"""Warnings about implausible drifts of single runs: a reversed channel causes them, but hardly changes the differences of runs."""
+"""Warnings about implausible drifts of single runs. A reversed channel causes such drifts, but it hardly changes the differences
+between runs."""
 
 from __future__ import annotations
 
@@ -14,9 +15,10 @@ from planrunner.observation.observations import SIGNIFICANCE
 
 
 def implausible(states: Sequence[StateDrifts], earth_rate: float, stated: float) -> Iterator[Said]:
-    """Warnings about runs whose drift is that of the Earth, or differs between the two methods.
+    """Warnings about runs whose drift equals the Earth's rate, or differs between the two methods.
 
-    earth_rate: deg/h. stated: standard uncertainty [deg/h] of a difference between the methods from declared errors of the rings.
+    earth_rate: deg/h. stated: standard uncertainty [deg/h] of the difference between the methods that the declared errors of the rings
+    cause.
     """
     tests = sum(2 * len(state.level) for state in states)
     for state in states:

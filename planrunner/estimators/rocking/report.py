@@ -54,7 +54,7 @@ def comparison(pairings: Sequence[Pairings]) -> Table:
 
 
 def sentence(pairings: Sequence[Pairings]) -> Said:
-    """The headline in words."""
+    """The headline of the report in words."""
     better = [AXES[pairs.axis] for pairs in pairings if pairs.deviations[0] < pairs.deviations[1]]
     worse = [AXES[pairs.axis] for pairs in pairings if AXES[pairs.axis] not in better]
     all_pairs = sum(len(pairs.accelerometers) for pairs in pairings)
@@ -78,7 +78,7 @@ def sentence(pairings: Sequence[Pairings]) -> Said:
 
 
 def quadruple_table(states: Sequence[StateDrifts]) -> Table:
-    """Step 6 for each quadruple."""
+    """Table of step 6 (rocking drift) for each quadruple."""
     rows = []
     encoders = states[0].drifts.shape[2] == 4
     for state in states:
@@ -91,7 +91,7 @@ def quadruple_table(states: Sequence[StateDrifts]) -> Table:
 
 
 def run_table(states: Sequence[StateDrifts]) -> Table:
-    """Step 5 for each run."""
+    """Table of step 5 (drift) for each run."""
     rows = []
     encoders = states[0].drifts.shape[2] == 4
     for state in states:
@@ -107,7 +107,8 @@ def run_table(states: Sequence[StateDrifts]) -> Table:
 
 
 def before_rocking_table(runs: Runs, conditions: RockingConditions) -> list[Table]:
-    """Drift of the dynamic runs before rocking begins, with the drift of the whole run; empty if no record has such a time."""
+    """Table of the drift of dynamic runs before rocking begins, beside the drift of the whole run; empty if no record contains such a
+    time."""
     rows = []
     for reduced in (run for state in runs for four in state for run in four):
         before = drift_before_rocking(reduced, conditions)
@@ -127,7 +128,7 @@ def before_rocking_table(runs: Runs, conditions: RockingConditions) -> list[Tabl
 
 
 def method_error(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Table:
-    """Possible error of one run's drift, deg/h."""
+    """Table of the possible error of one run's drift by the gravity method, deg/h."""
     parameters = request.parameters
     gravity = request.site.gravity
     rows = [
@@ -163,7 +164,7 @@ def method_error(request: EstimateRequest[RockingDriftParameters], seconds: floa
 
 
 def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
-    """For each axis, the sizes of the drifts by both methods in rising order."""
+    """Plots for each axis: the magnitudes of the drifts by both methods in ascending order."""
     return [
         Plot(
             f"Rocking drift about {AXES[pairs.axis]} over random pairings",
@@ -181,7 +182,7 @@ def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
 
 
 def leak_note(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Said:
-    """The share of a drift about the vertical axis that appears as a drift about a level axis."""
+    """Note on the share of a drift about the vertical axis that appears as a drift about a level axis."""
     tilt = math.cos(request.site.latitude) * request.site.earth_rate * seconds
     return said(
         "By the second window the element has tilted by {tilt:.2f} deg relative to the site: up to {share:.1f} % of the "

@@ -1,10 +1,11 @@
 """Rocking drift of an inertial platform from the gravity vector in its accelerometers, and for comparison from gimbal angles.
 
-The base rocks; the stabilised element should stay still in inertial space; its drift shows as a tilt of gravity. Runs of 10 min in
-navigation, caged before each, come as static, dynamic, dynamic, static in states that differ by a turn of the base by 90°. For each run:
-(1) low-pass filter, (2) installation angles, (3) tilts, (4) their change from a window at t0 to a window at t1, (5) minus the change that
-an inertially fixed element would show; then (6) dynamic minus static runs. Reading is in `windows`, steps 2 to 5 in `solution`, step 6 and
-random pairings in `statistics`.
+The base rocks while the stabilised element should keep its attitude in inertial space. If the element drifts, gravity tilts relative to
+it. The element is caged before each run, and a run is 10 min of navigation. Four runs form a group: static, dynamic, dynamic, static.
+Groups are recorded in states that differ by a turn of the base by 90°. For each run: (1) low-pass filter, (2) installation angles, (3)
+tilts, (4) their change from a window at t0 to a window at t1, (5) minus the change that an inertially fixed element would show; then
+(6) dynamic minus static runs. The module `windows` reads samples, `solution` does steps 2 to 5, and `statistics` does step 6 and random
+pairings.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ class RockingDrift:
     Parameters = RockingDriftParameters
 
     def design(self, request: DesignRequest[RockingDriftParameters]) -> Design:
-        """Remarks on the plan. Raises `EstimationError` for segments that are not a rocking test."""
+        """Makes remarks on the plan. Raises `EstimationError` for segments that are not a rocking test."""
         parameters = request.parameters
         runs = find_runs(request.segments, parameters.rotation_order)
         found = remarks(request, runs)
@@ -79,13 +80,13 @@ class RockingDrift:
         return Design((), notes=tuple(notes), remarks=tuple(found))
 
     def foresee(self, request: DesignRequest[RockingDriftParameters]) -> Foresight:
-        """Prediction from declared effects that differ from run to run: accelerometers, drift, azimuth and rings. Runs of several minutes
-        are not simulated. Effects common to all runs cancel almost completely and are left out."""
+        """Predicts the drifts from declared effects that differ from run to run: accelerometers, drift, azimuth and rings. Runs of
+        several minutes are not simulated. Effects common to all runs cancel almost completely and are left out."""
         runs = find_runs(request.segments, request.parameters.rotation_order)
         return _foreseen(request, by_state(quadruples(runs)), span(runs))
 
     def estimate(self, request: EstimateRequest[RockingDriftParameters]) -> Estimate:
-        """Steps 1 to 6 and both methods. Raises `EstimationError` for unsuitable data."""
+        """Applies steps 1 to 6 with both methods. Raises `EstimationError` for unsuitable data."""
         parameters = request.parameters
         recorded = request.segments
         runs = find_runs([item.segment for item in request.segments], parameters.rotation_order)
@@ -143,7 +144,7 @@ class RockingDrift:
 
 
 def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParameters) -> Windows:
-    """The windows, the same for all runs: the second window ends with the shortest run, unless the plan states its beginning."""
+    """The windows, which are the same for all runs. The second window ends with the shortest run, unless the plan states its beginning."""
     for item in recorded:
         if item.truncated:
             raise UnfitDataError(f"'{item.label}' was cut short: repeat its quadruple")
@@ -284,7 +285,7 @@ def _extra(
 def _foreseen(
     request: DesignRequest[RockingDriftParameters], groups: Sequence[Sequence[Quadruple]], dwell: float | None
 ) -> Foresight:
-    """dwell: s; None if it is not known."""
+    """Predicts the result. dwell: s; None if it is not known."""
     parameters, table = request.parameters, request.setup.table
     recorded = all(request.sensor.output(name) is not None for name in (*parameters.rings, *parameters.gimbals))
     encoders = recorded and table is not None and len(table.axes) == len(parameters.rings)

@@ -18,7 +18,8 @@ WORDS = {False: "static", True: "dynamic"}
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run in navigation. place: its index among the chosen segments; caged_before: None if they do not show it."""
+    """One run in navigation. place: its index among the chosen segments; caged_before: whether the element was caged before the run,
+    None if the segments do not show it."""
 
     segment: Segment
     place: int
@@ -41,20 +42,20 @@ class Run:
 
     @property
     def rest_before(self) -> float:
-        """Seconds of the record before the base begins to rock; 0 if it rocks from the beginning, or never."""
+        """Time [s] from the beginning of the record until the base begins to rock; 0 if it rocks from the beginning, or never."""
         motion = self.segment.motion
         return motion.delay if isinstance(motion, Rock) else 0.0
 
     @property
     def rocking_ends(self) -> float:
-        """Seconds from the beginning of the record until the rings are at rest, including the fade-out; 0 for a run at rest."""
+        """Time [s] from the beginning of the record until the rings are at rest, including the fade-out; 0 for a run at rest."""
         motion = self.segment.motion
         return motion.over if isinstance(motion, Rock) else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Quadruple:
-    """static, dynamic, dynamic, static: linear changes over the four runs cancel in its rocking drift."""
+    """Four runs: static, dynamic, dynamic, static. Linear changes over the four runs cancel in the rocking drift."""
 
     runs: tuple[Run, Run, Run, Run]
 
@@ -101,8 +102,8 @@ def _run(segment: Segment, place: int, before: Segment | None, order: str) -> Ru
 
 
 def quadruples(runs: Sequence[Run]) -> list[Quadruple]:
-    """Groups of four consecutive runs, each static, dynamic, dynamic, static in one orientation. Raises `EstimationError` with the place of
-    the first exception."""
+    """Groups of four consecutive runs, each static, dynamic, dynamic, static in one orientation. Raises `EstimationError` that names
+    the first run that does not fit this order."""
     found = []
     for first in range(0, len(runs), 4):
         four = tuple(runs[first : first + 4])

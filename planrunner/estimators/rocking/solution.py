@@ -1,6 +1,7 @@
 """Drift of one run from its two windows: from gravity in the accelerometers, and from gimbal and ring angles.
 
-Drift means that of the element relative to inertial space: the tilt that an inertially fixed element shows, C(t0)·R(Ω_ie·t), is subtracted.
+Drift means the rotation of the element relative to inertial space. The apparent tilt of an inertially fixed element, C(t0)·R(Ω_ie·t),
+is subtracted.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from planrunner.estimators.rocking.windows import Windows, low_pass, read_pieces
 
 @dataclass(frozen=True, slots=True)
 class RockingConditions:
-    """Conditions of the solution. earth: (3,) rad/s, East-North-Up; gravity: m/s^2; installation: (6,) rad, in the order of
-    `Installation.stated`; turned: rad, error of the table's azimuth, positive if the true azimuth is farther east."""
+    """Conditions of the solution. earth: (3,), rad/s, East-North-Up; gravity: m/s^2; installation: (6,), rad, in the order of
+    `Installation.stated`; turned: error of the table's azimuth, rad, positive if the true azimuth is farther east."""
 
     earth: Array
     gravity: float
@@ -44,7 +45,7 @@ class RockingConditions:
 
     @property
     def inputs(self) -> Array:
-        """(3, 3): specific force in element axes to the accelerometers' readings."""
+        """The matrix (3, 3) from specific force in element axes to the accelerometers' readings."""
         xz, xy, yz, yx, zy, zx = self.installation
         return np.array([[1.0, xz, -xy], [-yz, 1.0, yx], [zy, -zx, 1.0]])
 
@@ -65,9 +66,10 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class ReducedRun:
-    """The windows of a run. before: the window that ends when the base begins to rock, if there is one. lead: s from the release to the
-    beginning of the record; None if the azimuth at t0 comes from the encoders, otherwise it is the azimuth of the planned orientation,
-    turned with the Earth since the release. off: rad, assumed error of the azimuth of this run, for sensitivities."""
+    """The windows of a run. before: the window that ends when the base begins to rock, if there is one. lead: time [s] from the release
+    to the beginning of the record. If it is None, the encoders give the azimuth at t0. Otherwise this azimuth is that of the planned
+    orientation, changed by the Earth's rotation since the release. off: rad, assumed error of the azimuth of this run, for
+    sensitivities."""
 
     run: Run
     first: Window
@@ -78,7 +80,7 @@ class ReducedRun:
 
     @property
     def seconds(self) -> float:
-        """t1 − t0."""
+        """Time between the windows, t1 − t0 [s]."""
         return float(self.second.time.mean() - self.first.time.mean())
 
 
@@ -89,7 +91,7 @@ def reduce_run(
     windows: Windows,
     encoders: bool,
 ) -> ReducedRun:
-    """Read, filter and cut one recorded run. Raises `EstimationError` for unsuitable data."""
+    """Reads, filters and cuts one recorded run. Raises `EstimationError` for unsuitable data."""
     parameters = request.parameters
     channels = [*parameters.accelerometers, *((*parameters.rings, *parameters.gimbals) if encoders else ())]
     made = []
@@ -126,8 +128,8 @@ def expected_run(run: Run, times: tuple[float, float], conditions: RockingCondit
 
 
 def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode: float | None = None) -> float:
-    """Seconds from the release to the beginning of the record: as stated, as recorded (`in_mode`), or as planned. Raises `EstimationError`
-    if a played-back recording does not contain it."""
+    """Time [s] from the release to the beginning of the record: as stated, as recorded (`in_mode`), or as planned. Raises
+    `EstimationError` if the bench plays back a recording that does not contain it."""
     if parameters.released_before is not None:
         return parameters.released_before.value
     if in_mode is not None:
@@ -141,12 +143,13 @@ def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode:
 
 
 def accelerometer_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """Steps 2 to 5: drift [rad/s] about the two level axes, in the order x, y, z, shape (2,)."""
+    """Drift [rad/s] about the two level axes by steps 2 to 5, in the order x, y, z, shape (2,)."""
     return _drift_between(reduced, reduced.second, conditions)
 
 
 def drift_before_rocking(reduced: ReducedRun, conditions: RockingConditions) -> Array | None:
-    """The same drift [rad/s] from the first window to the window that ends when the base begins to rock; None without that window."""
+    """Drift [rad/s] from the first window to the window that ends when the base begins to rock, by the same steps; None without that
+    window."""
     return None if reduced.before is None else _drift_between(reduced, reduced.before, conditions)
 
 
@@ -173,7 +176,7 @@ def drift_angles(reduced: ReducedRun, conditions: RockingConditions, time: Array
 
 
 def gimbal_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """Drift [rad/s] about the two level axes from the attitude by rings and gimbals, shape (2,)."""
+    """Drift [rad/s] about the two level axes from the attitude that rings and gimbals give, shape (2,)."""
     state, earth = reduced.run.state, conditions.felt_earth
     zero = float(reduced.first.time.mean())
     in_space = [
@@ -187,7 +190,7 @@ def gimbal_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
 
 
 def _heading(reduced: ReducedRun, earth: Array, zero: float) -> float:
-    """The element's turn about the vertical at t0."""
+    """Rotation of the element about the vertical at t0."""
     state, turn = reduced.run.state, reduced.first.turn
     if reduced.lead is not None or turn is None:
         assert reduced.lead is not None  # without encoders the azimuth is nominal

@@ -1,4 +1,4 @@
-"""From drifts of runs to rocking drifts with uncertainties, and the comparison of two methods over random pairings.
+"""Computes rocking drifts with uncertainties from the drifts of runs, and compares two methods over random pairings.
 
 The rocking drift of a quadruple is the mean of its dynamic runs minus the mean of its static runs (step 6). Quadruples of one state are
 repeats of each other. For an axis that is level in several states, the result is the mean over these states.
@@ -22,9 +22,9 @@ WEIGHTS = np.array([-0.5, 0.5, 0.5, -0.5])
 
 @dataclass(frozen=True, slots=True)
 class StateDrifts:
-    """Results of one state. level: the two level axes. quadruples: q of them. drifts: (q, 4, k) deg/h, of the four runs of each; the k
-    columns are the two axes by the accelerometers, then the same by the gimbals if there are encoders. expected: covariance (k, k) of the
-    rocking drift of one quadruple, for a prediction."""
+    """Results of one state. level: the two level axes. quadruples: q of them. drifts: (q, 4, k), deg/h, of the four runs of each
+    quadruple. The k columns are the two axes by the accelerometers, then the same axes by the gimbals if there are encoders. expected:
+    covariance (k, k) of the rocking drift of one quadruple, for a prediction."""
 
     name: str
     level: tuple[int, int]
@@ -46,8 +46,9 @@ class StateDrifts:
     def scatter(self) -> tuple[Array, float]:
         """Covariance (k, k) of the mean rocking drift, and its degrees of freedom.
 
-        Several quadruples: from their scatter. A single quadruple: from the differences between its two dynamic and its two static runs. It
-        is not known which of the two scatters more, so one degree of freedom is used (Welch's formula gives between one and two).
+        With several quadruples, it comes from their scatter. With a single quadruple, it comes from the differences between its two
+        dynamic runs and between its two static runs. It is not known which of the two pairs scatters more, so one degree of freedom is
+        used (Welch's formula gives between one and two).
         """
         count = len(self.quadruples)
         if self.expected is not None:
@@ -61,8 +62,8 @@ class StateDrifts:
 
 @dataclass(frozen=True, slots=True)
 class CombinedDrifts:
-    """Rocking drifts over all states, m of them: those by the accelerometers first. axes: of each. by_gimbals: (m,). share: one matrix (m,
-    k) for each state, the weights of its columns."""
+    """m rocking drifts over all states; those by the accelerometers come first. axes: the axis of each drift. by_gimbals: (m,), whether
+    each drift comes from the gimbals. share: one matrix (m, k) for each state, the weights of its columns."""
 
     axes: tuple[int, ...]
     by_gimbals: tuple[bool, ...]
@@ -73,7 +74,7 @@ class CombinedDrifts:
 
 
 def combine(states: Sequence[StateDrifts]) -> CombinedDrifts:
-    """Each level axis of each method: the mean of the states in which it is level."""
+    """Averages, for each level axis and each method, over the states in which the axis is level."""
     columns = states[0].drifts.shape[2]
     seen = sorted({axis for state in states for axis in state.level})
     rows = [(axis, gimbals) for gimbals in (False, True)[: columns // 2] for axis in seen]
@@ -94,13 +95,13 @@ def combine(states: Sequence[StateDrifts]) -> CombinedDrifts:
 
 
 def _freedom(variances: Sequence[float], degrees: Sequence[float]) -> float:
-    """Effective degrees of freedom of a sum; the smallest of its parts if nothing scatters."""
+    """Effective degrees of freedom of a sum. If nothing scatters, this is the smallest number of its parts."""
     return effective_degrees_of_freedom(np.sqrt(variances).tolist(), degrees) if any(variances) else min(degrees)
 
 
 @dataclass(frozen=True, slots=True)
 class Pairings:
-    """Pairs of a static and a dynamic run: their rocking drifts by both methods, (p,) deg/h each, of one axis."""
+    """Pairs of a static and a dynamic run of one axis: their rocking drifts by both methods, (p,), deg/h, each."""
 
     axis: int
     accelerometers: Array
@@ -108,12 +109,12 @@ class Pairings:
 
     @property
     def smaller(self) -> float:
-        """The share of pairs in which the drift by the accelerometers is the smaller one."""
+        """Fraction of pairs in which the accelerometers give the smaller drift."""
         return float(np.mean(np.abs(self.accelerometers) < np.abs(self.gimbals)))
 
     @property
     def deviations(self) -> tuple[float, float]:
-        """Standard deviations of both methods, deg/h."""
+        """Standard deviation of each method, deg/h."""
         return _deviation(self.accelerometers), _deviation(self.gimbals)
 
 
@@ -122,7 +123,8 @@ def _deviation(values: Array) -> float:
 
 
 def pair(states: Sequence[StateDrifts], most: int, seed: int) -> list[Pairings]:
-    """Random pairings within each state, one entry for each level axis; all pairs if a state has at most `most` of them."""
+    """Makes random pairings within each state, one result for each level axis. If a state has at most `most` pairs, all of them are
+    used."""
     draw = np.random.default_rng(seed)
     found: dict[int, list[Array]] = {}
     for state in states:

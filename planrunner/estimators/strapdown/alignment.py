@@ -1,5 +1,5 @@
-"""Alignment of a recorded segment, at rest or turned from stop to stop: its preconditions, the coarse attitude and the noise from its first
-stop, and the fine attitude from the whole segment."""
+"""Alignment of a recorded segment, at rest or turned from stop to stop: its preconditions, the coarse attitude and the noise from its
+first stop, and the fine attitude from the whole segment."""
 
 from __future__ import annotations
 
@@ -41,9 +41,10 @@ _MOVED = 0.1  # m/s; a unit on a floor or in a parked vehicle does not change it
 
 @dataclass(frozen=True, slots=True)
 class Aligned:
-    """alignment: with the covariance used. last: (6,), the last increments. density: (6, 6), variance per second of the integrated
-    sensors in navigation axes, from the scatter at rest. white: (6,), its square roots in body axes. seconds: s. turned: whether the unit
-    was turned from stop to stop during alignment, so that its constant errors were estimated too."""
+    """Result of an alignment. alignment: the fine alignment, with the covariance used. last: (6,), the last increments. density: (6,
+    6), variance per second of the integrated sensors in navigation axes, from the scatter at rest. white: (6,), square roots of these
+    densities in body axes. seconds: duration, s. turned: whether the unit was turned from stop to stop during alignment, so that its
+    constant errors were estimated too."""
 
     alignment: Alignment
     last: Array
@@ -62,9 +63,9 @@ def align(
     constant: Array,
     follow: float | None = None,
 ) -> Aligned:
-    """The attitude at the end of a segment. site: with latitude, height and gravity of the place. constant: (6,), standard uncertainty of
-    the constant errors, rad/s and m/s², for a unit that is turned during alignment. follow: as for `FineAlignment`. Raises
-    `EstimationError`."""
+    """Finds the attitude at the end of a segment. site: with latitude, height and gravity of the place. constant: (6,), standard
+    uncertainty of the constant errors, rad/s and m/s², for a unit that is turned during alignment. follow: as for `FineAlignment`.
+    Raises `EstimationError`."""
     seconds = recorded.statistics.duration
     still = stillness(recorded.segment, seconds)
     _check_stop(recorded, seconds, still, site)
@@ -116,7 +117,7 @@ def align(
 
 
 def stillness(segment: Segment, seconds: float) -> float:
-    """Seconds from the beginning, at most `seconds`, in which the unit is at rest; the coarse attitude is computed from them."""
+    """Duration [s] of rest from the beginning, at most `seconds`. The coarse attitude is computed from this time."""
     first = segment.motion.stop if isinstance(segment.motion, Cycle) else seconds
     return min(first, seconds, _COARSE)
 
@@ -136,12 +137,12 @@ def end_attitude(segment: Segment, table: TableModel | None, seconds: float | No
 
 
 def same_attitude(one: Array | None, other: Array | None) -> bool:
-    """Whether both are known and equal, to a microradian."""
+    """Whether both attitudes are known and equal within one microradian."""
     return one is not None and other is not None and bool(np.allclose(one, other, atol=1e-6))
 
 
 def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
-    """Pieces from the beginning that cover the first stop."""
+    """Pieces of the record from its beginning that cover the first stop."""
     found: list[Increments] = []
     covered = 0.0
     for piece in pieces:
@@ -170,7 +171,7 @@ def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, Array
 
 
 def to_navigation(rotation: Array, variances: Array) -> Array:
-    """Variances (6,) of body axes as a covariance (6, 6) in navigation axes."""
+    """Converts variances (6,) in body axes to a covariance (6, 6) in navigation axes."""
     both = np.zeros((6, 6))
     both[:3, :3] = rotation * variances[:3] @ rotation.T
     both[3:, 3:] = rotation * variances[3:] @ rotation.T
@@ -178,7 +179,7 @@ def to_navigation(rotation: Array, variances: Array) -> Array:
 
 
 def levelled_out(density: Array) -> Array:
-    """The density (6, 6) of a unit that turns about the vertical: east and north share their noise."""
+    """The density (6, 6) of a unit that rotates about the vertical, so that the east and north axes have the same noise."""
     found = np.zeros_like(density)
     for k in (0, 3):
         horizontal = (density[k, k] + density[k + 1, k + 1]) / 2
@@ -236,7 +237,7 @@ def _quiet(label: str, mean: Array, site: Site) -> Said:
 
 
 def _check_at_rest(label: str, mean: Array, site: Site) -> None:
-    """mean: (6,), rad/s and m/s², at the first stop."""
+    """Checks that the unit is at rest. mean: (6,), rad/s and m/s², at the first stop."""
     if not np.isfinite(mean).all():
         raise UnfitDataError(f"segment '{label}' has too few usable samples: record it again")
     force = float(np.linalg.norm(mean[3:]))

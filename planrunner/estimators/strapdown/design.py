@@ -1,7 +1,7 @@
 """Checks and predictions of a strapdown navigation before it is recorded: suitability of its segments, and expected errors.
 
-Expected errors follow from the declared white noise and the constant errors that the plan states as uncertainties: the filter of the
-alignment predicts the remaining errors; noise and errors, rotated with the table, then drive the linear error equations.
+Expected errors follow from the declared white noise and from the constant errors that the plan states as uncertainties. The filter of
+the alignment predicts the remaining errors. Noise and errors, rotated with the table, are then the input of the linear error equations.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _COARSE_TURN = 0.05  # rad from sample to sample; beyond, what coning and sculli
 
 
 def design(request: DesignRequest[StrapdownNavigationParameters]) -> Design:
-    """Remarks. Raises `EstimationError` for unsuitable segments or outputs."""
+    """Makes remarks on the planned segments. Raises `EstimationError` for unsuitable segments or outputs."""
     parameters = request.parameters
     for name in (*parameters.gyros, *parameters.accelerometers):
         if request.sensor.output(name) is None:
@@ -88,7 +88,7 @@ def design(request: DesignRequest[StrapdownNavigationParameters]) -> Design:
 
 
 def foresee(request: DesignRequest[StrapdownNavigationParameters]) -> Foresight:
-    """Expected errors by the linear error equations: hours of navigation are not simulated."""
+    """Predicts the errors by the linear error equations, because simulating hours of navigation would take too long."""
     labels = [segment.label for segment in request.segments]
     predicted, note = _expected(request, *parts(request.segments, labels, request.parameters.align))
     if predicted:
@@ -243,7 +243,7 @@ def _stated(parameters: StrapdownNavigationParameters) -> Array:
 
 
 def _about_up(stop: Segment, count: int, step: float) -> Array:
-    """Mean rate of turn about the vertical in each `step` [s] of the alignment, rad/s, (count,)."""
+    """Mean rate of rotation about the vertical in each `step` [s] of the alignment, rad/s, (count,)."""
     if not isinstance(stop.motion, Cycle):
         return np.zeros(count)
     edges: Array = step * np.arange(count + 1, dtype=np.float64)
@@ -252,7 +252,8 @@ def _about_up(stop: Segment, count: int, step: float) -> Array:
 
 
 def _turning(segments: Sequence[Segment], rotation: Array, step: float) -> Array:
-    """Body to navigation axes for (ε, ∇), the mean over each `step` [s], (n, 6, 6). rotation: (3, 3) where each segment begins."""
+    """Matrices from body to navigation axes for (ε, ∇), averaged over each `step` [s], (n, 6, 6). rotation: (3, 3), at the beginning of
+    each segment."""
     found = []
     for segment in segments:
         count = max(1, round((segment.dwell or 0.0) / step))

@@ -53,8 +53,8 @@ _ACCELEROMETER = 9.80665e-3  # m/s^2, 1 mg
 
 @dataclass(frozen=True, slots=True)
 class _Coordinate:
-    """A coordinate of the start position. information, channel: the run information and the reference channel that may give it; farthest:
-    its largest value on Earth, rad or m."""
+    """A coordinate of the start position. information: the run information that may give it; channel: the reference channel that may
+    give it; farthest: its largest value on Earth, rad or m."""
 
     information: str
     channel: str
@@ -124,13 +124,13 @@ class StrapdownNavigationParameters(Record):
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Gyros x, y, z, accelerometers x, y, z."""
+        """Channels of the gyros x, y, z, then of the accelerometers x, y, z."""
         return (*self.gyros, *self.accelerometers)
 
     @property
     def constant_errors(self) -> Array:
-        """Standard uncertainty of the constant errors (6,), rad/s and m/s²: as stated, otherwise so large that the data determine the
-        errors."""
+        """Standard uncertainty of the constant errors (6,), rad/s and m/s²: the stated values; otherwise values so large that the data
+        alone determine the errors."""
         gyro = self.gyro_uncertainty.value if self.gyro_uncertainty else _GYRO
         accelerometer = self.accelerometer_uncertainty.value if self.accelerometer_uncertainty else _ACCELEROMETER
         return np.array([gyro] * 3 + [accelerometer] * 3)
@@ -138,8 +138,9 @@ class StrapdownNavigationParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Navigated:
-    """Result of a navigation. site: place of the start. final: (4,), errors at the end [m, m, m/s, m/s]. seconds: s. start: s, when it
-    began. gap: s without samples after the alignment. wandering: response to biases that wander; None if no bias instability is stated."""
+    """Result of a navigation. site: the place of the start. final: (4,), errors at the end [m, m, m/s, m/s]. seconds: duration, s.
+    start: time at which it began, s. gap: time without samples after the alignment, s. wandering: response to biases that wander; None
+    if no bias instability is stated."""
 
     site: Site
     aligned: Aligned
@@ -170,8 +171,8 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
 
 
 def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: RecordedSegment, factor: float) -> Site:
-    """The position of alignment: from run information, otherwise from the reference channels, otherwise the bench's site. factor: of normal
-    gravity. Raises `EstimationError`."""
+    """The position of the alignment. It comes from run information, otherwise from the reference channels, otherwise from the bench's
+    site. factor: ratio of the gravity to normal gravity. Raises `EstimationError`."""
 
     def place(coordinate: _Coordinate) -> float | None:
         if text := request.setup.information.get(coordinate.information, "").strip():
@@ -183,7 +184,7 @@ def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: R
 
 
 def _at(site: Site, place: Callable[[_Coordinate], float | None]) -> Site:
-    """With the coordinates that `place` knows."""
+    """The site with the coordinates that `place` contains."""
     latitude, longitude, height = (place(one) for one in (_LATITUDE, _LONGITUDE, _HEIGHT))
     return replace(
         site,
@@ -194,7 +195,8 @@ def _at(site: Site, place: Callable[[_Coordinate], float | None]) -> Site:
 
 
 def _told(coordinate: _Coordinate, text: str) -> float:
-    """A plain number is in degrees or metres, as in displays of receivers. Raises `EstimationError` for text that is not a position."""
+    """Reads a coordinate from text. A plain number is in degrees or metres, as receivers display it. Raises `EstimationError` for text
+    that is not a position."""
     try:
         value = math.radians(float(text)) if coordinate.dimension == "angle" else float(text)
     except ValueError:
@@ -211,7 +213,7 @@ def _told(coordinate: _Coordinate, text: str) -> float:
 
 
 def navigate(request: EstimateRequest[StrapdownNavigationParameters]) -> Navigated:
-    """Alignment and navigation, each sample read once. Raises `EstimationError`."""
+    """Aligns and navigates. Each sample is read once. Raises `EstimationError`."""
     parameters = request.parameters
     stop, moving = parts(request.segments, [item.label for item in request.segments], parameters.align)
     rates = {item.segment.sample_rate or request.sensor.sample_rate for item in (stop, *moving)}
@@ -242,7 +244,7 @@ def navigate(request: EstimateRequest[StrapdownNavigationParameters]) -> Navigat
 
 
 def wandering_sensors(inputs: Inputs, parameters: StrapdownNavigationParameters) -> dict[int, InputQuantity]:
-    """The stated bias instabilities, by number of the sensor: gyros x, y, z, accelerometers x, y, z."""
+    """The stated bias instabilities by index of the sensor: gyros x, y, z, then accelerometers x, y, z."""
     stated = (inputs.of_output(Aspect.BIAS_INSTABILITY, name) for name in parameters.channels)
     return {k: quantity for k, quantity in enumerate(stated) if quantity is not None}
 
@@ -253,8 +255,8 @@ def _gap(
     moving: Sequence[RecordedSegment],
     reader: IncrementReader,
 ) -> float:
-    """Seconds between alignment and navigation; the attitude is carried over this time if the unit cannot have turned. Raises
-    `EstimationError`."""
+    """Time [s] between alignment and navigation. The attitude is assumed to stay the same over this time if the unit cannot have
+    rotated. Raises `EstimationError`."""
     first = moving[0]
     gap = first.statistics.start - stop.statistics.end - reader.interval
     if not gap > reader.bridge + reader.interval / 2:
@@ -351,7 +353,8 @@ def _before(values: Array) -> float:
 
 
 def _truth(piece: Increments, site: Site, at: NDArray[np.int64]) -> Truth:
-    """The true position at some samples of a block: from the reference channels, otherwise the place of the start, at rest."""
+    """The true position at some samples of a block, from the reference channels. Without them, the unit is assumed to be at rest at the
+    place of the start."""
     reference = piece.reference
 
     def of(name: str, otherwise: float) -> Array:

@@ -1,9 +1,10 @@
 """Errors of a navigation relative to the true position, collected knot by knot, and the usual performance figures.
 
-Position errors are arcs on the ellipsoid between the navigated and the true position. The radial error rate of a run is the slope of the
-straight line through the origin that fits radial error over time by least squares; the CEP rate of one run is √(ln 2) = 0.8326 times this
-slope. This is the median of the radial error if its two components are normal with equal variances and zero mean (Titterton and Weston,
-"Strapdown Inertial Navigation Technology", 2nd ed., appendix B), in the same way as √(ln 2) times the root mean square over several runs.
+Position errors are arcs on the ellipsoid between the navigated and the true position. The radial error rate of a run is the slope of
+the straight line through the origin that fits radial error over time by least squares. The CEP rate of one run is √(ln 2) = 0.8326
+times this slope. This is the median of the radial error if its two components are normal with equal variances and zero mean (Titterton
+and Weston, "Strapdown Inertial Navigation Technology", 2nd ed., appendix B). For several runs, √(ln 2) times the root mean square has
+the same meaning.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ NAUTICAL_MILE = 1852.0  # m
 
 
 def _sigma_quantile(probability: float) -> float:
-    """Quantile, for one run, of the true over the found standard deviation for two components, from χ² with two degrees of freedom."""
+    """Quantile, for one run, of the ratio of the true to the estimated standard deviation of two components, from χ² with two degrees
+    of freedom."""
     return math.sqrt(-1 / math.log(probability))
 
 
@@ -36,8 +38,8 @@ CEP_INTERVAL = (_sigma_quantile(0.025), _sigma_quantile(0.975))
 
 
 def stride(knots: int) -> int:
-    """Number of knots between two points of a course of at most `POINTS` points: a divisor of 3600, so that whole hours are among the
-    points."""
+    """Number of knots between two points of a course of at most `POINTS` points. It is a divisor of 3600, so that whole hours are among
+    the points."""
     wanted = max(1, -(-knots // POINTS))
     divisors = [k for k in range(1, int(HOUR) + 1) if int(HOUR) % k == 0]
     return next((k for k in divisors if k >= wanted), wanted)
@@ -55,7 +57,7 @@ class Truth:
 
 @dataclass
 class ErrorRecord:
-    """Sums over all knots and a course of every `stride`-th. Times in s since navigation began, errors in m and m/s."""
+    """Sums over all knots, and a course with every `stride`-th knot. Times in s since navigation began, errors in m and m/s."""
 
     stride: int
     knots: int = 0
@@ -69,7 +71,7 @@ class ErrorRecord:
     course: list[Array] = field(default_factory=lambda: [np.zeros((5, 1))])
 
     def take(self, time: Array, knots: Knots, truth: Truth) -> None:
-        """The next m knots; time: (m,)."""
+        """Adds the next m knots; time: (m,)."""
         errors = difference(knots, truth)
         if not len(time):
             return
@@ -88,7 +90,8 @@ class ErrorRecord:
         self.knots += len(time)
 
     def points(self) -> Array:
-        """Time, east and north error [m], east and north velocity error [m/s] on the regular grid from zero on, (5, m)."""
+        """Points of the course on a regular time grid that begins at zero, (5, m): time, east and north error [m], east and north
+        velocity error [m/s]."""
         return np.hstack(self.course)
 
     @property
@@ -101,12 +104,12 @@ class ErrorRecord:
 
     @property
     def radial_rate(self) -> float:
-        """m/s."""
+        """The radial error rate [m/s]."""
         return self.time_error / self.time_squares
 
 
 def _added(total: float, values: Array) -> float:
-    """The sequential sum, which does not depend on the division of the values into blocks."""
+    """Adds the values sequentially, so that the sum does not depend on the division of the values into blocks."""
     return float(np.add.accumulate(np.append(total, values))[-1])
 
 

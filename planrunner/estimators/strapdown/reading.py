@@ -1,8 +1,8 @@
 """Increments of angle and velocity from recorded samples, block by block: units, missing samples, and the clock.
 
-A sample is the mean over the interval that ends at its time stamp, so the increment is sample times interval; outputs that are increments
-(angle, velocity) are used unchanged. Gaps of at most `bridge` seconds are filled by linear interpolation; a longer gap is an error, because
-the attitude after it is unknown.
+A sample is the mean over the interval that ends at its time stamp, so the increment is sample times interval. Outputs that are already
+increments (angle, velocity) are used unchanged. Gaps of at most `bridge` seconds are filled by linear interpolation; a longer gap is an
+error, because the attitude after it is unknown.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _RATE_TOLERANCE = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Increments:
-    """values: (6, n), rad and m/s on body x, y, z. interval: (n,), s, that each covers; time: (n,), s, at which it ends. reference: SI
-    values by channel, (n,)."""
+    """values: (6, n), rad and m/s on body x, y, z. interval: (n,), s, the time that each increment covers; time: (n,), s, the end of
+    this time. reference: SI values of reference channels, by channel, (n,)."""
 
     time: Array
     interval: Array
@@ -46,7 +46,7 @@ class Increments:
 
 
 class IncrementReader:
-    """Reads consecutive segments; keeps the clock from one to the next."""
+    """Reads the increments of consecutive segments. It continues the clock from one segment to the next."""
 
     def __init__(self, channels: Sequence[str], sample_rate: float, bridge: float):
         """channels: three gyros and three accelerometers in the order x, y, z. sample_rate: Hz. bridge: s."""
@@ -58,11 +58,11 @@ class IncrementReader:
         self._before: Array | None = None
 
     def part(self) -> None:
-        """The next segment does not follow the preceding one without a gap."""
+        """Marks a break: the next segment does not follow the preceding one without a gap."""
         self._last = self._before = None
 
     def blocks(self, recorded: RecordedSegment) -> Iterator[Increments]:
-        """The increments of one segment; each sample is read once. Raises `EstimationError`."""
+        """Yields the increments of one segment. Each sample is read once. Raises `EstimationError`."""
         factors, integrated = scales(recorded, self.channels)
         references = [name for name in REFERENCES if name in recorded.units]
         to_si = [_reference_unit(recorded, name) for name in references]
@@ -78,7 +78,7 @@ class IncrementReader:
             yield Increments(rows[0], interval, values, found)
 
     def _clock(self, label: str, rows: Array) -> tuple[Array, Array]:
-        """The interval that each sample covers, and the samples with short gaps filled."""
+        """The interval that each sample covers, and the samples after short gaps are filled."""
         time = rows[0]
         begin = time[0] - self.interval if self._last is None else self._last
         steps = np.diff(time, prepend=begin)
@@ -157,7 +157,7 @@ def reference_mean(recorded: RecordedSegment, name: str) -> float:
 
 
 def reference_speed(recorded: RecordedSegment) -> float:
-    """Largest speed along one direction that the reference channels show [m/s]; 0 without them. Raises `EstimationError`."""
+    """Largest speed along one direction in the reference channels [m/s]; 0 without these channels. Raises `EstimationError`."""
     statistics, largest = recorded.statistics, 0.0
     for name, dimension in REFERENCES.items():
         if dimension == "speed" and name in recorded.units:

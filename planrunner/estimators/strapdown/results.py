@@ -1,6 +1,6 @@
 """Results of a strapdown navigation: coefficients, tables, plots and notes.
 
-Their uncertainties are in `uncertainty`.
+The module `uncertainty` computes their uncertainties.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from planrunner.plan.units import STANDARD_GRAVITY
 
 
 def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> Estimate:
-    """The estimate."""
+    """Assembles the estimate."""
     points = found.record.points()
     equations = ErrorEquations.at(found.site)
     spread, wander = Spread(equations, found, points, _turns(request)), Wander(request, found, points)
@@ -108,7 +108,7 @@ def _settings(request: EstimateRequest[StrapdownNavigationParameters], found: Na
 
 
 def _table(points: Array, uncertainty: Array) -> Table:
-    """Errors at whole hours; for shorter runs every ten minutes, every minute or at every point."""
+    """Table of errors at whole hours; for shorter runs, at every ten minutes, every minute or every point."""
     time = points[0]
     steps = [3600.0, 600.0, 60.0, 1.0]
     step = next((seconds for seconds in steps if time[-1] >= 3 * seconds), steps[-1])
@@ -132,7 +132,7 @@ def _table(points: Array, uncertainty: Array) -> Table:
 
 
 def _constants(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> tuple[Table, ...]:
-    """Constant errors found by the alignment, if the unit was turned during it."""
+    """Table of the constant errors that the alignment estimated, if the unit was turned during it."""
     if not found.aligned.turned:
         return ()
     parameters = request.parameters
@@ -169,7 +169,7 @@ def _plots(points: Array) -> tuple[Plot, ...]:
 
 
 def _source(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> Said:
-    """What the uncertainties of the errors come from."""
+    """Source of the uncertainties of the errors, in words."""
     if found.wandering is None:
         return said(
             "The uncertainties of the errors come from the white noise observed during alignment, propagated through the linear "

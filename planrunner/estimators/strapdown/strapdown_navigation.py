@@ -1,8 +1,8 @@
 """Pure inertial navigation of a recording: alignment during a stop, then attitude, velocity and position by strapdown mechanisation, and
 the errors relative to the true position.
 
-Conditions for alignment are in `alignment`, units, gaps and the clock in `reading`, the figures in `navigation_errors` and `results`,
-predictions in `design`. docs/navigation.md gives conventions and definitions.
+The module `alignment` contains conditions for alignment, `reading` units, gaps and the clock, `navigation_errors` and `results` the
+figures, and `design` predictions. docs/navigation.md gives conventions and definitions.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ class StrapdownNavigation:
     Parameters = StrapdownNavigationParameters
 
     def design(self, request: DesignRequest[StrapdownNavigationParameters]) -> Design:
-        """Remarks on the planned segments. Raises `EstimationError`."""
+        """Makes remarks on the planned segments. Raises `EstimationError`."""
         from planrunner.estimators.strapdown.design import design
 
         return design(request)
 
     def foresee(self, request: DesignRequest[StrapdownNavigationParameters]) -> Foresight:
-        """Expected errors from the declared properties."""
+        """Predicts the errors from the declared properties."""
         from planrunner.estimators.strapdown.design import foresee
 
         return foresee(request)
 
     def estimate(self, request: EstimateRequest[StrapdownNavigationParameters]) -> Estimate:
-        """Errors of the navigation. Raises `EstimationError`."""
+        """Computes the errors of the navigation. Raises `EstimationError`."""
         from planrunner.estimators.strapdown.results import assemble
 
         return assemble(request, navigate(request))

@@ -1,10 +1,9 @@
 """Uncertainties of the results of a strapdown navigation.
 
-The uncertainties describe how well one run determines the navigation errors that the constant errors of the sensors cause. They come from
-white noise, estimated during alignment, and from the resulting uncertainty of the alignment, propagated through the linear error equations,
-and from the stated bias instabilities (see `wandering`).
-Constant errors are part of the measured errors; they contribute to the uncertainty only in the angles of the alignment, which do not show
-them.
+The uncertainties describe how well one run determines the navigation errors that the constant errors of the sensors cause. Their
+sources are white noise, which the alignment estimates; the uncertainty of the alignment that the noise causes, propagated through the
+linear error equations; and the stated bias instabilities (see `wandering`). Constant errors are part of the measured errors. They
+contribute to the uncertainty only in the angles of the alignment, which do not reveal them.
 """
 
 from __future__ import annotations
@@ -78,8 +77,8 @@ class Spread:
 
 
 class Wander:
-    """Uncertainty from biases that wander. influences: of each sensor with a stated bias instability. radial: (n,), standard uncertainty of
-    the radial error at the points of the course [m]."""
+    """Uncertainty from biases that wander. influences: one for each sensor with a stated bias instability. radial: (n,), standard
+    uncertainty of the radial error at the points of the course [m]."""
 
     def __init__(self, request: EstimateRequest[StrapdownNavigationParameters], found: Navigated, points: Array):
         self.influences: tuple[Influence, ...] = ()
@@ -99,14 +98,14 @@ class Wander:
 
 
 def rate_of(quantity: InputQuantity, sensor: SensorModel) -> float:
-    """rad/s or m/s² per unit of an output, also of one that gives increments."""
+    """Value in rad/s or m/s² of one unit of an output, also of an output that gives increments."""
     known = unit(quantity.unit)
     increments = known.dimension in (DIMENSIONS["angle"], DIMENSIONS["speed"])
     return known.factor * (sensor.sample_rate if increments else 1.0)
 
 
 def interpolated(time: Array, moments: Array, covariances: Array) -> Array:
-    """Covariances (n, 4, 4) at some times (n,), from those at some moments (k, 4, 4) and none at zero."""
+    """Covariances (n, 4, 4) at the times (n,), interpolated between covariances at k moments (k, 4, 4) and zero at time zero."""
     known = np.concatenate([np.zeros((1, *covariances.shape[1:])), covariances])
     each = known.reshape(len(known), -1).T
     at = np.append(0.0, moments)
@@ -119,11 +118,11 @@ def _lengths(points: Array, covariances: Array) -> tuple[Array, Array]:
 
 
 def joined(found: Navigated, points: Array, both: Array, radial: Array, speed: Array) -> Array:
-    """Covariance (m, m) of `NAMES` in their units, without that of the CEP rate.
+    """Covariance (m, m) of `NAMES` in their units, without the contribution of the CEP rate.
 
-    The angles and the errors at the end follow the state linearly. For figures over time, the uncertainty is an upper bound that assumes
-    fully correlated errors; correlations between these figures are set to zero. both: (7, 7), of tilts after alignment and errors at the
-    end; radial, speed: (n,), standard uncertainties at the points.
+    The angles and the errors at the end follow the state linearly. For figures over time, the uncertainty is an upper bound that
+    assumes fully correlated errors; correlations between these figures are set to zero. both: (7, 7), of tilts after alignment and of
+    errors at the end; radial, speed: (n,), standard uncertainties at the points.
     """
     angles = np.eye(_DIRECT)
     angles[:3, :3] = -attitude.angle_sensitivities(found.aligned.alignment.rotation) * DEGREE
@@ -147,7 +146,8 @@ def joined(found: Navigated, points: Array, both: Array, radial: Array, speed: A
 
 
 def _along(errors: Array, covariances: Array) -> Array:
-    """Standard uncertainty of the length of (2, n) vectors with covariances (n, 2, 2); of the longer axis if the length is zero."""
+    """Standard uncertainty of the length of vectors (2, n) with covariances (n, 2, 2). If the length is zero, it is that of the longer
+    axis."""
     size = np.hypot(*errors)
     unit_vectors = np.where(size > 0, errors / np.where(size > 0, size, 1.0), 0.0)
     along = np.einsum("in,nij,jn->n", unit_vectors, covariances, unit_vectors)
@@ -158,9 +158,10 @@ def _along(errors: Array, covariances: Array) -> Array:
 def influences(
     request: EstimateRequest[StrapdownNavigationParameters], equations: ErrorEquations, found: Navigated, points: Array
 ) -> tuple[Influence, ...]:
-    """Influences of constant sensor errors, only on the angles, and of the latitude, whose error makes the Earth's rate wrong: on the
-    errors and the figures over time, because it hardly affects the alignment. Repeating a navigation under other conditions takes too long,
-    so the error equations give the sensitivities; a test compares them with repeated navigations. points: as `ErrorRecord.points`."""
+    """Influences of the latitude and of constant sensor errors. Constant sensor errors influence only the angles. An error of the
+    latitude makes the assumed Earth rate wrong, which influences errors and figures over time, but hardly the alignment. Repeating a
+    navigation under other conditions takes too long, so the error equations give the sensitivities; a test compares them with repeated
+    navigations. points: as returned by `ErrorRecord.points`."""
     parameters = request.parameters
     rotation = found.aligned.alignment.rotation
     turned = np.zeros((INPUTS, INPUTS))
@@ -204,7 +205,8 @@ def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count
 
 
 def _figures(course: Array) -> Array:
-    """The figures of `NAMES` after the angles, (m, k), from k courses as `ErrorRecord.points`, (5, n, k), without the first point."""
+    """The figures of `NAMES` after the angles, (m, k), from k courses (5, n, k) in the form of `ErrorRecord.points`, without the first
+    point."""
     time, radial, speed = course[0].real, length(course[1:3]), length(course[3:5])
     largest, fastest = radial.real.argmax(axis=0), speed.real.argmax(axis=0)
     each = np.arange(course.shape[2])

@@ -1,8 +1,9 @@
-"""Flicker in a navigation: biases that wander during alignment and navigation, through the linear error equations.
+"""Flicker in a navigation: the response of the linear error equations to biases that wander during alignment and navigation.
 
-A constant error is defined as the average over a stated span (see `observation.flicker`); what wanders about it moves alignment and
-navigation. The errors are linear in the sensors' errors, so they are sums over short intervals, in each of which the response to a constant
-sensor error is known. The covariance of the means of flicker over these intervals then gives that of the errors.
+A constant error is defined as the average over a stated span (see `observation.flicker`). Only deviations from this average disturb
+alignment and navigation. The errors of a navigation are linear in the sensors' errors. They are therefore sums over short intervals,
+and in each interval the response to a constant sensor error is known. The covariance of the means of flicker over these intervals then
+gives the covariance of the errors.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ _AXES = 3
 class WanderingBias:
     """Response of a navigation to errors of its sensors in intervals of `step` [s].
 
-    aligned: (3, 6, m), remaining tilt after alignment, rad, per error of each sensor in each interval. attitude: (n, 3, 3), mean of body
-    axes as columns in East-North-Up, over each interval of the navigation. between: intervals from the beginning of the alignment to that
-    of the navigation. span: s, over which constant errors are averages.
+    aligned: (3, 6, m), remaining tilt after alignment, rad, per error of each sensor in each interval. attitude: (n, 3, 3), mean
+    attitude over each interval of the navigation, with the body axes as columns in East-North-Up. between: number of intervals from the
+    beginning of the alignment to the beginning of the navigation. span: time over which constant errors are averages, s.
     """
 
     equations: ErrorEquations
@@ -37,8 +38,8 @@ class WanderingBias:
     span: float
 
     def covariances(self, moments: Array) -> Array:
-        """Joint covariance (k, 6, 7, 7) of the tilts after alignment [rad] and the position and velocity errors at some moments of the
-        navigation (k,) [s], for each sensor with a bias instability of 1 rad/s or 1 m/s²."""
+        """Joint covariance (k, 6, 7, 7) of the tilts after alignment [rad] and of the position and velocity errors at k moments of the
+        navigation, for each sensor with a bias instability of 1 rad/s or 1 m/s²."""
         begun = max(self.between, self.aligned.shape[2])
         count = len(self.attitude)
         transition, response = self.equations.step(self.step)
@@ -68,12 +69,12 @@ class WanderingBias:
 
 
 def interval(seconds: float, most: int) -> float:
-    """Length of the intervals [s] of which at most about `most` cover so many seconds."""
+    """Length [s] of intervals that divide a time of `seconds` into at most about `most` intervals."""
     return max(SHORTEST, math.ceil(seconds / most))
 
 
 class MeanAttitude:
-    """Mean attitude over intervals of a navigation, from its knots."""
+    """Computes the mean attitude over intervals of a navigation from its knots."""
 
     def __init__(self, step: float):
         self.step = step
@@ -81,7 +82,7 @@ class MeanAttitude:
         self._counts: list[int] = []
 
     def take(self, time: Array, rotations: Array) -> None:
-        """time: (m,), s since navigation began; rotations: (m, 3, 3)."""
+        """Adds knots. time: (m,), s since navigation began; rotations: (m, 3, 3)."""
         place = np.maximum(np.ceil(time / self.step - 1e-9).astype(np.int64) - 1, 0)
         for k in np.unique(place):
             while len(self._sums) <= k:
@@ -93,5 +94,5 @@ class MeanAttitude:
 
     @property
     def means(self) -> Array:
-        """(n, 3, 3)."""
+        """The mean attitudes, (n, 3, 3)."""
         return np.array([one / max(count, 1) for one, count in zip(self._sums, self._counts, strict=True)])

@@ -1,8 +1,8 @@
 """Rising and falling temperature: the branches of a course, and the part in which the two directions differ.
 
-A value on a rising ramp is C(T) + D(T)/2, on a falling one C(T) − D(T)/2: C is the common part, D the width of the hysteresis loop.
-Branches come from the turning points of the temperature, not from the division into segments: a cycle gives the same branches as one
-segment and as several.
+With C the common part and D the width of the hysteresis loop, a value is C(T) + D(T)/2 on a rising ramp and C(T) − D(T)/2 on a falling
+one. Branches come from the turning points of the temperature, not from the division into segments: a cycle gives the same branches as
+one segment and as several.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ _BACK = 0.1  # of the range of temperatures: less is the ripple of a chamber's c
 
 
 def branches(temperature: Array, least: float) -> Integers:
-    """The number of the branch of each of n successive temperatures [degC] (n,), ascending from 0.
+    """The index of the branch, from 0 ascending, of each of n successive temperatures [degC] (n,).
 
-    A branch ends at an extreme from which the temperature goes back by more than `least` [K] and a tenth of its whole range.
+    A branch ends at an extreme if the temperature then returns by more than `least` [K] and by more than a tenth of its whole range.
     """
     number = np.zeros(len(temperature), dtype=np.int64)
     if not len(temperature):
@@ -44,9 +44,9 @@ def branches(temperature: Array, least: float) -> Integers:
 
 
 def approached(temperature: Sequence[float], least: float) -> tuple[Integers, Integers]:
-    """For held temperatures (n,) in order of time: whether each was reached from below (+1) or from above (−1), and the number of its
+    """For held temperatures (n,) in order of time: whether each was reached from below (+1) or from above (−1), and the index of its
     sweep. The temperatures before the first change begin the first sweep; 0 and −1 if there is no change. A change of less than `least`
-    [K] is none."""
+    [K] does not count."""
     direction = np.zeros(len(temperature), dtype=np.int64)
     for place in range(1, len(temperature)):
         change = temperature[place] - temperature[place - 1]
@@ -60,8 +60,8 @@ def approached(temperature: Sequence[float], least: float) -> tuple[Integers, In
 
 @dataclass(frozen=True)
 class Difference:
-    """The part in which rising and falling temperature differ. curve: of D; low, high: degC, the range that both cover, beyond which D is
-    taken for its value at the end."""
+    """The difference between rising and falling temperature. curve: of D; low, high: degC, the range that both directions cover.
+    Outside this range, D has its value at the nearer end."""
 
     curve: Curve
     low: float
@@ -72,15 +72,15 @@ class Difference:
         return self.curve.columns(np.clip(temperature, self.low, self.high))
 
     def columns(self, temperature: Array, direction: Integers) -> Array:
-        """Columns (n, q) of the values' part ±D/2, zero at values without a direction."""
+        """Columns (n, q) of the contribution ±D/2 to the values; zero for values without a direction."""
         return self.width(temperature) * (direction / 2)[:, None]
 
 
 def difference_of(temperature: Array, direction: Integers, highest: int, width: float, left: int) -> Difference | None:
-    """The form of D: a polynomial of the order `highest`, lower for few temperatures; None without temperatures at which there are both
-    directions. It is not chosen by the values, so that its uncertainty needs no allowance for a choice.
+    """The form of D: a polynomial of the order `highest`, or lower if there are few temperatures. None if no temperatures were reached
+    in both directions. The values do not influence the choice of the form, so its uncertainty needs no allowance for a choice.
 
-    width: K, temperatures that belong together; left: the most coefficients that the number of values allows.
+    width: temperatures within this distance count as one, K; left: the largest number of coefficients that the number of values allows.
     """
     group = groups_of(temperature, width)
     both = np.intersect1d(group[direction > 0], group[direction < 0])

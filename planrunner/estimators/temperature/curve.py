@@ -47,8 +47,8 @@ _EXACT, _TINY = (
 
 @dataclass(frozen=True)
 class Curve:
-    """form: of `FORMS`. order: of the polynomial, or the number of knots minus one, so that order 1 is a straight line in either form.
-    reference: T₀, degC; knots: degC, ascending, of a spline."""
+    """Form of a curve. form: one of `FORMS`. order: of the polynomial, or the number of knots minus one, so that order 1 is a straight
+    line in either form. reference: T₀, degC; knots: degC, ascending, of a spline."""
 
     form: str
     order: int
@@ -113,7 +113,7 @@ def held_out(
     beside: Array | None = None,
     whitening: Array | None = None,
 ) -> tuple[HeldOut, ...]:
-    """Held-out errors of each order. sigma: (n,), for weights; fold: (n,), the fold with which each value is held out; beside: (n, q),
+    """Held-out errors for each order. sigma: (n,), for weights; fold: (n,), the fold in which each value is held out; beside: (n, q),
     columns that are fitted with each curve; whitening: (n, n), of correlated values, by default 1/sigma."""
     whitened = _white(value, sigma, whitening)
     further = np.zeros((len(value), 0)) if beside is None else beside
@@ -134,7 +134,7 @@ def held_out(
 
 
 def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
-    """The order that a rule of `RULES` selects."""
+    """The order that the given rule of `RULES` selects."""
     best = min(errors, key=lambda one: one.error)
     if rule == "smallest_error":
         return best
@@ -142,8 +142,8 @@ def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
 
 
 def fold_of(group: Integers, folds: int) -> Integers:
-    """The fold with which each temperature group is held out: each group alone for folds = 0, otherwise `folds` adjoining ranges of
-    temperature, so that neighbours with a common slow drift do not predict each other."""
+    """The fold in which each temperature group is held out. For folds = 0, each group is a fold by itself. Otherwise there are `folds`
+    adjoining ranges of temperature, so that neighbours with a common slow drift do not predict each other."""
     return group if folds == 0 else group * folds // (int(group.max()) + 1)
 
 
@@ -177,8 +177,9 @@ def groups_of(temperature: Array, width: float) -> Integers:
 
 @dataclass(frozen=True, slots=True)
 class RampScatter:
-    """A way in which ramps differ from one another at random. size: its standard deviation, in the value's unit; zero if noise explains it;
-    degrees_of_freedom: of it; ratio: its mean square over that from noise, F; probability: of a larger ratio by chance."""
+    """A way in which ramps differ from one another at random. size: standard deviation of the difference, in the value's unit; zero if
+    noise explains it; degrees_of_freedom: of `size`; ratio: F, its mean square divided by the mean square from noise; probability:
+    chance of a larger ratio."""
 
     size: float
     degrees_of_freedom: int
@@ -188,8 +189,8 @@ class RampScatter:
 
 @dataclass(frozen=True, slots=True)
 class SummedCovariance:
-    """Covariance of m coefficients as a sum of independent mean squares, each with its degrees of freedom: noise, and the scatter of ramps.
-    parts: (m, m) each; the first may be negative in part."""
+    """Covariance of m coefficients as a sum of independent mean squares, each with its degrees of freedom: noise, and the scatter of
+    ramps. parts: (m, m), one for each mean square; the first may have negative eigenvalues."""
 
     parts: tuple[tuple[Array, float], ...]
 
@@ -207,17 +208,17 @@ class SummedCovariance:
         return np.sqrt(variance), np.where(known, variance**2 / np.where(known, squares, 1.0), freedom[0])
 
     def through(self, rows: Array, away: Array | None = None) -> SummedCovariance:
-        """Of linear functions (k, m). away: (k,), uncorrected errors of these."""
+        """The same covariance for linear functions (k, m) of the coefficients. away: (k,), uncorrected errors of these functions."""
         (noise, freedom), *others = [(rows @ own @ rows.T, own_freedom) for own, own_freedom in self.parts]
         return SummedCovariance(((noise if away is None else noise + np.outer(away, away), freedom), *others))
 
 
 @dataclass(frozen=True, slots=True)
 class CurveFit:
-    """A fitted curve. spread: uncertainty of its coefficients (p,). correlation: factor by which the variance of noise was widened because
-    consecutive residuals are correlated. beside, beside_spread: coefficients (q,) of the columns fitted with it. ramps: how their offsets
-    and slopes differ; empty for fewer ramps than show it. fullest: for a chosen curve, the curve of the highest order tried, if it is a
-    different one."""
+    """A fitted curve. spread: uncertainty of its coefficients (p,). correlation: factor by which the variance of noise was increased
+    because consecutive residuals are correlated. beside, beside_spread: coefficients (q,) of the columns fitted with it. ramps: how the
+    offsets and slopes of ramps differ; empty if there are too few ramps to determine it. fullest: for a chosen curve, the curve of the
+    highest order tried, if it is a different one."""
 
     curve: Curve
     coefficients: Array
@@ -248,7 +249,8 @@ class CurveFit:
         return value, np.hypot(u, value - full), freedom
 
     def warmer(self, by: float) -> Array:
-        """Coefficients (p,) of the curve at T + by: those of a run whose true temperatures are higher by this amount [K]."""
+        """Coefficients (p,) of the curve at T + by, where by is in K. They describe a run in which the true temperatures are higher by
+        this amount."""
         if self.curve.form == "spline":
             return np.asarray(self.curve.columns(self.curve.knots + by) @ self.coefficients)
         moved = np.polynomial.Polynomial(self.coefficients)(np.polynomial.Polynomial([by, 1.0])).coef
@@ -257,10 +259,10 @@ class CurveFit:
 
 @dataclass(frozen=True)
 class OverTemperature:
-    """n values over temperature. temperature: degC; sigma: for weights; group: number of the temperature; series: number of the ramp along
-    which a value lies, in order, −1 for a single value; ramp: number of the ramp or sweep whose offset it has in common, −1 for none;
-    direction: of the ramp; all (n,). beside: (n, q), columns that are fitted with the curve. covariance: (n, n), of the values, if they are
-    correlated; sigma is then the part that is not."""
+    """n values over temperature. temperature: degC; sigma: for weights; group: index of the temperature; series: index of the ramp that
+    contains a value, in order, −1 for a single value; ramp: index of the ramp or sweep with a common offset, −1 for none; direction: of
+    the ramp; all (n,). beside: (n, q), columns that are fitted with the curve. covariance: (n, n), of the values, if they are
+    correlated; sigma is then their uncorrelated part."""
 
     temperature: Array
     value: Array
@@ -274,11 +276,11 @@ class OverTemperature:
 
     @cached_property
     def whitening(self) -> Array | None:
-        """W (n, n), by which correlated values become uncorrelated with variance one; None for values that are not correlated."""
+        """The matrix W (n, n) that makes correlated values uncorrelated with variance one; None if the values are not correlated."""
         return None if self.covariance is None else least_squares.whitener(self.covariance)
 
     def white(self, columns: Array) -> Array:
-        """Columns (n, …) by which the values become uncorrelated with variance one."""
+        """Columns (n, …) after this whitening, or after division by sigma if the values are not correlated."""
         return _white(columns, self.sigma, self.whitening)
 
 
@@ -299,9 +301,9 @@ def fit_curve(
     rule: str,
     scatter: bool,
 ) -> CurveFit:
-    """Fit a curve of the given order, or of the order up to `highest` that held-out errors select.
+    """Fits a curve of the given order, or of the order up to `highest` that held-out errors select.
 
-    scatter: whether the covariance is based on the scatter of the residuals, otherwise on sigma. Raises `EstimationError`.
+    scatter: whether the covariance comes from the scatter of the residuals, otherwise from sigma. Raises `EstimationError`.
     """
     temperature, group = values.temperature, values.group
     distinct = int(group.max()) + 1
@@ -352,12 +354,12 @@ def _fitted(made: Curve, values: OverTemperature, scatter: bool) -> CurveFit:
 
 
 def _correlation(weighted: Array, series: Integers) -> float:
-    """Of weighted residuals (n,)."""
+    """The factor `correlation_time` of weighted residuals (n,)."""
     return correlation_time([weighted[series == one] for one in np.unique(series[series >= 0])])
 
 
 def _parted(whole: CurveFit, p: int) -> CurveFit:
-    """The curve with its p coefficients, and the others beside it."""
+    """Splits the coefficients into the p of the curve and those of the columns beside it."""
     if len(whole.coefficients) == p:
         return whole
     pick = np.eye(len(whole.coefficients))
@@ -372,15 +374,16 @@ def _parted(whole: CurveFit, p: int) -> CurveFit:
 
 @dataclass(frozen=True)
 class _Way:
-    """How ramps may differ. columns: (n, r), weighted, one for each of r ramps; by_direction: (n, d), their sums in each direction."""
+    """One way in which ramps may differ. columns: (n, r), weighted, one for each of r ramps; by_direction: (n, d), their sums in each
+    direction."""
 
     columns: Array
     by_direction: Array
 
 
 def _ways(columns: Array, values: OverTemperature) -> list[_Way]:
-    """The ways in which ramps in the same direction may differ: by an offset, and along ramps by a slope. Only those that the values show
-    beside the fitted columns and with two residuals left."""
+    """The ways in which ramps of one direction may differ: by an offset, and along ramps by a slope. A way is used only if the values
+    determine it in addition to the fitted columns, and if two residuals remain."""
     numbers, first = np.unique(values.ramp[values.ramp >= 0], return_index=True)
     senses = values.direction[values.ramp >= 0][first]
     each = (values.ramp[:, None] == numbers).astype(float)
@@ -400,7 +403,7 @@ def _ways(columns: Array, values: OverTemperature) -> list[_Way]:
 
 
 def _free(fitted: Array, further: Array) -> Array:
-    """Orthonormal columns (n, k): what `further` (n, r) adds to the space of `fitted` (n, m)."""
+    """Orthonormal columns (n, k): the part of `further` (n, r) that is orthogonal to the space of `fitted` (n, m)."""
     if not further.size:
         return np.zeros((len(fitted), 0))
     base = _space(fitted)
@@ -418,9 +421,9 @@ def _space(columns: Array) -> Array:
 def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequence[_Way]) -> CurveFit:
     """The fit in which the ramps differ at random. ways: `_ways`.
 
-    With weighted values y, columns A, a way Z, and M the projector off A, the mean of Z in each direction and the other ways: the reduction
-    of the sum of squares by Z has the expectation k·φ + τ²·tr(ZᵀMZ), with φ the variance of noise and τ the standard deviation of the way.
-    V = φ·I + Σ τ²·Z·Zᵀ.
+    Let y be the weighted values, A the columns, Z a way, and M the projector off A, off the mean of Z in each direction and off the
+    other ways. The reduction of the sum of squares by Z has the expectation k·φ + τ²·tr(ZᵀMZ), where φ is the variance of noise and τ
+    the standard deviation of the way. V = φ·I + Σ τ²·Z·Zᵀ.
     """
     from scipy.special import fdtrc
 
@@ -458,7 +461,7 @@ def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequ
 
 
 def _as_chosen(simple: CurveFit, full: CurveFit) -> CurveFit:
-    """The simple curve with an uncertainty that combines that of the full curve and the distance between the two."""
+    """The simple curve. Its uncertainty combines the uncertainty of the full curve with the distance between the two curves."""
     if simple.curve.form == "polynomial":
         reads = np.eye(simple.curve.order + 1, full.curve.order + 1)
     else:

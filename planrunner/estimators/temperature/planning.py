@@ -1,4 +1,4 @@
-"""Checks before a recording that a plan has enough temperatures for a curve, and the requested coefficients."""
+"""Checks before a recording that a plan has enough temperatures for a curve, and that the requested coefficients exist."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from planrunner.plan.units import ZERO_CELSIUS
 
 
 def remarks(request: DesignRequest[TemperatureModelParameters]) -> tuple[Remark, ...]:
-    """Errors for requests that no recording can fulfil. Unknown cases are not reported: ramps, and estimates without a prediction."""
+    """Errors about requests that no recording can fulfil. Cases that are unknown before the recording are not reported: ramps, and
+    estimates without a prediction."""
     if request.uses:
         return tuple(_of_estimates(request))
     if any(segment.ramp_to is not None or segment.temperature is None for segment in request.segments):

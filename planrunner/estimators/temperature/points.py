@@ -32,12 +32,12 @@ _FEWEST_INTERVALS = 8  # of each segment
 
 @dataclass(frozen=True)
 class Points:
-    """One quantity at n temperatures. temperature: (n,), degC. uncertainty: (n,), standard, NaN if not known. direction: (n,), +1 at rising
-    temperature or at one reached from below, −1 at falling temperature or at one reached from above, 0 if neither is known. ramp: (n,),
-    number of the ramp, or of the sweep of held temperatures; −1 without a direction. labels: source of each value. along: whether the
-    values follow each other along ramps. expected: whether the values come from a schedule, without scatter. covariance: (n, n), of the
-    values with the flicker that the bench declares; None if it declares none, or the uncertainties are not known. time: (n,), s, the mean
-    time of each value; empty if it is not known."""
+    """One quantity at n temperatures. temperature: (n,), degC. uncertainty: (n,), standard, NaN if not known. direction: (n,), +1 at
+    rising temperature or at one reached from below, −1 at falling temperature or at one reached from above, 0 if neither is known.
+    ramp: (n,), index of the ramp, or of the sweep of held temperatures; −1 without a direction. labels: source of each value. along:
+    whether the values follow each other along ramps. expected: whether the values come from a schedule, without scatter. covariance:
+    (n, n), of the values with the flicker that the bench declares; None if it declares none, or the uncertainties are not known. time:
+    (n,), s, the mean time of each value; empty if it is not known."""
 
     name: str
     unit: str
@@ -54,7 +54,7 @@ class Points:
 
     @property
     def series(self) -> Integers:
-        """(n,): number of the ramp along which the value lies, −1 at a held temperature."""
+        """Index of the ramp that contains each value, (n,); −1 at a held temperature."""
         return self.ramp if self.along else np.full(len(self.value), -1, dtype=np.int64)
 
     @property
@@ -124,8 +124,9 @@ def from_channels(
     inputs: Inputs,
     span: float,
 ) -> list[Points]:
-    """Channels over temperature: the samples of each segment in bins of `width` [K] of the thermometer, or its mean at the planned
-    temperature. inputs, span: the declared flicker, and the time over which a constant is the average, s. Raises `EstimationError`."""
+    """Channels over temperature. Along a ramp, a value is the mean over a bin of `width` [K] of the thermometer. At a planned
+    temperature, it is the mean of the segment. inputs, span: the declared flicker, and the time over which a constant is averaged, s.
+    Raises `EstimationError`."""
     for recorded in segments:
         for channel in (*channels, *([thermometer] if thermometer else [])):
             if channel not in recorded.units:
@@ -153,7 +154,7 @@ Intervals = tuple[Array, Array]
 def _channel(
     segments: Sequence[RecordedSegment], channel: str, thermometer: str | None, width: float
 ) -> tuple[Points, Intervals, Array]:
-    """The n values of a channel; q intervals of time; and the share of each interval in each value, (n, q)."""
+    """The n values of a channel; q intervals of time; and the fraction of each interval in each value, (n, q)."""
     units = sorted({recorded.units[channel] for recorded in segments})
     if len(units) > 1:
         raise EstimationError(f"channel '{channel}' is recorded in different units ({', '.join(units)})")
@@ -194,7 +195,7 @@ def _channel(
 
 
 def _at_held(segments: Sequence[RecordedSegment], channel: str, text: str, width: float) -> Points:
-    """The segments' means at their planned temperatures; the order of time shows from where each temperature was reached."""
+    """The means of segments at their planned temperatures. The order in time shows from which side each temperature was reached."""
     found = np.array([_planned(recorded, channel) for recorded in segments])
     order = np.argsort([recorded.segment.start for recorded in segments], kind="stable")
     direction, sweep = np.empty(len(order), dtype=np.int64), np.empty(len(order), dtype=np.int64)
@@ -204,7 +205,7 @@ def _at_held(segments: Sequence[RecordedSegment], channel: str, text: str, width
 
 
 def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, float]:
-    """A segment's planned temperature [degC], its mean and the standard error of that."""
+    """The planned temperature of a segment [degC], its mean, and the standard error of the mean."""
     segment, statistics = recorded.segment, recorded.statistics
     if segment.temperature is None or segment.ramp_to is not None:
         raise EstimationError(
@@ -218,9 +219,9 @@ def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, flo
 
 @dataclass(frozen=True, slots=True)
 class _Ramp:
-    """A branch of a segment's temperature in bins, ascending. direction: sense, 0 if the temperature hardly changes. ends: first and last
-    temperature, degC. count: samples; celsius, mean: of the bin; squares: about a straight line within the bin; all (b,). shares: (b, q),
-    of the samples of each bin in q intervals of equal length of the segment."""
+    """A branch of a segment's temperature in bins of ascending temperature. direction: +1 or −1, 0 if the temperature hardly changes.
+    ends: first and last temperature, degC. count: samples; celsius, mean: of the bin; squares: about a straight line within the bin;
+    all (b,). shares: (b, q), of the samples of each bin in q intervals of equal length of the segment."""
 
     direction: int
     ends: tuple[float, float]
@@ -232,8 +233,8 @@ class _Ramp:
 
 
 def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: float, intervals: int) -> list[_Ramp]:
-    """The branches of a segment, in one pass over its samples: sums are kept by bin and by piece of the segment, and the pieces' mean
-    temperatures show the branches."""
+    """The branches of a segment, found in one pass over its samples. Sums are kept by bin and by piece of the segment, and the mean
+    temperatures of the pieces determine the branches."""
     try:
         scale = unit(recorded.units[thermometer])
     except UnknownUnitError as error:
@@ -295,8 +296,8 @@ def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: flo
 
 
 def _numbers(ramps: Sequence[_Ramp], width: float) -> list[int]:
-    """The number of each ramp, in order of time; −1 where the temperature hardly changes. A ramp that goes on where one in the same
-    direction has ended is the same ramp in several segments."""
+    """The index of each ramp, in order of time; −1 if the temperature hardly changes. A ramp that continues a ramp of the same
+    direction in the next segment has the same index."""
     found: list[int] = []
     last: _Ramp | None = None
     for ramp in ramps:
@@ -310,7 +311,7 @@ def _numbers(ramps: Sequence[_Ramp], width: float) -> list[int]:
 
 
 def _distinct(pairs: Integers) -> tuple[Integers, Integers]:
-    """The distinct rows of pairs (n, 2), ascending, and the place of each row among them."""
+    """The distinct rows of pairs (n, 2), ascending, and the index of each row among them."""
     low = pairs[:, 1].min()
     span = int(pairs[:, 1].max() - low) + 1
     code, inverse = np.unique(pairs[:, 0] * span + (pairs[:, 1] - low), return_inverse=True)

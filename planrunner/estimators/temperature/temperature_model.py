@@ -1,7 +1,7 @@
-"""Coefficients or outputs over temperature: a polynomial or a spline whose order is chosen by held-out error.
+"""Models coefficients or outputs over temperature by a polynomial or a spline whose order is chosen by held-out error.
 
-Values come from `points`, curves and the choice of their order from `curve`. If rising and falling temperature are both recorded, the curve
-is their common part, and the difference of the two is fitted beside it (`branches`).
+The module `points` collects values, and `curve` fits curves and chooses their order. If rising and falling temperature are both
+recorded, the curve is their common part, and the difference of the two is fitted beside it (`branches`).
 """
 
 from __future__ import annotations
@@ -65,14 +65,14 @@ class Loop:
 
     @property
     def largest(self) -> int:
-        """Place of the largest difference."""
+        """Index of the largest difference."""
         return int(np.argmax(np.abs(self.width)))
 
 
 @dataclass(frozen=True, slots=True)
 class HiddenDrift:
-    """A linear drift in time that the order of the temperatures hides. power: of the coefficient that it affects most; growth: of its
-    standard uncertainty if the drift is fitted, infinite if the two cannot be separated."""
+    """A linear drift in time that the order of the temperatures hides. power: of the coefficient that the drift affects most; growth:
+    factor by which its standard uncertainty grows if the drift is fitted, infinite if the two cannot be separated."""
 
     power: int
     growth: float
@@ -80,8 +80,8 @@ class HiddenDrift:
 
 @dataclass(frozen=True, slots=True)
 class Modelled:
-    """One quantity with its curve, and the loop between the two directions of temperature if both are recorded. drift: fitted together with
-    them; hidden: a drift that is not."""
+    """One quantity with its curve, and with the hysteresis loop if both directions of temperature are recorded. drift: fitted together
+    with curve and loop; hidden: a drift that is not fitted."""
 
     points: Points
     fit: CurveFit
@@ -104,7 +104,7 @@ class Modelled:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Lowest and highest temperature that rising and falling branches have in common, degC."""
+        """Lowest and highest temperature [degC] that rising and falling branches have in common."""
         assert self.difference is not None
         return self.difference.low, self.difference.high
 
@@ -120,7 +120,7 @@ class Modelled:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Curves(Quantities):
-    """The curve of every quantity."""
+    """The fitted curve of every quantity."""
 
     models: tuple[Modelled, ...]
 
@@ -140,8 +140,8 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
         return Design((), remarks=remarks(request))
 
     def foresee(self, request: DesignRequest[TemperatureModelParameters]) -> Foresight:
-        """The curves of expected values if their order is stated; otherwise the coefficients of all possible orders, without uncertainties.
-        The same applies to ramps, because only a recording shows their temperatures."""
+        """Predicts the curves from expected values if their order is stated; otherwise it gives the coefficients of all possible orders
+        without uncertainties. Ramps also have no uncertainties, because only a recording shows their temperatures."""
         parameters = request.parameters
         ramps = parameters.temperature_channel is not None
         if parameters.order is not None and not ramps:
@@ -165,7 +165,7 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
         return Foresight(unpredicted=tuple(found))
 
     def quantities(self, request: EstimateRequest[TemperatureModelParameters]) -> Curves:
-        """Curves through all values. Raises `EstimationError`."""
+        """Fits a curve to the values of every quantity. Raises `EstimationError`."""
         parameters = request.parameters
         _one_source(parameters, bool(request.uses))
         if parameters.channels:
@@ -186,7 +186,7 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
         )
 
     def words(self, request: EstimateRequest[TemperatureModelParameters], found: Curves) -> Words:
-        """The curves, and how their orders were chosen."""
+        """Makes tables and plots of the curves, and explains how their orders were chosen."""
         parameters = request.parameters
         models = found.models
         return Words(
@@ -207,7 +207,7 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
 
 
 def _planned_units(request: DesignRequest[TemperatureModelParameters]) -> dict[str, str]:
-    """Name → unit of the quantities to be modelled; empty if they are not known."""
+    """Maps the name of each quantity to be modelled to its unit; empty if they are not known."""
     parameters = request.parameters
     if parameters.channels:
         outputs = [request.sensor.output(name) for name in parameters.channels]
@@ -293,7 +293,7 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
 
 
 def _beside(points: Points, difference: Difference | None, drift: Sequence[DriftCourse]) -> Array:
-    """Columns (n, q)."""
+    """Columns (n, q) that are fitted beside a curve."""
     parts = [np.zeros((len(points.value), 0)), *(one.columns for one in drift)]
     if difference is not None:
         parts.insert(0, difference.columns(points.temperature, points.direction))
@@ -313,7 +313,7 @@ def _drift(points: Points, asked: str | None) -> tuple[DriftCourse, ...]:
 
 
 def _separable(columns: Array, courses: Sequence[DriftCourse]) -> bool:
-    """Whether columns (n, q) of the curve and of the difference do not imitate the courses, one after the other."""
+    """Whether the curve and the difference, columns (n, q), cannot reproduce the courses, which are tested one after the other."""
     size = np.sqrt(np.mean(columns**2, axis=0))
     base = columns / np.where(size > 0, size, 1.0)
     for course in courses:
@@ -326,7 +326,7 @@ def _separable(columns: Array, courses: Sequence[DriftCourse]) -> bool:
 
 
 def _hidden(points: Points, values: OverTemperature, fit: CurveFit) -> HiddenDrift | None:
-    """A linear drift that would make the standard uncertainty of a coefficient of the curve `COUPLED` times as large or larger."""
+    """A linear drift that would multiply the standard uncertainty of a coefficient of the curve by `COUPLED` or more."""
     if not len(points.time) or not np.ptp(points.time):
         return None
     [course, *_] = in_time(points.time, points.time, 1 / points.sigma**2)
@@ -343,7 +343,8 @@ def _hidden(points: Points, values: OverTemperature, fit: CurveFit) -> HiddenDri
 
 
 def _difference(points: Points, parameters: TemperatureModelParameters, highest: int) -> Difference | None:
-    """The form of the hysteresis, with as many coefficients as leave two residuals beside a curve of order `highest` and the ramps."""
+    """The form of the hysteresis. It has at most as many coefficients as leave two residuals beside a curve of order `highest` and the
+    ramps."""
     ramps = len(np.unique(points.ramp[points.ramp >= 0]))
     left = len(points.value) - (highest + 1) - max(0, ramps - 2) - _RESIDUALS
     width = parameters.bin.value
@@ -389,8 +390,8 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
 def _influences(
     request: EstimateRequest[TemperatureModelParameters], models: Sequence[Modelled]
 ) -> tuple[Influence, ...]:
-    """If the chamber is warmer than it indicates, every curve is shifted in temperature, and the difference between ramps does not change.
-    No influence if the sensor's thermometer is used."""
+    """Influences of the chamber's temperature error: it shifts every curve in temperature, and it does not change the difference
+    between ramps. There is no influence if the sensor's own thermometer is used."""
     stated = request.setup.inputs.get("temperature")
     if stated is None or request.parameters.temperature_channel is not None:
         return ()

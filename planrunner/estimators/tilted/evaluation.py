@@ -1,7 +1,7 @@
-"""From means to scale factors of tilted axes: F_j − F_r divided by the input of each axis for each repeat, then combined over repeats and
-temperatures.
+"""Computes scale factors of tilted axes from means. For each repeat, F_j − F_r is divided by the input of each axis; the results are
+then combined over repeats and temperatures.
 
-One function of the recorded means and of the conditions under which they were recorded; uncertainties follow from it.
+The module contains one function of the recorded means and of the conditions of the recording. Uncertainties follow from this function.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ K, F0, NONLINEARITY, ASYMMETRY, RESPONSE = range(len(QUANTITIES))
 
 @dataclass(frozen=True, slots=True)
 class TiltedConditions:
-    """axes: the sensor axes with their directions. commanded: (N,), rad/s, the table's rate in each segment. along: (N, 3), the rotation
-    axis in the fixture's frame. felt: (N, 3), rad/s, mean rate with the Earth's rotation; None if the Earth's rotation is not corrected
-    for. rate_error: relative error of the table's rate, one for all segments or (N,)."""
+    """Conditions of the evaluation. axes: the sensor axes with their directions. commanded: (N,), rad/s, the table's rate in each
+    segment. along: (N, 3), the rotation axis in the fixture's frame. felt: (N, 3), rad/s, mean rate including the Earth's rotation;
+    None if the Earth's rotation is not corrected for. rate_error: relative error of the table's rate, one for all segments or (N,)."""
 
     axes: MountedAxes
     commanded: Array
@@ -45,10 +45,10 @@ class TiltedConditions:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """q repeats of n rates at one temperature. kelvin: measured or planned temperature, NaN if neither is known. spins: (q, n) rows of the
-    segments; rest: (q, N), weight of each segment in the rest value of a repeat, half for the zeros before and half for those after;
-    between: (q, N), its weight in the end zero minus the start zero. outputs: F_j − F_r, (q, n, m). drift: end zero minus start zero, (q,
-    m)."""
+    """q repeats of n rates at one temperature. kelvin: measured or planned temperature, NaN if neither is known. spins: (q, n), indices
+    of the segments; rest: (q, N), weights of the segments in the rest value of a repeat, half for the zeros before and half for those
+    after; between: (q, N), their weights in the end zero minus the start zero. outputs: F_j − F_r, (q, n, m). drift: end zero minus
+    start zero, (q, m)."""
 
     label: str
     kelvin: float
@@ -68,7 +68,8 @@ class Group:
 
     @property
     def averages(self) -> Array:
-        """Weights (n + 1, N) of the segments in the means over the repeats: for each rate and, last, for the rest value."""
+        """Weights (n + 1, N) of the segments in the means over the repeats. There is one row for each rate and, last, one for the rest
+        value."""
         q, n = self.spins.shape
         weights = np.zeros((n + 1, self.rest.shape[1]))
         weights[np.arange(n), self.spins] = 1 / q
@@ -78,10 +79,10 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class TiltedResults:
-    """Intermediate results, for the comparison of different conditions. means: (g, m, 5), means over repeats, in the order of `QUANTITIES`;
-    repeats: of each group (q, m, 5); residuals: of each group (n, m), over repeats. repeatability: (g, m), s(K)/K, NaN for one repeat.
-    coefficient: (m,), slope of K over temperature, divided by K at the reference temperature; sensitivity: (m,), the largest |K_T −
-    K_0|/(K_0·|T − T_0|); NaN for one temperature."""
+    """Intermediate results, which make it possible to compare different conditions. means: (g, m, 5), means over repeats, in the order
+    of `QUANTITIES`; repeats: of each group (q, m, 5); residuals: of each group (n, m), over repeats. repeatability: (g, m), s(K)/K, NaN
+    for one repeat. coefficient: (m,), slope of K over temperature, divided by K at the reference temperature; sensitivity: (m,), the
+    largest |K_T − K_0|/(K_0·|T − T_0|); NaN for one temperature."""
 
     means: Array
     repeats: tuple[Array, ...]
@@ -92,7 +93,7 @@ class TiltedResults:
 
     @property
     def vector(self) -> Array:
-        """The results as one vector: means, repeatability, coefficient, sensitivity, one after the other."""
+        """The results as one vector: means, repeatability, coefficient, sensitivity, in this order."""
         return np.concatenate(
             [self.means.ravel(), self.repeatability.ravel(), self.coefficient.ravel(), self.sensitivity.ravel()]
         )
@@ -100,7 +101,7 @@ class TiltedResults:
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """The rate (g, m) with the largest residual, the sign of this residual, and the temperature (m,) that decides the sensitivity."""
+    """The rate (g, m) with the largest residual, the sign of this residual, and the temperature (m,) that determines the sensitivity."""
 
     rate: NDArray[np.int64]
     sign: Array
@@ -132,8 +133,8 @@ def _weights(series: Sequence[RateSeries], rows: Sequence[tuple[int, ...]], mean
 def evaluate(
     groups: Sequence[Group], conditions: TiltedConditions, reference: int, worst: Worst | None = None
 ) -> TiltedResults:
-    """reference: the group with which the K of the others are compared. worst: the decisive rates and temperatures, fixed while conditions
-    are changed."""
+    """Computes all results. reference: the group whose K is the reference for the others. worst: the decisive rates and temperatures,
+    which stay fixed while conditions are changed."""
     lines = [fit_lines(conditions.inputs(group), group.outputs) for group in groups]
     residuals = [line.residuals.mean(axis=0) for line in lines]
     held = worst or _worst(residuals, np.zeros(lines[0].slope.shape[1], dtype=np.int64))
@@ -154,7 +155,7 @@ def evaluate(
 
 
 def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign: Array) -> Array:
-    """`QUANTITIES` of each repeat, (q, m, 5). rate, sign: (m,), of the largest residual."""
+    """The values `QUANTITIES` of each repeat, (q, m, 5). rate, sign: (m,), of the largest residual."""
     at = line.residuals[:, rate, np.arange(len(rate))]
     return np.stack([line.slope, line.offset, sign * at / full_scale, line.asymmetry, line.response], axis=-1)
 
@@ -171,14 +172,14 @@ def _worst(residuals: Sequence[Array], temperature: NDArray[np.int64]) -> Worst:
 
 
 def slope_weights(kelvin: Array) -> Array:
-    """Weights (g,) of the values whose sum is the slope of the straight line through them [1/K]."""
+    """Weights (g,) whose weighted sum of the values is the slope of the straight line through them [1/K]."""
     off = kelvin - kelvin.mean()
     return np.asarray(off / np.sum(off * off))
 
 
 def answers_of(groups: Sequence[Group], conditions: TiltedConditions, worst: Worst) -> tuple[Array, ...]:
-    """Sensitivities of the quantities of each group to its outputs: ∂(mean over the repeats)/∂(output at a rate, in all repeats), (n, m,
-    5)."""
+    """Sensitivities of the quantities of each group to its outputs, (n, m, 5): ∂(mean over the repeats)/∂(output at a rate, in all
+    repeats)."""
     return tuple(_answers(group, conditions, worst.rate[k], worst.sign[k]) for k, group in enumerate(groups))
 
 
@@ -193,7 +194,7 @@ def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64]
     q, n, m = x.shape
 
     def means(changes: Array) -> Array:
-        """Changes (m·5, k) of the quantities for the changes (n, k) of the outputs at each rate."""
+        """Changes (m·5, k) of the quantities for changes (n, k) of the outputs at each rate."""
         outputs = group.outputs + changes.T[:, None, :, None]
         lines = fit_lines(np.broadcast_to(x, outputs.shape).reshape(-1, n, m), outputs.reshape(-1, n, m))
         found = quantities(lines, full_scale, rate, sign)
@@ -203,7 +204,7 @@ def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64]
 
 
 def over_temperature(values: Array, kelvin: Array, reference: int, decides: NDArray[np.int64] | int) -> Array:
-    """Coefficient and sensitivity, (2, m), of scale factors (g, m). decides: the temperature that decides the sensitivity."""
+    """Coefficient and sensitivity, (2, m), of scale factors (g, m). decides: the temperature that determines the sensitivity."""
     base, decisive = values[reference], values[decides, np.arange(values.shape[1])]
     change = (decisive - base) / (base * (kelvin[decides] - kelvin[reference]))
     return np.stack([slope_weights(kelvin) @ values / base, np.where(change.real < 0, -1.0, 1.0) * change])

@@ -1,9 +1,10 @@
 """Angles of a fixture's axes from spins about one rotation axis in several orientations of the fixture.
 
-An axis with the scale factor K along the unit vector d responds to a rate ω along n with K·(d·n)·ω; n is in the fixture's frame. Every
-orientation of the fixture on the table gives one component of the gain vector K·d. Three orientations whose n are not in one plane give the
-complete vector, and with it K, the angle from the fixture's z axis and the azimuth; two give K and the angle if the azimuth is stated.
-Orientations with the same n, or with n reversed, give no information on the angle. Errors common to all rates cancel in the angles.
+An axis with the scale factor K along the unit vector d responds to a rate ω along n with K·(d·n)·ω; n is in the fixture's frame. Each
+orientation of the fixture on the table gives one component of the gain vector K·d. Three orientations whose n are not in one plane give
+the complete vector, and with it K, the angle from the fixture's z axis and the azimuth; two give K and the angle if the azimuth is
+stated. Orientations with the same n, or with n reversed, give no information on the angle. Errors common to all rates cancel in the
+angles.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ class FixtureAnglesParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixtureQuantities(Quantities):
-    """Observations and fit, by axis."""
+    """Observations and fit of each axis."""
 
     axes: MountedAxes
     fits: tuple[tuple[Observations, OutputsFit], ...]
@@ -112,7 +113,7 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
     Parameters = FixtureAnglesParameters
 
     def design(self, request: DesignRequest[FixtureAnglesParameters]) -> Design:
-        """The gain vector's components at the planned orientations, for each output. Raises `EstimationError`."""
+        """Checks which components of the gain vector the planned orientations determine, for each output. Raises `EstimationError`."""
         how = request.parameters.azimuth
         outputs = [output.name for output in request.sensor.outputs]
         axes = mounted_axes(request.setup.mounting, outputs, request.parameters.outputs)
@@ -131,7 +132,7 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
         return Design(tuple(blocks), remarks=remarks)
 
     def quantities(self, request: EstimateRequest[FixtureAnglesParameters]) -> FixtureQuantities:
-        """From the means. Raises `EstimationError`."""
+        """Computes the angles from the means. Raises `EstimationError`."""
         parameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
@@ -165,7 +166,7 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
         )
 
     def words(self, request: EstimateRequest[FixtureAnglesParameters], found: FixtureQuantities) -> Words:
-        """Angles found and stated, and residuals."""
+        """Makes the tables of found and stated angles, and of residuals."""
         parameters = request.parameters
         notes: list[Said] = []
         warnings: list[Said] = []
@@ -226,7 +227,8 @@ def _acting(
     """Influences on the offsets and gains of one axis."""
 
     def answered(matrix: Array) -> Array:
-        """The outputs do not change: a change of a stated value changes the fit with the opposite sign."""
+        """Change of the fitted coefficients. The outputs stay the same, so a change of a stated value changes the fit with the opposite
+        sign."""
         return np.asarray(-fit.gains[0] @ matrix @ fit.coefficients[0])
 
     stated = stated_conditions(model, request.setup, request.site, axes, k, request.parameters.azimuth)

@@ -1,4 +1,4 @@
-"""Angles of a fixture from an estimate `fixture_angles` instead of from the plan: values and influences."""
+"""Angles of a fixture that come from an estimate `fixture_angles` instead of from the plan: values and influences."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ def calibrated_axes(axes: MountedAxes, uses: Mapping[str, Estimate]) -> tuple[Mo
 
 
 def require_calibration(axes: MountedAxes, uses: Mapping[str, Design]) -> None:
-    """Raises `EstimationError` for an estimate that will not be a calibration of the fixture, or not of all axes."""
+    """Checks a planned calibration. Raises `EstimationError` for an estimate that will not be a calibration of the fixture, or not of
+    all axes."""
     if uses:
         name, used = _only(uses)
         if used.known:
@@ -69,7 +70,7 @@ def _carried(
     freedom: Sequence[float],
     name: str,
 ) -> tuple[Influence, ...]:
-    """Influences on the angles: the data of the calibration, one per axis, and the influences on the calibration itself."""
+    """Influences on the angles: one per axis from the data of the calibration, and the influences on the calibration itself."""
     factors = np.array([unit(coefficients[row].unit).factor for row in rows])
     arcsec = unit("arcsec").factor
     found = []
@@ -103,7 +104,8 @@ def _at(axes: MountedAxes, coefficients: Sequence[Coefficient]) -> MountedAxes:
 
 
 def _data_freedom(used: Estimate, item: Coefficient) -> float:
-    """Degrees of freedom of the data alone, recovered because the analysis has combined them with those of the influences."""
+    """Degrees of freedom of the data alone. They are computed back, because the analysis has combined them with those of the
+    influences."""
     for budget in used.budgets:
         if budget.coefficient == item.name:
             return next((line.degrees_of_freedom for line in budget.lines if line.kind == "A"), item.degrees_of_freedom)

@@ -32,7 +32,7 @@ AXES = ("x", "y", "z")
 
 
 def tilt_part(orientation: str, axis: str) -> str:
-    """Name of a tilt of the fixture in one orientation; the same name identifies it wherever it acts."""
+    """Name of a tilt of the fixture in one orientation. The same name is used wherever this tilt acts."""
     return f"{orientation}, about {axis}"
 
 
@@ -59,7 +59,7 @@ class GainModel:
         return (*(f"offset {text}" for text in self.orientations), *gains)
 
     def matrix(self, basis: Array) -> Array:
-        """basis: (3, r), directions in the fixture that span the gain vector."""
+        """The design matrix. basis: (3, r), directions in the fixture that span the gain vector."""
         return np.column_stack([np.eye(len(self.orientations))[self.place], self.felt @ basis])
 
     def magnitudes(self, basis: Array) -> Array:
@@ -68,7 +68,7 @@ class GainModel:
 
 
 def gain_model(segments: Sequence[Segment], seconds: Sequence[float | None], site: Site, setup: Setup) -> GainModel:
-    """Raises `EstimationError` for a segment that is neither a spin nor at rest, and for an unknown orientation."""
+    """Builds the model. Raises `EstimationError` for a segment that is neither a spin nor at rest, and for an unknown orientation."""
     for segment in segments:
         if not isinstance(segment.motion, Spin | Rest):
             kind = type(segment.motion).__name__.lower()
@@ -93,7 +93,7 @@ def gain_model(segments: Sequence[Segment], seconds: Sequence[float | None], sit
 
 
 def gain_basis(axes: MountedAxes, k: int, azimuth: str) -> Array:
-    """The fixture's x, y and z; or the direction of the stated azimuth and z. Raises `EstimationError` without an azimuth."""
+    """The fixture's x, y and z axes, or the direction of the stated azimuth and z. Raises `EstimationError` without an azimuth."""
     if azimuth == FITTED:
         return np.eye(3)
     if math.isnan(axes.azimuths[k]):
@@ -103,9 +103,9 @@ def gain_basis(axes: MountedAxes, k: int, azimuth: str) -> Array:
 
 
 def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
-    """K in output unit/(rad/s), angle and, if fitted, azimuth [rad], (q, n), of gains near `gain` (r,): components along `basis` (3, r) of
-    axis k. An output whose sign is opposite to its stated direction has a negative K. Raises `EstimationError` for an axis along z, which
-    has no azimuth."""
+    """The polar form of gains near `gain` (r,), (q, n): K in output unit/(rad/s), angle and, if fitted, azimuth [rad]. The gains are
+    components along `basis` (3, r) of axis k. An output whose sign is opposite to its stated direction has a negative K. Raises
+    `EstimationError` for an axis along z, which has no azimuth."""
     sign = -1.0 if float(basis @ gain @ axes.directions[k]) < 0 else 1.0
     about = 0.0 if math.isnan(axes.azimuths[k]) else float(axes.azimuths[k])
     if len(gain) == 3 and math.hypot(*gain[:2]) < 1e-9 * float(np.linalg.norm(gain)):
@@ -127,12 +127,12 @@ def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
 def stated_conditions(
     model: GainModel, setup: Setup, site: Site, axes: MountedAxes, k: int, azimuth: str
 ) -> Iterator[StatedCondition[Array]]:
-    """Stated inputs that change the gains of an orientation as a whole and therefore cause almost no scatter, as conditions of the design
-    matrix of axis k."""
+    """Conditions of the design matrix of axis k for stated inputs that change all gains of an orientation together and therefore cause
+    almost no scatter."""
     basis = gain_basis(axes, k, azimuth)
 
     def seen(by: Array) -> Array:
-        """With the rates in the fixture's frame changed by (n, 3)."""
+        """The conditions with the rates in the fixture's frame changed by (n, 3)."""
         return replace(model, felt=model.felt + by).matrix(basis)
 
     def turned(o: int, about: Array, by: float) -> Array:
@@ -170,14 +170,15 @@ def stated_conditions(
 
 
 def held_rates(model: GainModel, setup: Setup, vector: Array) -> tuple[CorrelatedError, ...]:
-    """Stated errors of each rate, on the output of an axis with the gain vector (3,): they make the means scatter about a line."""
+    """Influences of the stated error of each rate on the output of an axis with the gain vector (3,). They make the means scatter about
+    a line."""
     rates = np.array([segment.rate for segment in model.segments])
     rate = setup.inputs.get("table rate")
     return rate_errors(rate, (model.turning @ vector)[None], rates) if rate else ()
 
 
 def _outermost(axes: Sequence[TableAxis], segments: Sequence[Segment], azimuth: float) -> bool:
-    """Whether the outermost axis makes every spin; only then is the direction of the table's rate independent of other axes."""
+    """Whether the outermost axis makes every spin. Only then is the direction of the table's rate independent of other axes."""
     for one in segments:
         if isinstance(one.motion, Spin) and one.attitude is not None:
             try:

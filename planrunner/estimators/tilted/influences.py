@@ -1,7 +1,7 @@
 """Type B influences on scale factors of tilted axes: fixture, table, site, temperature, resolution, drift of the zero.
 
-Fixture, table and site are conditions of the results' formula. The others act on the means, and through the sensitivities to the means on
-the results.
+Fixture, table and site are conditions in the formula of the results. The other influences act on the means, and the sensitivities to
+the means carry them to the results.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ _BESIDE = 1e-6  # rad, of differences
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """Input for the influences. answers: for each group, sensitivities (n, m, 5) to its outputs; gradient: of `TiltedResults.vector` with
-    respect to the means of all groups. segments: in the state at which recording begins; seconds: recorded; home: the home orientation in
-    words; units: of the outputs. fixture: influences on the axes' angles from their calibration, (m, r) in rad, instead of the plan's
-    statement."""
+    """Input for computing the influences. answers: for each group, sensitivities (n, m, 5) to its outputs; gradient: of
+    `TiltedResults.vector` with respect to the means of all groups. segments: in their state at the beginning of the recording; seconds:
+    recorded duration; home: the home orientation in words; units: of the outputs. fixture: influences on the axes' angles from their
+    calibration, (m, r) in rad, instead of the plan's statement."""
 
     groups: tuple[Group, ...]
     conditions: TiltedConditions
@@ -60,7 +60,7 @@ class Situation:
     fixture: tuple[Influence, ...] = ()
 
     def again(self, conditions: TiltedConditions) -> Array:
-        """The vector of the results under other conditions; zero for results that do not exist."""
+        """The vector of the results under other conditions; zero for results that cannot be computed."""
         return np.nan_to_num(evaluate(self.groups, conditions, self.reference, self.worst).vector)
 
 
@@ -82,9 +82,9 @@ def influences(
     flicker: Sequence[CorrelatedError] = (),
     drifts: Mapping[int, float] | None = None,
 ) -> list[Influence]:
-    """Influences on `TiltedResults.vector`. inputs: values that bench and plan state with an uncertainty; common: relative error common to
-    all rates; rounding: by output; flicker: declared, on the segments' means, if the basis uses it; drifts: by axis, half of the change of
-    its zero."""
+    """Influences on `TiltedResults.vector`. inputs: values that bench and plan state with an uncertainty; common: relative error common
+    to all rates; rounding: by output; flicker: declared flicker on the segments' means, if the basis uses it; drifts: by axis, half of
+    the change of its zero."""
     found = [
         *_calibrated_fixture(situation),
         *influences_on(situation.again, _conditions(situation, inputs, common)),
@@ -99,7 +99,8 @@ def influences(
 def _conditions(
     situation: Situation, inputs: Inputs, common: InputQuantity
 ) -> Iterator[StatedCondition[TiltedConditions]]:
-    """The bench states the error of each rate, the same at every repetition; the plan states the error common to all rates."""
+    """Conditions with stated uncertainties. The bench states the error of each rate, which is the same at every repetition. The plan
+    states the error common to all rates."""
     conditions, site = situation.conditions, situation.site
     axes, commanded = conditions.axes, conditions.commanded
     if not situation.fixture:
@@ -145,8 +146,8 @@ def _calibrated_fixture(situation: Situation) -> Iterator[Influence]:
 
 
 def _temperature(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
-    """An error of the thermometer shifts all temperatures equally: K belongs to a different temperature, but its coefficient does not
-    change."""
+    """Influence of an error of the thermometer, which shifts all temperatures equally: K then belongs to a different temperature, but
+    its temperature coefficient does not change."""
     stated, found = inputs.get("temperature"), situation.found
     if stated is None or not np.isfinite(found.coefficient).all():
         return
@@ -158,7 +159,7 @@ def _temperature(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
 
 
 def _resolution(situation: Situation, inputs: Inputs, rounding: Mapping[str, Rounding]) -> Iterator[Influence]:
-    """Rounding of each mean, the same in every repeat."""
+    """Influence of the rounding of each mean, which is the same in every repeat."""
     for axis, output in enumerate(situation.conditions.axes.outputs):
         stated, left = inputs.of_output(Aspect.RESOLUTION, output), rounding.get(output)
         if stated is not None and left is not None:
@@ -180,7 +181,8 @@ def _flicker(situation: Situation, flicker: Sequence[CorrelatedError], basis: st
 
 
 def _zero_drift(situation: Situation, basis: str, drifts: Mapping[int, float]) -> Iterator[Influence]:
-    """How far the zero during the rates may have been from the mean of the zeros before and after: half of their difference either way.
+    """Influence of a drift of the zero. During the rates, the zero may differ from the mean of the zeros before and after by half of
+    their difference in either direction.
 
     Two shapes of the drift are included: an offset of all rates, and a steady change from one end of the series to the other. A steady
     change causes residuals about the line, so on the basis `residual` the scatter includes it; an offset causes none.

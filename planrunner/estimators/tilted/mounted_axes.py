@@ -24,8 +24,11 @@ ALONG = 1e-5  # rad by which the fixture's z axis may stand off the rotation axi
 
 @dataclass(frozen=True, slots=True)
 class MountedAxes:
-    """m input axes. names: as in `mounting`; outputs: their channels. angles, azimuths: (m,), rad, NaN for an azimuth that is not stated;
-    tilt: (2,), rad, small rotation of all axes about the fixture's x and y, for sensitivities."""
+    """m input axes. names: as in `mounting`; outputs: their channels.
+
+    angles, azimuths: (m,), rad, NaN for an azimuth that is not stated; tilt: (2,), rad, small rotation of all axes about the fixture's
+    x and y, for sensitivities.
+    """
 
     names: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -43,7 +46,7 @@ class MountedAxes:
         return np.column_stack([x + about_y * z, y - about_x * z, z + about_x * y - about_y * x])
 
     def require_azimuths(self, why: str) -> None:
-        """Raises `EstimationError` if an azimuth is not stated; `why` ends the message."""
+        """Raises `EstimationError` if an azimuth is not stated. why: text that ends the message."""
         for name, azimuth in zip(self.names, self.azimuths, strict=True):
             if math.isnan(azimuth):
                 raise EstimationError(f"mounting.{name} states no azimuth, which {why}")
@@ -75,7 +78,7 @@ def mounted_axes(mounting: Mapping[str, MountedAxis], available: Sequence[str], 
 
 
 def seeing(axes: MountedAxes) -> MountedAxes:
-    """The axes, unchanged. Raises `EstimationError` for an axis perpendicular to the rotation axis."""
+    """Returns the axes unchanged after a check. Raises `EstimationError` for an axis perpendicular to the rotation axis."""
     for name, angle in zip(axes.names, axes.angles, strict=True):
         if abs(math.cos(angle)) < BLIND:
             raise EstimationError(
@@ -86,10 +89,10 @@ def seeing(axes: MountedAxes) -> MountedAxes:
 
 
 def rotation_axis(segments: Sequence[Segment], along_z: bool = True) -> Array:
-    """Direction about which each segment spins, in the fixture's frame, shape (n, 3); zero for a segment at rest.
+    """Direction about which each segment spins, in the fixture's frame, (n, 3); zero for a segment at rest.
 
-    In an unknown orientation, z is assumed to be along the rotation axis. along_z: raise `EstimationError` if z is not along it, because
-    the angles of the mounting are measured from z.
+    In an unknown orientation, z is assumed to be along the rotation axis. along_z: whether to raise `EstimationError` if z is not along
+    it, because the angles of the mounting are measured from z.
     """
     found = np.zeros((len(segments), 3))
     for row, segment in enumerate(segments):

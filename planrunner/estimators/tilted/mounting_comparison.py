@@ -1,8 +1,8 @@
 """Comparison of one tilted mounting with one mounting per axis: duration of the test, and uncertainty.
 
-An axis along the rotation axis senses the whole rate, so its noise has only cos θ times the effect. If it is misaligned by a small δ, its
-relative error is only 1 − cos δ, while that of the tilted axis is δ·tan θ. Each mounting takes the same schedule, including its temperature
-cycle, and additional time for mounting.
+An axis along the rotation axis senses the whole rate, so noise has a smaller effect on it, by the factor cos θ. If it is misaligned by
+a small δ, its relative error is only 1 − cos δ, while that of the tilted axis is δ·tan θ. Each mounting takes the same schedule,
+including its temperature cycle, and additional time for mounting.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from planrunner.plan.schedule import Segment
 
 
 def scheduled_seconds(segments: Sequence[Segment], seconds: Sequence[float | None]) -> float:
-    """Time from the first move to the end of the last segment, as planned; dwells of unknown length as recorded.
+    """Planned time from the first move to the end of the last segment. Dwells of unknown length count with their recorded length.
 
-    seconds: recorded. If the schedule has no times (a recording that is played back), the sum of the dwells.
+    seconds: recorded durations. If the schedule has no times (a recording that is played back), the sum of the dwells is returned.
     """
     lasting = [segment.dwell or own or 0.0 for segment, own in zip(segments, seconds, strict=True)]
     waiting = [segment.transition + segment.soak + segment.settle for segment in segments]
@@ -30,7 +30,8 @@ def scheduled_seconds(segments: Sequence[Segment], seconds: Sequence[float | Non
 
 
 def comparison_table(axes: MountedAxes, noise: Array, angle: Array) -> Table:
-    """noise: (m,), relative standard uncertainty of K from the noise within the segments; angle: (m,), standard uncertainty of θ, rad.
+    """Table of the comparison. noise: (m,), relative standard uncertainty of K from the noise within the segments; angle: (m,),
+    standard uncertainty of θ, rad.
 
     In a separate mounting, the axis may be tilted by `angle` about either of two directions: 1 − cos δ has the mean angle² and the standard
     deviation angle².

@@ -16,8 +16,8 @@ TOLERANCE = 1e-12  # of the condition of normal equations, beyond which rounding
 
 @dataclass(frozen=True, slots=True)
 class RateLines:
-    """Fits of q series on m axes. slope, offset: (q, m); residuals: (q, n, m); asymmetry: (q, m), 2·(K₊ − K₋)/(K₊ + K₋), NaN if the rates
-    do not allow it; response: (q, m), change of output between the lowest rates over the change expected from the line."""
+    """Fits of q series on m axes. slope, offset: (q, m); residuals: (q, n, m); asymmetry: (q, m), 2·(K₊ − K₋)/(K₊ + K₋), NaN if the
+    rates do not allow it; response: (q, m), change of output between the lowest rates over the change expected from the line."""
 
     slope: Array
     offset: Array
@@ -32,7 +32,7 @@ def line_through(rates: Array) -> tuple[Array, Array]:
 
 
 def fit_lines(x: Array, f: Array) -> RateLines:
-    """x: input of each axis, (q, n, m), rad/s; f: outputs minus the rest value, (q, n, m). The rates must differ."""
+    """Fits the lines. x: input of each axis, (q, n, m), rad/s; f: outputs minus the rest value, (q, n, m). The rates must differ."""
     centre = x.mean(axis=1, keepdims=True)
     off = x - centre
     slope = np.sum(off * f, axis=1) / np.sum(off * off, axis=1)
@@ -42,7 +42,7 @@ def fit_lines(x: Array, f: Array) -> RateLines:
 
 
 def lowest_pair(x: Array) -> tuple[int, int]:
-    """Rows of the lowest positive and negative rate of a series (n,); of the two lowest rates if all have the same sign."""
+    """Indices of the lowest positive and negative rate of a series (n,); of the two lowest rates if all have the same sign."""
     order = np.argsort(np.abs(x), kind="stable")
     positive, negative = [k for k in order if x[k] > 0], [k for k in order if x[k] < 0]
     first, second = (positive[0], negative[0]) if positive and negative else (order[1], order[0])
@@ -55,8 +55,8 @@ def _response(x: Array, f: Array, slope: Array) -> Array:
 
 
 def _asymmetry(x: Array, f: Array) -> Array:
-    """By normal equations of columns divided by the largest rate; NaN for axes whose inputs are not on both sides of zero (for example, if
-    the Earth's rotation is larger than the rates), or too few to separate the half-lines."""
+    """Asymmetry by normal equations of columns divided by the largest rate. NaN for axes whose inputs are all on one side of zero (for
+    example, because the Earth's rotation is larger than the rates), or too few to separate the half-lines."""
     told = np.full((x.shape[0], x.shape[2]), np.nan, dtype=f.dtype)
     if np.unique(x[0, :, 0]).size < ENOUGH:
         return told
@@ -72,5 +72,5 @@ def _asymmetry(x: Array, f: Array) -> Array:
 
 
 def asymmetry(forward: Array, backward: Array) -> Array:
-    """2·(K₊ − K₋)/(K₊ + K₋)."""
+    """The asymmetry 2·(K₊ − K₋)/(K₊ + K₋)."""
     return 2 * (forward - backward) / (forward + backward)

@@ -38,7 +38,7 @@ def report(
     acting: Sequence[Influence],
     parameters: ScaleFactorTiltedParameters,
 ) -> Words:
-    """Tables, plots, notes and warnings."""
+    """Makes tables, plots, notes and warnings."""
     spread = _spread(scatter, situation)
     tables = (
         _per_axis(situation, units, spread),
@@ -124,8 +124,8 @@ def _residuals(situation: Situation, units: Units) -> Table:
 
 
 def _lowest_rate(situation: Situation, units: Units, noise: NoiseOfMeans) -> Table:
-    """Response by IEEE Std 528, and the smallest change of rate that a recording at the lowest rate can distinguish from noise: k·√2·u of
-    its mean."""
+    """Response at the lowest rate by IEEE Std 528, and the smallest change of rate that a recording at this rate can distinguish from
+    noise: k·√2·u of its mean."""
     axes, hour = situation.conditions.axes, unit("deg/h").factor
     group, found = situation.groups[situation.reference], situation.found
     high, low = lowest_pair(group.rates)
@@ -340,7 +340,7 @@ def _relative(spread: Array, situation: Situation) -> Array:
 
 
 def _angles(situation: Situation, acting: Sequence[Influence]) -> Array:
-    """Standard uncertainty of each axis's angle [rad], computed from its contribution to the uncertainty of K; zero if nothing is
+    """Standard uncertainty of each axis's angle [rad], computed back from its contribution to the uncertainty of K; zero if nothing is
     stated."""
     axes = situation.conditions.axes
     stated = {f"fixture angle {name}": k for k, name in enumerate(axes.names)}

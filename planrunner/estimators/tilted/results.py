@@ -65,7 +65,7 @@ def items(
 def coefficients(
     found: TiltedResults, kept: Sequence[Item], covariance: Array, freedom: Array
 ) -> tuple[Coefficient, ...]:
-    """covariance, freedom: of `TiltedResults.vector`."""
+    """The coefficients of the estimate. covariance, freedom: of `TiltedResults.vector`."""
     spread = np.sqrt(np.diag(covariance))
     return tuple(
         Coefficient(

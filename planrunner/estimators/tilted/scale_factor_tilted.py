@@ -100,11 +100,11 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
     Parameters = ScaleFactorTiltedParameters
 
     def design(self, request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:
-        """Lines through the planned rates, and missing elements of the plan. Raises `EstimationError`."""
+        """Checks the lines through the planned rates, and reports missing parts of the plan. Raises `EstimationError`."""
         return tilted_planning.design(request)
 
     def quantities(self, request: EstimateRequest[ScaleFactorTiltedParameters]) -> TiltedQuantities:
-        """From the means. Raises `EstimationError`."""
+        """Computes the scale factors from the means. Raises `EstimationError`."""
         parameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
@@ -171,7 +171,7 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
         )
 
     def words(self, request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> Words:
-        """Tables over rates, repeats and temperatures."""
+        """Makes the tables and plots over rates, repeats and temperatures."""
         parameters = request.parameters
         situation = found.situation
         told = report(situation, found.units, found.scatter, found.within, found.noise, found.acting, parameters)
@@ -192,7 +192,8 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
 
 
 def _against_declared(request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> list[Said]:
-    """Warnings about outputs whose scale factor is not the nominal one, or not one where an output of angular rate has none declared."""
+    """Warnings about outputs whose scale factor differs from the nominal one. If an output of angular rate declares none, the nominal
+    scale factor is one."""
     axes, slopes = found.situation.conditions.axes, found.situation.found.means[found.situation.reference, :, K]
     named: list[tuple[str, float, float]] = []
     plain: list[AxisResponse] = []
@@ -392,7 +393,7 @@ def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[Said]:
 def _rounding(
     request: EstimateRequest[ScaleFactorTiltedParameters], kept: Sequence[RecordedSegment], axes: MountedAxes
 ) -> dict[str, Rounding]:
-    """Rounding of the average over samples if noise dithers them, otherwise of the mean by one count."""
+    """Influence of rounding: of the average over samples if noise dithers them, otherwise of the mean by one count."""
     found = {}
     for output in axes.outputs:
         variances = [float(np.diag(one.statistics.covariance)[one.statistics.of(output)]) for one in kept]

@@ -1,7 +1,8 @@
 """Type A uncertainty of tilted scale factors on the basis selected in the plan.
 
-repeats scatter of each quantity from repeat to repeat: includes all effects that differ between repeats residual scatter of the means over
-the repeats about the line; with the correlations of declared flicker within_segment noise within the segments alone
+repeats          scatter of each quantity from repeat to repeat: includes all effects that differ between repeats
+residual         scatter of the means over the repeats about the line, with the correlations of declared flicker
+within_segment   noise within the segments alone
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ class NoiseOfMeans:
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """covariance: (g, 5·m, 5·m), of the means of each group, which are independent of each other. degrees_of_freedom: (g, 5·m).
-    pooled: (5·m,), whether one variance holds at all temperatures."""
+    """covariance: (g, 5·m, 5·m), of the means of each group, which are independent of each other. degrees_of_freedom: (g, 5·m). pooled:
+    (5·m,), whether one variance is used at all temperatures."""
 
     covariance: Array
     degrees_of_freedom: Array
@@ -58,9 +59,10 @@ class Scatter:
 def scatter_between_repeats(
     found: TiltedResults, groups: Sequence[Group], answers: Sequence[Array], flicker: Sequence[CorrelatedError] = ()
 ) -> Scatter:
-    """From the repeats. A quantity's variance is pooled over the temperatures unless Bartlett's test finds that it differs between them;
-    the correlations between quantities come from the repeats of all temperatures. The part of declared flicker that is common to the
-    repeats, which their scatter cannot show, is added. answers: for each group, from `answers_of`."""
+    """Type A uncertainty from the scatter of the repeats. A quantity's variance is pooled over the temperatures unless Bartlett's test
+    finds that it differs between them; the correlations between quantities come from the repeats of all temperatures. Declared flicker
+    has a part that is common to the repeats, which their scatter cannot show. This part is added. answers: for each group, from
+    `answers_of`."""
     repeats = [one.reshape(len(one), -1) for one in found.repeats]
     if min(len(one) for one in repeats) < 2:
         raise EstimationError(
@@ -105,7 +107,8 @@ def _in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError])
 
 
 def noise_of_means(groups: Sequence[Group], sigma: Array, correlation: Array, freedom: Array) -> NoiseOfMeans:
-    """sigma: (N, m), standard uncertainty of each segment's mean; correlation: (m, m); freedom: (m,), of sigma."""
+    """Uncertainty of the means over the repeats. sigma: (N, m), standard uncertainty of each segment's mean; correlation: (m, m),
+    between outputs; freedom: (m,), degrees of freedom of sigma."""
     spread = [np.sqrt(group.averages**2 @ sigma**2) for group in groups]
     return NoiseOfMeans(tuple(one[:-1] for one in spread), np.array([one[-1] for one in spread]), correlation, freedom)
 
@@ -118,8 +121,8 @@ def scatter_of_means(
     basis: str,
     flicker: Sequence[CorrelatedError] = (),
 ) -> Scatter:
-    """From the residuals of the means, or from the noise within the segments. answers: for each group, from `answers_of`. flicker: its part
-    in the residuals. Raises `EstimationError` without residuals."""
+    """Type A uncertainty from the residuals of the means, or from the noise within the segments. answers: for each group, from
+    `answers_of`. flicker: its contribution to the residuals. Raises `EstimationError` without residuals."""
     covariances, freedoms = [], []
     for k, group in enumerate(groups):
         gains = answers_to_averages(answers[k])
@@ -149,9 +152,9 @@ def _about_the_line(
     """Scatter of the rates from their residuals (n, m): one standard uncertainty for all rates of an output, (n, m), and covariances of
     flicker between `Group.averages`, (m, n + 1, n + 1).
 
-    Without declared flicker s² = Σν²/(n − 2). With flicker, the covariance of the rates is proportional to V = σ²·1 + C with σ² the mean
-    square of `noise` (n, m). The residuals give the factor for both parts: the minimum over β of (ν − Xβ)ᵀV⁻¹(ν − Xβ)/(n − 2), where X
-    contains 1 and the rates. For C = 0 both formulas agree.
+    Without declared flicker s² = Σν²/(n − 2). With flicker, the covariance of the rates is proportional to V = σ²·1 + C with σ² the
+    mean square of `noise` (n, m). The residuals give one factor for both parts: the minimum over β of (ν − Xβ)ᵀV⁻¹(ν − Xβ)/(n − 2),
+    where X contains 1 and the rates. For C = 0 both formulas agree.
     """
     n, m = residuals.shape
     weights = group.averages
@@ -171,15 +174,16 @@ def _about_the_line(
 
 
 def _effective(one: Array, freedom_of_one: float, other: Array, freedom_of_other: Array) -> Array:
-    """Degrees of freedom by Welch–Satterthwaite (JCGM 100:2008, G.4.1) from the variance of the residuals and that of the zeros' noise,
-    which causes no residuals."""
+    """Degrees of freedom by Welch–Satterthwaite (JCGM 100:2008, G.4.1) from two variances: that of the residuals, and that of the noise
+    of the zeros, which causes no residuals."""
     known = np.where(freedom_of_other > 0, freedom_of_other, np.inf)
     squares = one**2 / freedom_of_one + other**2 / known
     return np.where(squares > 0, (one + other) ** 2 / np.where(squares > 0, squares, 1.0), freedom_of_one)
 
 
 def gradient_of(found: TiltedResults, groups: Sequence[Group], reference: int, worst: Worst) -> Array:
-    """∂`TiltedResults.vector`/∂(means of all groups), (count, g·m·5); the repeatability is not a function of the means."""
+    """The derivatives ∂`TiltedResults.vector`/∂(means of all groups), (count, g·m·5). The repeatability is not a function of the means,
+    so its rows are zero."""
     g, m, p = found.means.shape
     each = m * p
     gradient = np.zeros((len(found.vector), g * each))

@@ -25,13 +25,14 @@ WHOLE = 1e-3  # of a turn, by which a dwell in whole turns may miss
 
 
 def as_recording_begins(segments: Sequence[Segment], site: Site, table: TableModel | None) -> tuple[Segment, ...]:
-    """The segments with their attitude when recording begins."""
+    """The segments with their attitude at the beginning of the recording."""
     known: dict[object, float] = {}
     return tuple(_carried(segment, site, table, known) for segment in segments)
 
 
 def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[float | None]) -> Array:
-    """Mean angular rate relative to inertial space in the fixture's frame, shape (n, 3), rad/s, of segments as recording begins.
+    """Mean angular rate relative to inertial space in the fixture's frame, (n, 3), rad/s, of segments at the beginning of their
+    recording.
 
     durations: s, as recorded. Raises `EstimationError` for an unknown orientation.
     """
@@ -42,14 +43,15 @@ def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[floa
 
 
 def recorded_seconds(recorded: RecordedSegment) -> float | None:
-    """Duration of the mean: each sample represents one interval."""
+    """Duration [s] over which the mean is formed. Each sample represents one interval."""
     return recorded.statistics.duration if recorded.statistics.count > 1 else recorded.segment.dwell
 
 
 def part_turns(
     segments: Sequence[Segment], durations: Sequence[float | None], intervals: Sequence[float]
 ) -> list[tuple[str, float]]:
-    """Label and turns of the spins that do not cover whole turns. intervals: s between samples, by which a dwell may miss."""
+    """Label and number of turns of each spin that does not cover whole turns. intervals: s between samples, by which a dwell may
+    differ."""
     found = []
     for segment, seconds, interval in zip(segments, durations, intervals, strict=True):
         if not isinstance(segment.motion, Spin) or seconds is None:

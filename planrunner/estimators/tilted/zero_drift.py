@@ -1,8 +1,8 @@
-"""Drift of the zero between the readings before and after the rates, as far as it exceeds the effects that are already included.
+"""Drift of the zero between the readings before and after the rates, as far as the included effects do not explain it.
 
-The type A uncertainty includes the noise of the zeros. With declared flicker it also includes the flicker, of which the drift of a series
-is one sample. A drift is added separately only if it is larger than both explain; otherwise every interval would include the same noise
-twice.
+The type A uncertainty includes the noise of the zeros. With declared flicker it also includes the flicker, of which the drift of a
+series is one sample. A drift is added separately only if both together do not explain it. Otherwise every interval would include the
+same noise twice.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -
 
 
 def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[CorrelatedError]) -> set[int]:
-    """Axes whose zeros drifted more than noise and declared flicker explain: χ² of all drifts, at 1 %.
+    """Axes whose zeros drifted more than noise and declared flicker explain, by the χ² test of all drifts at 1 %.
 
     sigma: (N, m), standard uncertainty of each segment's mean from noise; without noise and flicker, any drift is too large.
     """
@@ -51,8 +51,8 @@ def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[Corre
 
 
 def moved_alike(groups: Sequence[Group]) -> set[int]:
-    """Axes whose zeros drifted in the same way in all repeats, by more than the scatter from repeat to repeat explains: F test of the mean
-    drifts at the temperatures against that scatter, at 1 %. Every group has two repeats or more."""
+    """Axes whose zeros drifted in the same way in all repeats, by more than the scatter between repeats explains. An F test at 1 %
+    compares the mean drifts at the temperatures with that scatter. Every group has at least two repeats."""
     from scipy.special import fdtrc
 
     freedom = sum(len(group.drift) - 1 for group in groups)
