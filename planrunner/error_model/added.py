@@ -60,7 +60,7 @@ _WALK = 1e-4  # deg/s/√s, by default
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """natural: default value, in `unit`."""
+    """A parameter of an effect. natural: default value, in `unit`."""
 
     name: str
     unit: str
@@ -80,13 +80,14 @@ class Addition:
         return self.effect.id
 
     def in_si(self, name: str) -> float:
-        """A parameter in SI units."""
+        """The value of a parameter in SI units."""
         return self.values[name] * unit(self.units[name]).factor
 
 
 def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mark) -> Addition:
     """An effect with its stated parameters. stated: parameter → value with its unit; the empty name means the only parameter, or all
-    amplitudes. Parameters that are not stated have their natural size, but amplitudes are zero if others are named.
+    amplitudes. Parameters that are not stated have their natural size. If the text states some amplitudes, the other amplitudes are
+    zero.
 
     observed: any recording or schedule of the plan; it determines the available parameters. Raises `InputError`.
     """
@@ -118,7 +119,7 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
 def _optional(
     effect: Effect, known: Mapping[str, EffectParameter], observed: Observed, stated: Mapping[str, str]
 ) -> list[EffectParameter]:
-    """Parameters that a diagnosis may find, and that have no natural value: they act only if they are stated."""
+    """Parameters that a diagnosis may find, but that have no natural value. They act only if they are stated."""
     if isinstance(effect, ActsOnNoise) and effect.noise in BY_AXIS:
         (whole,) = known.values() or (None,)
         axes = sorted({observed.channels[index].axis for index in observed.of_kind(triad_of(effect))})
@@ -152,7 +153,7 @@ def _value(text: str, parameter: EffectParameter, effect: str, mark: Mark) -> fl
 
 
 def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
-    """Parameters of an effect; empty if it cannot act."""
+    """Parameters of an effect; empty if it cannot act here."""
     if isinstance(effect, ActsOnNoise):
         triad = triad_of(effect)
         indices = observed.of_kind(triad)
@@ -189,10 +190,11 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
 def added(
     observed: Observed, levels: Array, additions: Sequence[Addition], seed: int, orientation: int | None = None
 ) -> Array:
-    """Outputs without noise (N, K), SI, with the effects, stage by stage.
+    """Outputs without noise (N, K), SI, after the effects are added stage by stage.
 
-    seed, orientation: of one segment: for the values drawn for each orientation, and the number of its orientation, from 1 in the order of
-    first use. Of several segments, orientations have only the values stated for them.
+    seed, orientation: for data of one segment, the seed of the values that are drawn for each orientation, and the number of the
+    segment's orientation, from 1 in the order of first use. If the data contain several segments, orientations have only the values
+    that are stated for them.
     """
     out = levels.copy()
     for stage in STAGES[:-1]:
@@ -238,8 +240,8 @@ def _amplitudes(item: Addition, observed: Observed, seed: int, orientation: int 
 def _each_orientation(
     item: Addition, observed: Observed, seed: int, orientation: int | None
 ) -> list[tuple[Column, float]]:
-    """Amplitudes of the orientation of one segment: those stated for its number, and those drawn from the seed and the orientation, so that
-    an orientation always has the same ones."""
+    """Amplitudes of the orientation of one segment: those that are stated for its number, and those that are drawn. The seed and the
+    orientation determine the draw, so an orientation always has the same values."""
     (variant,) = item.effect.variants(_among_others(observed))
     found = []
     for column in variant.columns:
@@ -255,7 +257,7 @@ def _each_orientation(
 
 
 def _among_others(observed: Observed) -> Observed:
-    """One segment with short copies in other orientations, because a single orientation has no separate error."""
+    """One segment, with short copies in other orientations. A single orientation would have no separate error."""
     turns = [np.roll(np.eye(3), k, axis=0) for k in (1, 2)]
     half = np.diag([1.0, -1.0, -1.0])
     attitudes = [observed.attitude[0]] + [turn @ observed.attitude[0] for turn in (*turns, half, turns[0] @ half)]

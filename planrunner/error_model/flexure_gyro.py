@@ -46,17 +46,18 @@ def static_model(products: tuple[str, ...] = ()) -> ErrorModel:
 
 
 def physical_names(products: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """SF_X, SF_Y, epsilon, xi, D_X_F, D_X_X, …, D_Y_F, …: the twelve, and two more for each product term."""
+    """Names of the physical coefficients: SF_X, SF_Y, epsilon, xi, D_X_F, D_X_X, …, D_Y_F, …; twelve names, and two more for each
+    product term."""
     return (*_GEOMETRY, *(f"D_{axis}_{drift}" for axis in "XY" for drift in drifts(products)))
 
 
 def drifts(products: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """F, X, Y, Z, and one more for each product term: what each drift of an axis is proportional to."""
+    """Letters of the quantities to which the drifts of an axis are proportional: F, X, Y, Z, and one more for each product term."""
     return (*_DRIFTS, *(PRODUCTS[name][1] for name in products))
 
 
 def output_names(products: tuple[str, ...] = ()) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """(U0, U1, …) and (V0, V1, …)."""
+    """Names of the output coefficients: (U0, U1, …) and (V0, V1, …)."""
     p = 6 + len(products)
     return tuple(f"U{k}" for k in range(p)), tuple(f"V{k}" for k in range(p))
 
@@ -66,7 +67,8 @@ def _drift_columns(p: int) -> tuple[int, ...]:
 
 
 def output_coefficients(physical: Array) -> Array:
-    """[U; V], shape (2, p), SI, from physical coefficients in the order of `physical_names`, shape (4 + 2·(p − 2),)."""
+    """The output coefficients [U; V], shape (2, p), SI, from physical coefficients in the order of `physical_names`, shape (4 + 2·(p −
+    2),)."""
     sf_x, sf_y, epsilon, xi = physical[:4]
     cos_xi = np.cos(xi)
     mixing = np.array(
@@ -84,10 +86,10 @@ def output_coefficients(physical: Array) -> Array:
 
 def physical_coefficients(outputs: Array) -> Array:
     """The closed-form inverse of `output_coefficients`, shape (4 + 2·(p − 2),), from [U; V], shape (2, p); for many at once, (2, p, n),
-    shape (4 + 2·(p − 2), n). Analytic, so that its derivatives follow (`uncertainty.derivatives`).
+    shape (4 + 2·(p − 2), n). The formula is analytic, so its derivatives can be computed (`uncertainty.derivatives`).
 
-    tan(ε+ξ) = U2/U1 and tan ε = −V1/V2 with both angles within ±90°, so a torquer of reversed polarity shows as a negative scale factor.
-    Raises ValueError where U1, V2 or the determinant of M vanishes.
+    tan(ε+ξ) = U2/U1 and tan ε = −V1/V2 with both angles within ±90°, so a torquer of reversed polarity shows as a negative scale
+    factor. Raises ValueError if U1, V2 or the determinant of M is zero.
     """
     mixing, inverse = _mixing(outputs)
     (u1, u2), (v1, v2) = mixing
@@ -104,7 +106,7 @@ def physical_coefficients(outputs: Array) -> Array:
 
 
 def compensated_rates(outputs: Array, observed: Array, specific_force: Array) -> Array:
-    """[ω_Y, ω_X] recovered from the two outputs, shape (n, 2) or (n, 2, k), rad/s: the compensation model G0.
+    """The rates [ω_Y, ω_X] computed from the two outputs by the compensation model G0, shape (n, 2) or (n, 2, k), rad/s.
 
     outputs: [U; V], (2, p) with p = 6, or k of them, (2, p, k); observed: (n, 2), i_x and i_y; specific_force: (n, 3), m/s^2.
     M⁻¹ applied to the outputs gives
@@ -119,7 +121,7 @@ def compensated_rates(outputs: Array, observed: Array, specific_force: Array) ->
 
 
 def _mixing(outputs: Array) -> tuple[Array, Array]:
-    """M and its inverse, both (2, 2) or (2, 2, n)."""
+    """The matrix M and its inverse, both (2, 2) or (2, 2, n)."""
     mixing = np.asarray(outputs)[:, 1:3]
     determinant = mixing[0, 0] * mixing[1, 1] - mixing[0, 1] * mixing[1, 0]
     scale = np.abs(mixing).max(axis=(0, 1))

@@ -41,8 +41,9 @@ class Channel:
 
 
 def axis_of(name: str) -> int | None:
-    """The sensor axis that a channel measures along: the first x, y or z among the words of its name, such as gyro_x, x_rate or
-    accel_z_filtered, in capitals too. None if there is none. Recordings, schedules and simulations all use this rule."""
+    """The sensor axis along which a channel measures. It is the first x, y or z among the words of its name, in small or capital
+    letters, such as gyro_x, x_rate or accel_z_filtered. None if the name contains no axis. Recordings, schedules and simulations all
+    use this function."""
     return next(("xyz".index(word) for word in name.lower().split("_") if word in ("x", "y", "z")), None)
 
 
@@ -68,9 +69,9 @@ class TemperatureCourse:
 
 @dataclass(frozen=True, slots=True)
 class ObservedSegment:
-    """One segment of an `Observed`, with n samples. motion, attitude (3, 3), last_change: of the segment; time, angle, rate, acceleration,
-    temperature, temperature_rate: (n,); values: (n, K). course: of a motion that does not follow from attitude and angle. overvoltage,
-    overpressure: (n,), or None for zero."""
+    """One segment of an `Observed`, with n samples. motion, attitude (3, 3), last_change: of the segment; time, angle, rate,
+    acceleration, temperature, temperature_rate: (n,); values: (n, K). course: of a motion that attitude and angle do not determine.
+    overvoltage, overpressure: (n,), or None for zero."""
 
     label: str
     motion: Motion
@@ -98,7 +99,7 @@ def joined(
     along: Array | None = None,
     bins: Bins | None = None,
 ) -> Observed:
-    """Segments one after the other. rejected, along, bins: as in `Observed`."""
+    """Joins segments in sequence. rejected, along, bins: as in `Observed`."""
 
     def stacked(parts: Iterable[Array]) -> Array:
         return np.concatenate([np.zeros(0), *parts])
@@ -138,21 +139,21 @@ def _excess(parts: Sequence[Array | None], segments: Sequence[ObservedSegment]) 
 
 @dataclass(frozen=True)
 class Observed:
-    """A recording with its plan. S segments, N samples, K channels.
+    """A recording with its plan. It has S segments, N samples and K channels.
 
-    labels, attitude (S, 3, 3; rows are the sensor's axes in East-North-Up at table angle 0), motions: of the segments. bounds: (S + 1,).
-    time: (N,), s since power-on. angle: (N,), table angle, rad. rate, acceleration: (N,), of the table, rad/s and rad/s². temperature,
-    temperature_rate: (N,), degC and K/s, smoothed. last_change: (S,), sign of the last change of temperature, 0 before the first. values:
-    (N, K), SI. magnetic: Earth's field in ENU, any unit, None where it is not declared. rejected: rows left out for a NaN. along: (S, 3),
-    for a sensor in unknown orientations: the direction of gravity in its axes, estimated from the readings. Its accelerometers are then
-    observed only along gravity, as one channel: perpendicular to it, errors cannot be distinguished from the unknown orientation. bins: for
-    a long recording, whose "samples" are means over consecutive samples; None for single samples. felt: angular rate and specific force
-    (N, 3) each, instead of those that follow from site, attitude and table. fitted: output (N, K) of the fitted nominal model. response:
-    (K, 3), change of each output per rate about the axes of the sensor in that model; None for an ideal sensor. courses: (S,), of segments
-    whose motion the recording shows; an entry is None if attitude and angle give the motion, and the tuple is empty if all entries are.
-    excess_voltage, excess_pressure: (N,), as `overvoltage` and `overpressure`, or None for zero. past: by value of the shape of an effect,
-    the temperatures before the first sample, where this is a part of a simulation. reach: m, largest distance of a sensor from the axis of
-    a table.
+    labels, attitude (S, 3, 3; rows are the sensor's axes in East-North-Up at table angle 0), motions: of the segments. bounds: (S +
+    1,). time: (N,), s since power-on. angle: (N,), table angle, rad. rate, acceleration: (N,), of the table, rad/s and rad/s².
+    temperature, temperature_rate: (N,), degC and K/s, smoothed. last_change: (S,), sign of the last change of temperature, 0 before the
+    first. values: (N, K), SI. magnetic: Earth's field in ENU, any unit, None where it is not declared. rejected: number of rows that
+    were omitted because of a NaN. along: (S, 3), for a sensor in unknown orientations: the direction of gravity in its axes, estimated
+    from the readings. Its accelerometers are then observed only along gravity, as one channel: perpendicular to it, errors cannot be
+    distinguished from the unknown orientation. bins: for a long recording, whose "samples" are means over consecutive samples; None for
+    single samples. felt: angular rate and specific force (N, 3) each, if they do not follow from site, attitude and table. fitted:
+    output (N, K) of the fitted nominal model. response: (K, 3), change of each output per rate about the axes of the sensor in that
+    model; None for an ideal sensor. courses: (S,), of segments whose motion the recording shows; an entry is None if attitude and angle
+    give the motion, and the tuple is empty if all entries are. excess_voltage, excess_pressure: (N,), as `overvoltage` and
+    `overpressure`, or None for zero. past: the temperatures before the first sample, by value of the shape of an effect, if these
+    samples are a part of a simulation. reach: m, largest distance of a sensor from the axis of a table.
     """
 
     site: Site
@@ -203,7 +204,7 @@ class Observed:
 
     @cached_property
     def moved(self) -> NDArray[np.bool_]:
-        """The segments (S,) whose motion only the recording shows."""
+        """The segments (S,) whose motion is known only from the recording."""
         return np.array([isinstance(motion, RecordedMotion) for motion in self.motions], dtype=bool)
 
     @cached_property
@@ -217,9 +218,9 @@ class Observed:
         return self._by_course(self.acceleration[:, None] * self.table_axis, lambda course: course.swing)
 
     def turn_before(self, seconds: float) -> Array:
-        """`turn` some seconds earlier, less `turn`, (N, 3). While the table rocks, harmonic motion of pulsation p: ω(t − d) = ω·cos pd −
-        (dω/dt)/p·sin pd. If only the recording shows the motion, the rate counts as constant before the first sample of a segment and after
-        the last."""
+        """`turn` at an earlier time, minus `turn`, (N, 3). While the table rocks with angular frequency p, the motion is harmonic: ω(t
+        − d) = ω·cos pd − (dω/dt)/p·sin pd. If only the recording shows the motion, the rate counts as constant before the first sample
+        of a segment and after the last."""
         from scipy.interpolate import CubicSpline
 
         change = np.zeros((len(self.time), 3))
@@ -236,8 +237,9 @@ class Observed:
         return change
 
     def turn_lagged(self, tau: float) -> Array:
-        """`turn` behind a first-order lag, less `turn`, (N, 3), of the same segments, steady when they begin. The rate counts as linear
-        between samples: with q = exp(−h/τ) and g = τ/h, y₁ = q·y₀ + (1 − g·(1 − q))·x₁ + (g·(1 − q) − q)·x₀ for a step h."""
+        """`turn` after a first-order lag, minus `turn`, (N, 3). The lag is in steady state at the beginning of each segment. The rate
+        is taken as linear between samples: with q = exp(−h/τ) and g = τ/h, y₁ = q·y₀ + (1 − g·(1 − q))·x₁ + (g·(1 − q) − q)·x₀ for a
+        step h."""
         from scipy.signal import lfilter
 
         change = np.zeros((len(self.time), 3))
@@ -252,17 +254,17 @@ class Observed:
 
     @cached_property
     def mean_square_rate(self) -> Array:
-        """Mean square of the angular rate of a rocking table, (N,), rad²/s²; 0 in other segments. Of harmonic motion of pulsation p it
-        is (ω² + (α/p)²)/2 at any moment."""
+        """Mean square of the angular rate of a rocking table, (N,), rad²/s²; 0 in other segments. For harmonic motion of angular
+        frequency p it is (ω² + (α/p)²)/2 at any moment."""
         return np.asarray(self.mean_square_acceleration / np.where(self.pulsation > 0, self.pulsation, 1.0) ** 2)
 
     @cached_property
     def mean_square_acceleration(self) -> Array:
-        """The same of the angular acceleration, (N,), rad²/s⁴: (α² + (p·ω)²)/2."""
+        """Mean square of the angular acceleration of a rocking table, (N,), rad²/s⁴: (α² + (p·ω)²)/2; 0 in other segments."""
         return np.where(self.pulsation > 0, (self.acceleration**2 + (self.pulsation * self.rate) ** 2) / 2, 0.0)
 
     def _by_course(self, values: Array, part: Callable[[BodyMotion], Array]) -> Array:
-        """Values (N, …) that follow from attitude and angle, with those of the courses in their segments."""
+        """Values (N, …) that follow from attitude and angle. In segments with a course, the values of the course replace them."""
         for rows, course in zip(self.segments(), self.courses, strict=False):
             if course is not None:
                 values[rows] = part(course)
@@ -270,7 +272,8 @@ class Observed:
 
     @cached_property
     def pulsation(self) -> Array:
-        """2π times the frequency of a rocking table, (N,), rad/s; 0 in other segments and where the table is at rest."""
+        """Angular frequency of a rocking table, 2π times its frequency, (N,), rad/s; 0 in other segments and while the table is at
+        rest."""
         each = np.array([2 * np.pi * m.frequency if isinstance(m, Rock) else 0.0 for m in self.motions])[self.owner]
         return np.where((self.rate != 0) | (self.acceleration != 0), each, 0.0)
 
@@ -285,7 +288,7 @@ class Observed:
 
     @cached_property
     def owner(self) -> NDArray[np.int64]:
-        """The segment of every sample, (N,)."""
+        """Index of the segment of every sample, (N,)."""
         return np.repeat(np.arange(len(self)), np.diff(self.bounds))
 
     @cached_property
@@ -295,12 +298,12 @@ class Observed:
 
     @cached_property
     def counts(self) -> NDArray[np.int64]:
-        """Samples of every segment, (S,), those in its bins."""
+        """Number of recorded samples in every segment, (S,). A bin counts with all its samples."""
         return np.diff(self.bounds) * self.bin_size
 
     @cached_property
     def turning(self) -> Array:
-        """The site direction about which the table turns, (S, 3)."""
+        """The direction in site axes about which the table turns, (S, 3)."""
         return np.array(
             [m.about if isinstance(m, Spin | RecordedMotion) else (0.0, 0.0, 1.0) for m in self.motions], dtype=float
         )
@@ -313,8 +316,8 @@ class Observed:
         return 1.0 / float(np.median(np.diff(self.time[: min(len(self.time), 100_000)])))
 
     def in_sensor_axes(self, site_vector: Array) -> Array:
-        """A vector in site axes, (3,), as the sensor's axes see it at every sample, (N, 3): attitude · R(−θ) · vector, R by Rodrigues'
-        formula about the segment's axis. Zero where the attitude is unknown."""
+        """A vector in site axes, (3,), transformed to sensor axes at every sample, (N, 3): attitude · R(−θ) · vector, where R is
+        Rodrigues' formula about the segment's axis. Zero if the attitude is unknown."""
         vector = np.asarray(site_vector, dtype=float)
         along = (self.turning @ vector)[:, None] * self.turning
         axes = np.stack([along, vector - along, -np.cross(self.turning, vector)], axis=1) @ self.attitude.swapaxes(1, 2)
@@ -325,7 +328,8 @@ class Observed:
 
     @cached_property
     def _turned(self) -> Array:
-        """1, cosine and sine of the table's angle, (N, 3). Over a bin they are means to the second order in its length."""
+        """The number 1, and the cosine and sine of the table's angle, (N, 3). Over a bin they are means to the second order in its
+        length."""
         cosine, sine = np.cos(self.angle), np.sin(self.angle)
         if self.bins is not None:
             spread = ((self.bin_size**2 - 1) / (24 * self.sample_rate**2))[self.owner]
@@ -376,7 +380,7 @@ class Observed:
 
     @cached_property
     def gyro_range(self) -> Array:
-        """The smallest and the largest `gyro_output` of any gyro in each segment, (S, 2); 0 if it is of the other sign."""
+        """The smallest and the largest `gyro_output` of any gyro in each segment, (S, 2); 0 if this has the other sign."""
         parts = [self.gyro_output[part] for part in self.segments()]
         return np.array([(part.min(initial=0.0), part.max(initial=0.0)) for part in parts]).reshape(-1, 2)
 
@@ -386,7 +390,7 @@ class Observed:
         return np.asarray(np.abs(self.gyro_range).max(axis=1))
 
     def seen(self, index: int, vector: Array) -> Array:
-        """Component along a channel's input axis, (N,), of a vector in sensor axes, (N, 3)."""
+        """Component of a vector in sensor axes (N, 3) along a channel's input axis, (N,)."""
         if self.along is None:
             return np.asarray(vector[:, self.channels[index].axis])
         component = np.einsum("ni,ni->n", self.along[self.owner], vector)
@@ -394,7 +398,7 @@ class Observed:
         return np.where(np.abs(component) > rounding, component, 0.0)
 
     def inputs(self, kind: str) -> list[tuple[int, int, Array | float]]:
-        """Input axes of a triad: axis, channel in which it appears, and the direction cosine between both, (N,) or 1."""
+        """Input axes of a triad. Each has its axis, the channel in which it appears, and the direction cosine between both, (N,) or 1."""
         if self.along is None:
             return [(self.channels[index].axis, index, 1.0) for index in self.of_kind(kind)]
         return [(axis, index, self.along[self.owner, axis]) for index in self.of_kind(kind) for axis in range(3)]
@@ -416,7 +420,7 @@ class Observed:
 
     @property
     def sampled(self) -> dict[str, Array]:
-        """What an `Observed` holds for every sample except the values: name of the field → (N,)."""
+        """All fields of an `Observed` with one value per sample, except the values: name of the field → (N,)."""
         names = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate")
         found = {name: getattr(self, name) for name in (*names, "excess_voltage", "excess_pressure")}
         return {name: own for name, own in found.items() if own is not None}
@@ -427,7 +431,8 @@ class Observed:
 
 
 def planned_excess(segment: Segment, nominal_supply: float) -> tuple[float, float]:
-    """V above the nominal supply and Pa above the standard atmosphere, as planned; 0 where the plan does not state them."""
+    """Planned voltage above the nominal supply [V] and pressure above the standard atmosphere [Pa]; 0 for a quantity that the plan does
+    not state."""
     voltage, pressure = segment.supply_voltage, segment.ambient_pressure
     return (
         0.0 if voltage is None else voltage - nominal_supply,
@@ -436,7 +441,7 @@ def planned_excess(segment: Segment, nominal_supply: float) -> tuple[float, floa
 
 
 def orientation_key(attitude: Array) -> tuple[float, ...]:
-    """An attitude (3, 3) as a key: equal orientations have equal keys despite rounding."""
+    """An attitude (3, 3) as a dictionary key. Equal orientations have equal keys despite rounding."""
     return tuple((np.round(attitude, 6) + 0.0).ravel().tolist())
 
 
@@ -447,8 +452,8 @@ STANDARD_PRESSURE = 101325.0  # Pa
 @dataclass(frozen=True)
 class Bins:
     """Composition of bins. size: (S,), samples of each bin of a segment. rate: Hz, of the samples. energy: (S, K, K), SI², products of
-    DCT-II coefficients of the upper three quarters of the orders, `count` (S,) of each channel. spikes: (K,), samples replaced. levels:
-    by channel, distinct values in counts."""
+    DCT-II coefficients of the upper three quarters of the orders. count: (S,), number of these coefficients for each channel. spikes:
+    (K,), samples replaced. levels: by channel, distinct values in counts."""
 
     size: NDArray[np.int64]
     rate: float

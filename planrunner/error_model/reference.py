@@ -32,7 +32,7 @@ ACTORS = {
 
 
 def reference() -> str:
-    """The page."""
+    """The text of the page."""
     effects: list[Effect] = [plugins.load(plugins.EFFECTS, name)() for name in plugins.names(plugins.EFFECTS)]
     parts = [_BEGINNING]
     for actor, words in ACTORS.items():

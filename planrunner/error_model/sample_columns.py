@@ -2,11 +2,11 @@
 
     output = F(own input + Σ amplitude · column)
 
-An effect of the stimulus that has amplitudes (a lever arm, a ripple of the table's rate) changes what all other columns are taken at, so
-that the sensor's scale factor and misalignments act on it too; the model is not linear in it. An effect that changes the rate (a lag, a
-delay) acts next: all columns are then those at the rate that the output shows. An effect on the output (a dead zone, a limit) acts last:
-it is the function F. Neither has an amplitude. The columns are those of the catalogue, which a simulation adds and a diagnosis searches
-for.
+An effect of the stimulus that has amplitudes (a lever arm, a ripple of the table's rate) changes the stimulus of all other columns. The
+sensor's scale factor and misalignments therefore act on it too, and the model is not linear in it. An effect that changes the rate (a
+lag, a delay) acts next. All columns are then evaluated at the changed rate. An effect on the output (a dead zone, a limit) acts last,
+as the function F. Neither of these two kinds has an amplitude. The columns come from the catalogue. A simulation adds the same columns,
+and a diagnosis searches for them.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ def shaped(part: EffectPart) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleColumns:
-    """own: (N,), SI, input along the axis of the output, as an effect on the rate changes it; rows: (p, N), SI per SI amplitude, zero for
-    an amplitude of the stimulus; available: by effect, the names of all amplitudes that it has for this output."""
+    """Columns of an output at samples. own: (N,), SI, input along the axis of the output after effects on the rate; rows: (p, N), SI
+    per SI amplitude, zero for an amplitude of the stimulus; available: by effect, the names of all amplitudes that it has for this
+    output."""
 
     own: Array
     amplitudes: tuple[Amplitude, ...]
@@ -65,7 +66,7 @@ class ErrorsAtSamples:
         return np.array(sorted({one.shape for one in effect.variants(seen) if one.shape is not None}))
 
     def columns(self, shapes: Mapping[str, float], stimulus: Mapping[tuple[str, str], float]) -> SampleColumns:
-        """shapes: effect → value of its shape; stimulus: (effect, amplitude) → SI value, those that are not zero."""
+        """Columns of the effects. shapes: effect → value of its shape; stimulus: (effect, amplitude) → SI value, for nonzero values."""
         felt = self._felt(shapes, stimulus)
         amplitudes: list[Amplitude] = []
         rows: list[Array] = []
@@ -82,7 +83,7 @@ class ErrorsAtSamples:
         return SampleColumns(self._own(felt), tuple(amplitudes), matrix, available)
 
     def output(self, linear: Array, shapes: Mapping[str, float]) -> Array:
-        """F of an output (N,), SI."""
+        """The function F of an output (N,), SI."""
         for part in self.errors.chosen:
             effect = part.effect
             if isinstance(effect, ChangesWithinSegments) and effect.acts_on == "output":
@@ -92,13 +93,13 @@ class ErrorsAtSamples:
         return linear
 
     def slope(self, linear: Array, shapes: Mapping[str, float]) -> Array:
-        """dF of an output (N,)."""
+        """The derivative dF of an output (N,)."""
         step = _STEP * max(float(np.abs(linear).max()), 1e-12)
         return np.asarray((self.output(linear + step, shapes) - self.output(linear - step, shapes)) / (2 * step))
 
     @property
     def bent(self) -> bool:
-        """Whether F is not the identity."""
+        """Whether the function F is not the identity."""
         return any(
             isinstance(part.effect, ChangesWithinSegments) and part.effect.acts_on == "output"
             for part in self.errors.chosen
@@ -113,7 +114,7 @@ class ErrorsAtSamples:
         return made
 
     def _felt(self, shapes: Mapping[str, float], stimulus: Mapping[tuple[str, str], float]) -> Observed:
-        """With what the sensor feels, and the rate that the output shows."""
+        """The samples with the changed stimulus of the sensor, and with the rate that the output shows."""
         observed = self.observed
         change = np.zeros((len(TRIADS), len(observed.time)))
         for part in self.errors.chosen:
@@ -135,7 +136,7 @@ class ErrorsAtSamples:
 
 
 def of_stimulus(effect: Effect) -> bool:
-    """Whether an effect has amplitudes by which it changes what the sensor feels."""
+    """Whether an effect has amplitudes that change the stimulus of the sensor."""
     return effect.stage == "stimulus" and not _fixed(effect)
 
 

@@ -1,9 +1,9 @@
 """Effects of the catalogue at the means of segments: the design matrix of an estimate, at the planned or the recorded stimulus.
 
-An effect gives its columns at single moments, and the mean of a product is not the product of means. Each segment is therefore represented
-by a few nodes: evenly spaced directions of a table that turns (over whole turns, exact up to the seventh degree in what turns with it), and
-the nodes of Gauss and Legendre along a ramp of temperature (exact up to the fifth degree in time). The weighted mean over the nodes is the
-mean over the segment.
+An effect gives its columns at single moments, but the mean of a product is not the product of means. Each segment is therefore
+represented by a few nodes: evenly spaced directions of a table that turns (over whole turns, exact up to the seventh degree in what
+turns with it), and the nodes of Gauss and Legendre along a ramp of temperature (exact up to the fifth degree in time). The weighted
+mean over the nodes is the mean over the segment.
 """
 
 from __future__ import annotations
@@ -67,19 +67,19 @@ class SegmentStates:
     overpressure: Array
 
     def at(self, rows: Sequence[int]) -> SegmentStates:
-        """Of some segments."""
+        """The states of the selected segments."""
         place = list(rows)
         return SegmentStates(**{one.name: getattr(self, one.name)[place] for one in fields(self)})
 
     def measured(self, celsius: Array) -> SegmentStates:
-        """With mean temperatures (n,) of a thermometer; ramps as planned."""
+        """The states with mean temperatures (n,) measured by a thermometer; ramps stay as planned."""
         return replace(
             self, celsius=celsius, last_change=_last_changes(celsius - self.ramp / 2, celsius + self.ramp / 2)
         )
 
 
 def states_of(segments: Sequence[Segment], start: Array, seconds: Array, nominal_supply: float) -> SegmentStates:
-    """Planned temperatures, supply voltages and pressures; reference values where none are planned. start, seconds: (n,), s, planned or
+    """Planned temperatures, supply voltages and pressures; reference values if none are planned. start, seconds: (n,), s, planned or
     recorded; nominal_supply: of the sensor, V."""
     kelvin = [one.begins_at for one in segments]
     begin = np.array([REFERENCE_TEMPERATURE if one is None else one - ZERO_CELSIUS for one in kelvin])
@@ -109,8 +109,8 @@ def _last_changes(begin: Array, end: Array) -> Array:
 @dataclass(frozen=True, slots=True)
 class EffectPart:
     """An effect in the model of one output. only: names of its columns without the output's axis; empty for all. shape: value of its
-    shape, None for an effect without shape; sizes: by name of a column without the axis, the SI amplitude at which the derivative with
-    respect to the shape is taken, which is a column too; empty for no such column."""
+    shape, None for an effect without shape. sizes: amplitudes in SI by name of a column without the axis, at which the derivative with
+    respect to the shape is computed as a further column; empty if there is no such column."""
 
     effect: Effect
     only: tuple[str, ...] = ()
@@ -120,7 +120,7 @@ class EffectPart:
 
 @dataclass(frozen=True, slots=True)
 class OutputErrors:
-    """The errors of one output. kind: gyro or accel; axis: 0, 1, 2 for the sensor's x, y, z, along which it measures."""
+    """The errors of one output. kind: gyro or accel; axis: 0, 1, 2 for the sensor's x, y, z, the axis along which it measures."""
 
     output: str
     kind: str
@@ -134,10 +134,11 @@ class OutputErrors:
 
 @dataclass(frozen=True, slots=True)
 class Amplitude:
-    """One coefficient of an output. name: of the column without the output's axis; several: whether the effect has others for this output;
-    alone: whether the column acts on this output only. unit, factor: for display, and its SI value. along: as in
-    `Column`, the axis whose input it is. size: the largest value of such columns of the effect at any moment, for any axis; 0 where nothing
-    excites it. origin: value, in `unit`, from which a fitted amplitude counts, of a shape. shape: whether it is one."""
+    """One coefficient of an output. name: of the column without the output's axis; several: whether the effect has other amplitudes for
+    this output; alone: whether the column acts on this output only. unit, factor: unit for display and its SI value. along: as in
+    `Column`, the axis whose input it is. size: largest absolute value of such columns of the effect at any moment and for any axis; 0
+    if nothing excites it. origin: for a shape, the value in `unit` that corresponds to a fitted amplitude of zero. shape: whether the
+    amplitude is a shape."""
 
     effect: Effect
     name: str
@@ -153,8 +154,8 @@ class Amplitude:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutputColumns:
-    """own: (n,), SI, the output of an ideal sensor; matrix: (n, p), SI per SI amplitude, a column for each amplitude. available: by effect,
-    the names of all amplitudes that it has for this output."""
+    """Columns of an output at segments. own: (n,), SI, the output of an ideal sensor; matrix: (n, p), SI per SI amplitude, one column
+    for each amplitude. available: by effect, the names of all amplitudes that it has for this output."""
 
     own: Array
     available: Mapping[str, tuple[str, ...]]
@@ -163,13 +164,13 @@ class OutputColumns:
 
     @property
     def magnitudes(self) -> Array:
-        """(p,), positive."""
+        """Magnitudes of the columns, (p,), positive."""
         return np.array([one.size or 1.0 for one in self.amplitudes])
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAtSegments:
-    """The model of m outputs at n segments, which rest or turn in known orientations. stimulus: mean, as planned."""
+    """The model of m outputs at n segments, which rest or turn in known orientations. stimulus: planned means."""
 
     outputs: tuple[OutputErrors, ...]
     segments: tuple[Segment, ...]
@@ -179,8 +180,9 @@ class ErrorsAtSegments:
     of_motion: bool = False
 
     def columns(self, stimulus: Stimulus) -> Array:
-        """(k·n, P), output after output: its own input, then its amplitudes. stimulus: the planned one with small changes, once or k times
-        for all segments. The change of a mean is taken for that at all nodes of the segment."""
+        """Columns of all outputs, (k·n, P), output after output. For each output, its own input comes first, then its amplitudes.
+        stimulus: the planned one with small changes, once or k times for all segments. A change of a mean stimulus applies to all nodes
+        of the segment."""
         n, found = len(self.segments), []
         for low in range(0, len(stimulus), n):
             part = slice(low, low + n)
@@ -197,11 +199,11 @@ class ErrorsAtSegments:
         return effect.grid(self._planned)
 
     def of_outputs(self) -> tuple[OutputColumns, ...]:
-        """For each output, as planned."""
+        """The columns of each output at the planned stimulus."""
         return self._evaluated((np.zeros((len(self.segments), 3)),) * 2, np.zeros(len(self.segments)))
 
     def _evaluated(self, changes: tuple[Array, Array], faster: Array) -> tuple[OutputColumns, ...]:
-        """changes: of angular rate and specific force, each (n, 3); faster: (n,), of the table's rate."""
+        """Evaluates the columns. changes: of angular rate and specific force, each (n, 3); faster: (n,), of the table's rate."""
         observed, owner = self._planned, self._planned.owner
         felt = tuple(own + change[owner] for own, change in zip((observed.omega, observed.force), changes, strict=True))
         moved = replace(observed, felt=(felt[0], felt[1]), rate=observed.rate + faster[owner])
@@ -250,7 +252,7 @@ class ErrorsAtSegments:
 
     @cached_property
     def _nodes(self) -> list[tuple[Array, Array, Array]]:
-        """For each segment: angle of the table, place from −0.5 to 0.5 along the segment, and weight, all (k,)."""
+        """For each segment: angle of the table, position along the segment from −0.5 to 0.5, and weight, all (k,)."""
         shaped = any(one.shape is not None for output in self.outputs for one in output.chosen)
         places, weights = np.polynomial.legendre.leggauss(_ALONG_SHAPED if shaped else _ALONG)
         found = []
@@ -310,7 +312,7 @@ def amplitudes_of(
 
 
 def estimable(effect: Effect) -> str:
-    """Why an estimate cannot fit an effect; empty where it can."""
+    """The reason why an estimate cannot fit an effect; empty if it can."""
     if isinstance(effect, ActsOnNoise):
         return "it acts on the noise, not on means: use allan_deviation"
     if isinstance(effect, HasShape) and not isinstance(effect, ShapedOverSegments | ChangesWithinSegments):
@@ -327,12 +329,12 @@ def estimable(effect: Effect) -> str:
 
 
 def _beside(part: EffectPart) -> tuple[float, ...]:
-    """The values of the shape between which its derivative is taken."""
+    """Two values of the shape for the numerical derivative."""
     return (part.shape * (1 + _STEP), part.shape * (1 - _STEP)) if part.shape is not None and part.sizes else ()
 
 
 def _derivative(part: EffectPart, output: OutputErrors, above: Sequence[Column], below: Sequence[Column]) -> Array:
-    """The change of an output (N,) with the shape, for amplitudes that keep their values in the unit of display."""
+    """The derivative of an output (N,) with respect to the shape, for amplitudes that keep their values in the unit of display."""
     assert part.shape is not None
     found = np.zeros(len(next(iter(above[0].parts.values()))))
     for high, low in zip(above, below, strict=True):

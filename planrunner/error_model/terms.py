@@ -1,4 +1,4 @@
-"""Terms of an inertial sensor's error model: named functions of the stimulus, and models made of them.
+"""Terms of an inertial sensor's error model: named functions of the stimulus, and models that consist of them.
 
 A linear term gives one column of a design matrix. An estimator solves for its coefficient with the recorded stimulus; the check uses the
 planned stimulus to predict its observability and uncertainty. (The virtual gyro uses none of this code: it has separate formulas for the
@@ -29,10 +29,10 @@ from planrunner.plan.units import STANDARD_GRAVITY
 class Term:
     """One term, linear in its coefficient.
 
-    of: the column for a stimulus of n rows, shape (n,), SI. magnitude: the declared size of that column, by which columns are
-    divided before rank and condition are judged. unit: of the column. degree: in the components of the stimulus; a term of degree
-    two or more cannot be taken from means over a moving attitude. of_motion: whether the column depends on angular rate and specific force
-    alone; plans with the same orientations then share it at all temperatures and times.
+    of: computes the column for a stimulus of n rows, shape (n,), SI. magnitude: the declared size of that column, by which columns are
+    divided before rank and condition are judged. unit: of the column. degree: polynomial degree in the components of the stimulus. A
+    term of degree two or more cannot be computed from means over a moving attitude. of_motion: whether the column depends on angular
+    rate and specific force alone; plans with the same orientations then share it at all temperatures and times.
     """
 
     name: str
@@ -152,7 +152,7 @@ class ErrorModel:
 
 
 def term_names() -> Choice:
-    """The kind of a plan key that names an installed term."""
+    """The kind of a plan key whose value is the name of an installed term."""
     return Choice(plugins.names(plugins.TERMS))
 
 

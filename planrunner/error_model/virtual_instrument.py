@@ -1,4 +1,5 @@
-"""The virtual instrument that adds effects of the catalogue to a virtual sensor. The bench file thereby documents the simulation.
+"""The virtual instrument that adds effects of the catalogue to a virtual sensor. The bench file names it, so the bench file documents
+the simulation.
 
 It connects two independent layers: the virtual sensor passes its outputs without noise to `World.added`, and
 `planrunner.error_model.effects` contains the effects.
@@ -39,7 +40,7 @@ _WALKS = 2  # second part of a generator's key: different from those of segments
 
 
 def _of_axis(item: Addition, kind: NoiseKind, output: str) -> float | None:
-    """The value of a noise effect for an output; None if the effect leaves this output alone."""
+    """The value of a noise effect for an output; None if the effect does not change this output."""
     from planrunner.error_model.added import BY_AXIS, NOISE
     from planrunner.error_model.observed import axis_of
 
@@ -60,7 +61,7 @@ class AddedEffectsParameters(Record):
 
 
 class AddedEffects:
-    """Effects in the virtual world."""
+    """The added effects as an instrument of the virtual world."""
 
     role = "effects"
     Parameters = AddedEffectsParameters
@@ -209,7 +210,7 @@ class AddedEffects:
         return replace(made, past=dict(self.past))
 
     def _remember(self, observed: Observed) -> None:
-        """Keeps what effects that depend on what was before need of it. Every checkpoint contains it, so it must not grow."""
+        """Keeps the part of the past that effects with a memory need. Every checkpoint contains it, so it must not grow."""
         from planrunner.error_model.effects.interface import DependsOnPast
 
         for item in self.additions:
@@ -227,7 +228,7 @@ class AddedEffects:
         return self.orientations.index(place) + 1
 
     def _note_temperature(self, index: int, warm: Array) -> None:
-        """Follows the sign of the last change of temperature from segment to segment."""
+        """Updates the sign of the last change of temperature from segment to segment."""
         if index != self.segment:
             self.segment = index
             now = float(warm.mean())

@@ -1,10 +1,11 @@
-"""Long recordings in bounded memory: one pass over a segment's blocks averages consecutive samples in bins.
+"""Long recordings in bounded memory: one pass over a segment's blocks averages consecutive samples into bins.
 
-A recording of up to `BUDGET` samples is used unchanged. In a longer recording the bins are made large enough to keep to the budget, but a
-turn or a period of rocking has at least `PER_PERIOD` bins, and a segment at least `FEWEST`. For motion the number of bins therefore depends
-on the turns, not on the samples. Properties that only single samples show are measured in the same pass: the white noise level, from the
-same orders of the cosine transform as in a short recording; the count; and outliers, which are replaced by their neighbours. Frequencies
-above half the bin rate are lost, and so are fewer than `size` samples at the end of a segment.
+A recording of up to `BUDGET` samples is used unchanged. In a longer recording the bins are made large enough to keep to the budget, but
+a turn or a period of rocking has at least `PER_PERIOD` bins, and a segment at least `FEWEST`. During motion, the number of bins
+therefore depends on the number of turns, not on the number of samples. Some properties can only be measured on single samples. The same
+pass measures them: the white noise level, from the same orders of the cosine transform as in a short recording; the count; and
+outliers, which are replaced by interpolation between their neighbours. Frequencies above half the bin rate are lost, and so are fewer
+than `size` samples at the end of a segment.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class Averaged:
 
 
 def sizes(recording: Sequence[RecordedSegment]) -> NDArray[np.int64] | None:
-    """Samples per bin for each segment (S,); None for a recording that is used unchanged."""
+    """Samples per bin for each segment (S,); None if the recording is used unchanged."""
     counts = np.array([item.statistics.count for item in recording])
     if counts.sum() <= BUDGET:
         return None
@@ -63,7 +64,7 @@ def sizes(recording: Sequence[RecordedSegment]) -> NDArray[np.int64] | None:
 
 
 def _most(item: RecordedSegment) -> int:
-    """The largest bin by which a segment's motion can still be followed."""
+    """The largest bin size that still resolves a segment's motion."""
     known = item.statistics
     most = known.count // FEWEST
     period = period_of(item.segment.motion)
@@ -73,7 +74,7 @@ def _most(item: RecordedSegment) -> int:
 
 
 def bins_of(size: NDArray[np.int64], parts: Sequence[Averaged]) -> Bins:
-    """The bins of a recording, from those of its segments."""
+    """The bins of a recording, combined from the bins of its segments."""
     levels = [reduce(np.union1d, each) for each in zip(*(part.levels for part in parts), strict=True)]
     return Bins(
         size,
@@ -100,9 +101,9 @@ def averaged(
     size: int,
     encoder: tuple[str, float] | None = None,
 ) -> Averaged:
-    """A segment in bins of `size` samples, in one pass. names: channels, the K measured ones first; factors: (K,), of their units;
-    counts: (K,), SI; smallest: (K,), the smallest noise for the detection of outliers, SI. encoder: a channel of `names` that wraps, and
-    the number of its units per turn."""
+    """A segment averaged in bins of `size` samples, in one pass. names: channels, the K measured ones first; factors: (K,), of their
+    units; counts: (K,), SI; smallest: (K,), the smallest noise for the detection of outliers, SI. encoder: a channel of `names` that
+    wraps, and the number of its units per turn."""
     out = Averaged(energy=np.zeros((len(factors),) * 2), spikes=np.zeros(len(factors), dtype=np.int64))
     out.levels = [np.empty(0) for _ in factors]
     times, means, last = [], [], None
@@ -131,7 +132,7 @@ def averaged(
 
 
 def _usable(item: RecordedSegment, names: Sequence[str], out: Averaged) -> Iterator[Block]:
-    """Blocks without rows that hold a NaN, which are counted."""
+    """Blocks without rows that contain a NaN; these rows are counted."""
     for block in item.blocks(names):
         good = np.isfinite(block.time)
         for name in names:
@@ -142,14 +143,14 @@ def _usable(item: RecordedSegment, names: Sequence[str], out: Averaged) -> Itera
 
 
 def _look_at(values: Array, counts: Array, out: Averaged) -> None:
-    """Collects levels of the channels' counts until the declared count is confirmed."""
+    """Collects levels of the channels until the declared count is confirmed."""
     for channel, step in enumerate(counts):
         if step > 0 and not settled(out.levels[channel]):
             out.levels[channel] = np.union1d(out.levels[channel], levels_of(values[channel], float(step)))
 
 
 def _upper(values: Array, out: Averaged) -> None:
-    """Energy in the upper three quarters of a piece's orders, from an eighth of the sampling rate on."""
+    """Energy in the upper three quarters of the orders of a piece, from one eighth of the sampling rate upwards."""
     from scipy.fft import dct
 
     quarter = values.shape[1] // 4
@@ -160,11 +161,11 @@ def _upper(values: Array, out: Averaged) -> None:
 
 
 def without_spikes(values: Array, smallest: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Samples (K, n) with outliers, which are far from the mean of their four neighbours, replaced by linear interpolation, and their
-    number (K,).
+    """Samples (K, n) in which linear interpolation replaces outliers, and the number of outliers (K,). An outlier is far from the mean
+    of its four neighbours.
 
-    The difference from that mean has 1.25 times the variance of white noise. Of several outliers within two samples the largest is replaced
-    first.
+    For white noise, the difference of a sample from this mean has 1.25 times the variance of the noise. Of several outliers within two
+    samples the largest is replaced first.
     """
     from scipy.ndimage import maximum_filter1d
 
@@ -188,7 +189,7 @@ def without_spikes(values: Array, smallest: Array) -> tuple[Array, NDArray[np.in
 
 
 def rechunk(blocks: Iterable[Block], channels: Sequence[str], rows: int) -> Iterator[tuple[Array, Array]]:
-    """The same samples as (time (n,), values (k, n)), every piece but the last of exactly `rows` rows."""
+    """The same samples as (time (n,), values (k, n)) in pieces. Every piece except the last has exactly `rows` rows."""
     time, values, filled = np.empty(rows), np.empty((len(channels), rows)), 0
     for block in blocks:
         taken, count = 0, len(block.time)

@@ -1,7 +1,7 @@
 """Errors of the segments' means that are correlated between segments: declared flicker, and errors of the table.
 
-A correlated error states how every observation follows r independent inputs of one stated uncertainty. This gives both its part of the
-covariance of the observations, by which they are weighted, and how each result follows the inputs.
+A correlated error states how every observation follows r independent inputs of one stated uncertainty. This determines two things: the
+contribution to the covariance of the observations, by which they are weighted, and the sensitivity of each result to the inputs.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ _RESOLVED = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorrelatedError:
-    """changes: (n, r) by index of the affected output: change of each observation per unit of each input. parts: names of the r inputs, as
-    for `Influence`. within: for each output, (n,), its part of the variance within the segments, per unit² of the input."""
+    """A correlated error. changes: (n, r) by index of the affected output: change of each observation per unit of each input. parts:
+    names of the r inputs, as for `Influence`. within: for each output, (n,), its contribution to the variance within the segments, per
+    unit² of the input."""
 
     quantity: InputQuantity
     changes: Mapping[int, Array]
@@ -31,7 +32,7 @@ class CorrelatedError:
     within: Mapping[int, Array] = field(default_factory=dict)
 
     def covariance(self, one: int, other: int) -> Array | float:
-        """Its part of the covariance between the observations of two outputs, (n, n); 0.0 if it acts on only one of them."""
+        """Contribution to the covariance between the observations of two outputs, (n, n); 0.0 if the error acts on only one of them."""
         if one not in self.changes or other not in self.changes:
             return 0.0
         return np.asarray(self.quantity.standard_uncertainty**2 * (self.changes[one] @ self.changes[other].T))
@@ -50,14 +51,14 @@ def functionals_of(gains: Array) -> Array:
 
 
 def explained(effects: Sequence[CorrelatedError], output: int) -> Array | float:
-    """Part of the variance within the segments that the effects cause, (n,)."""
+    """Contribution of the effects to the variance within the segments, (n,)."""
     shares = (one.quantity.standard_uncertainty**2 * one.within[output] for one in effects if output in one.within)
     return sum(shares, 0.0)
 
 
 def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> Array:
-    """Changes of the n observations of each output per standard uncertainty of every input, (outputs, n, r); 0 where an effect does not
-    act. With the L of two outputs, L·Lᵀ is the contribution of the effects to the covariance between their observations."""
+    """Changes of the n observations of each output per standard uncertainty of every input, (outputs, n, r); 0 for an effect that does
+    not act. If L₁ and L₂ belong to two outputs, L₁·L₂ᵀ is the contribution of the effects to the covariance between their observations."""
     roots = []
     for effect in effects:
         columns = next(iter(effect.changes.values())).shape[1]

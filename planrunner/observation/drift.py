@@ -1,9 +1,9 @@
 """Courses of a slow drift of the outputs during a test: in time, with temperature, and with its rate of change.
 
-A drift is a nuisance: its courses are fitted together with the coefficients, whose uncertainties then include that it is unknown. Each
-course is the mean over each segment, minus its average over the recorded time of all segments of the estimate. A constant is therefore that
-of the whole test: at the average time, at the average temperature and at its average rate of change. It is the same for outputs that use
-only some of the segments.
+A drift is a nuisance: its courses are fitted together with the coefficients, so that the uncertainties of the coefficients include that
+the drift is unknown. Each course is the mean over each segment, minus its average over the recorded time of all segments of the
+estimate. A constant is therefore the value for the whole test: at the average time, at the average temperature and at its average rate
+of change. It has the same meaning for outputs that use only some of the segments.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _STEADY = 1e-9  # K: a smaller change of the temperature is rounding
 
 
 def drift() -> tuple[str, ...]:
-    """The key of estimators that fit constants to segments."""
+    """The key `drift` of estimators that fit constants to segments."""
     words: tuple[str, ...] = key(
         ListOf(Choice((BY_EVIDENCE, NONE, *ORDERS, *WITH_TEMPERATURE)), single=True, minimum=1),
         "Drift of the outputs during the test that is fitted together with the coefficients: in time (`quadratic` includes `linear`, and "
@@ -45,7 +45,7 @@ def drift() -> tuple[str, ...]:
 
 
 def thermometer() -> str | None:
-    """The key for the channel whose mean is the temperature of a segment."""
+    """The key that names the channel whose mean is the temperature of a segment."""
     channel: str | None = key(
         CHANNEL,
         "The sensor's own thermometer, for a drift with temperature; by default the only recorded channel that is a temperature.",
@@ -57,9 +57,9 @@ def thermometer() -> str | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftCourse:
-    """columns: (n, r), the same course for r parts of an output, without unit of the output. per: the unit by which a fitted amplitude is
-    divided. parts: names of the parts, if there are several. order: of a course in time, otherwise 0. changed: K, by how much the recorded
-    temperature that it follows changed between segments, if that counts as a change; otherwise 0."""
+    """One course of drift. columns: (n, r), the same course for r parts of an output; they do not have the unit of the output. per: the
+    unit by which a fitted amplitude is divided. parts: names of the parts, if there are several. order: of a course in time, otherwise
+    0. changed: change of the recorded temperature between segments, K, if the course follows it and the change is significant; otherwise 0."""
 
     name: str
     per: str
@@ -71,9 +71,9 @@ class DriftCourse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftCourses:
-    """The courses that may be fitted. by_evidence: only if the data show them; otherwise all of them. fits: number of fits in which the
-    same drift is sought, each by itself. shown: names of the courses that one of these fits shows; they are fitted where the segments
-    allow it."""
+    """The courses that may be fitted. by_evidence: only if the data show them; otherwise all of them. fits: number of separate fits in
+    which the same drift is sought. shown: names of the courses that one of these fits shows; they are fitted where the segments allow
+    it."""
 
     courses: tuple[DriftCourse, ...] = ()
     by_evidence: bool = True
@@ -85,8 +85,8 @@ NO_DRIFT = DriftCourses()
 
 
 def asked(words: Sequence[str]) -> tuple[str, ...]:
-    """The courses that a plan asks for, with the lower orders in time; those that may be tried for `by_evidence`. Raises
-    `EstimationError` for words that exclude each other."""
+    """The courses that a plan asks for, including the lower orders in time; for `by_evidence`, the courses that may be tried. Raises
+    `EstimationError` for options that exclude each other."""
     alone = [word for word in words if word in (BY_EVIDENCE, NONE)]
     if alone and len(set(words)) > 1:
         other = next(word for word in words if word != alone[0])
@@ -110,9 +110,9 @@ def drift_of(
 ) -> DriftCourses:
     """The courses for the observations of recorded segments.
 
-    channel: the thermometer, if the plan names one. segments: those of the observations, in their order; none if the observations are
-    parts of segments, whose temperature is unknown. test: all segments of the estimate. Raises `EstimationError` for a temperature that is
-    not recorded, if the plan asks for it.
+    channel: the thermometer, if the plan names one. segments: segments of the observations, in their order; none if the observations
+    are parts of segments with unknown temperature. test: all segments of the estimate. Raises `EstimationError` if the plan asks for a
+    temperature that is not recorded.
     """
     names, by_evidence = asked(words), BY_EVIDENCE in words
     if not names or (by_evidence and observations.expected):
@@ -158,7 +158,8 @@ def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)
 
 
 def _with_temperature(middle: Array, kelvin: Array, seconds: Array) -> tuple[DriftCourse, ...]:
-    """middle: (n,), s; kelvin: (n,), of the segments. Its rate of change is that of the line through the neighbouring segments."""
+    """The course with temperature. middle: (n,), s; kelvin: (n,), of the segments. The rate of change of the temperature is the slope
+    of the line through the neighbouring segments."""
     if len(kelvin) < 2 or np.ptp(kelvin) < _STEADY:
         return ()
     order = np.argsort(middle, kind="stable")
@@ -173,7 +174,7 @@ def _centred(values: Array, seconds: Array) -> Array:
 
 
 def thermometer_of(units: Mapping[str, str], channel: str | None, by_evidence: bool) -> str | None:
-    """The channel of the temperature; None if there is none and the plan does not insist.
+    """The channel of the temperature; None if there is none and the plan does not require it.
 
     units: of the channels that every segment has; channel: as named in the plan. Raises `EstimationError`.
     """
@@ -210,7 +211,7 @@ def _common(segments: Sequence[RecordedSegment]) -> dict[str, str]:
 
 
 def _temperatures(segments: Sequence[RecordedSegment], channel: str) -> Array:
-    """Means, K, (n,)."""
+    """Mean temperatures, K, (n,)."""
     means = np.array([one.statistics.mean[one.statistics.of(channel)] for one in segments])
     scales = [unit(one.units[channel]) for one in segments]
     return np.asarray(means * [one.factor for one in scales] + [one.offset for one in scales])

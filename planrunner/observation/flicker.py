@@ -1,9 +1,9 @@
 """Effect of an output's bias instability on the means of segments: flicker noise, whose slow part correlates all segments of a test.
 
-Flicker has the one-sided density B²/(π·f) (IEEE Std 952, where B is the coefficient of bias instability). Its spectrum has no lower limit,
-so a constant is defined only as the average over some span. Here that span is stated, and a constant means the average over the span around
-the test. No cut-off frequency is then needed: the covariance of means less the average over the span is finite. Its kernel is −ln|t −
-t′|/π, whose double integrals over segments are known in closed form.
+Flicker has the one-sided density B²/(π·f) (IEEE Std 952, where B is the coefficient of bias instability). Its spectrum has no lower
+limit, so a constant is defined only as the average over some time span. Here the plan states this span, and a constant is the average
+over the span around the test. No cut-off frequency is then needed, because the covariance of means minus the average over the span is
+finite. Its kernel is −ln|t − t′|/π, whose double integrals over segments are known in closed form.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SPAN = parse_quantity("24 h")
 
 
 def drift_span() -> Quantity:
-    """The key of estimators that report constants."""
+    """The key for the span of estimators that report constants."""
     span: Quantity = key(
         QuantityOf("time", "positive"),
         "A reported constant is the mean over this time span, which has the test in its middle and is at least as long as the test. "
@@ -57,8 +57,8 @@ def _effects(
 
 
 def unstated_flicker(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
-    """Flicker with B = 1, in the unit of the output, of each output for which the bench file gives no bias instability. None for expected
-    observations, which contain only what is declared. span: s."""
+    """Flicker with B = 1, in the output's unit, for each output whose bias instability the bench file does not give. None for expected
+    observations, which contain only declared effects. span: s."""
     outputs = [] if observations.expected else [*enumerate(observations.channels)]
     silent = {
         k: InputQuantity(Aspect.BIAS_INSTABILITY.of(name), 0.0, observations.units[k], 1.0)
@@ -85,8 +85,8 @@ def weighted_covariance(weights: Array, step: float, span: float) -> Array:
     """Covariance (…, q, q) of sums of the means of flicker with B = 1 over n intervals of `step` [s], one after the other, less its average
     over `span` [s] around them. weights: (…, q, n).
 
-    As `mean_covariance` for intervals of equal length, whose covariance depends on their distance alone: its product with the weights is a
-    convolution (Toeplitz matrix in a circulant one), so that n may be thousands.
+    The result is that of `mean_covariance` for intervals of equal length. The covariance then depends only on their distance, so its
+    product with the weights is a convolution (Toeplitz matrix in a circulant one), and n may be thousands.
     """
     n = weights.shape[-1]
     low: Array = step * np.arange(n, dtype=np.float64)
@@ -113,8 +113,9 @@ def _mean_logarithm(low: Array, high: Array) -> Array:
 def _between(low: Array, high: Array, other_low: Array, other_high: Array) -> Array:
     """Average of ln|t − t′| over t in one of n intervals and t′ in one of m others, (n, m).
 
-    From the second antiderivative x²·ln|x|/2 − 3x²/4 at the four differences of the ends; for intervals that are short compared with their
-    distance d, where these differences cancel, from ln d − (a² + b²)/(24·d²), with an error of fourth order in a/d and b/d.
+    It is computed from the second antiderivative x²·ln|x|/2 − 3x²/4 at the four differences of the ends. For intervals that are short
+    compared with their distance d, these differences cancel; there it is ln d − (a² + b²)/(24·d²), with an error of fourth order in a/d
+    and b/d.
     """
     if len(low) > _ROWS:
         parts = [slice(first, first + _ROWS) for first in range(0, len(low), _ROWS)]
@@ -136,8 +137,8 @@ _ROWS = 64  # computed at a time, so that the parts of the sum stay in the proce
 
 
 def scatter_within(batches: NDArray[np.int64], courses: Sequence[Array] = ()) -> Array:
-    """Contribution (n,) of flicker with B = 1 to the square of each mean's standard error that is estimated from b batch means: ln b/(π·(b
-    − 1)).
+    """Contribution (n,) of flicker with B = 1 to the square of each mean's standard error, if this is estimated from b batch means: ln
+    b/(π·(b − 1)).
 
     A mean over T has the variance (c − ln T + 3/2)/π with some constant c; the variance of a batch minus that of all is ln b/π. A course
     that is fitted to the batch means takes its part of the flicker, too: with the projection R that is left, the contribution is

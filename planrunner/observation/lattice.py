@@ -1,5 +1,5 @@
-"""Detection of a channel's count, the step of which all values are multiples: levels in hundredths of the declared count, collected piece
-by piece."""
+"""Detection of a channel's count, the step of which all values are multiples. Levels are collected piece by piece in hundredths of the
+declared count."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def settled(levels: Array) -> bool:
 
 
 def holds(levels: Array) -> bool:
-    """Whether levels, in declared counts, are whole: the values lie on the declared lattice."""
+    """Whether levels, in declared counts, are whole numbers, so that the values are multiples of the declared count."""
     return float(np.abs(levels - np.round(levels)).max(initial=0.0)) <= 2 * OFF_LATTICE
 
 
 def undeclared_step(values: Array) -> float:
-    """The count of a channel (N,) without a declared one, in its unit; 0 if its values do not lie on a lattice."""
+    """The count of a channel (N,) without a declared count, in its unit; 0 if its values are not multiples of any count."""
     some = values[:: max(len(values) // _PIECE, 1)]
     distinct = np.unique(np.round((some - some.min()) / max(float(np.ptp(some)), 1e-300), 9))
     steps = np.diff(distinct) * float(np.ptp(some))

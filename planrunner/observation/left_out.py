@@ -1,7 +1,7 @@
 """Segments without the samples that screening found to be wrong.
 
-Means, scatter and extremes of a channel do without its own bad samples. Where samples are read one by one, for what is integrated or
-filtered, a short bad stretch is filled on a straight line from the level before it to the level after it; a long one reads as missing
+Means, scatter and extremes of a channel are computed without its bad samples. For integration and filtering, samples are read one by
+one. A short bad stretch is then filled by a straight line from the level before it to the level after it. A long one reads as missing
 numbers, which each reader treats like samples that were never recorded. A repeated sample is dropped.
 """
 
@@ -21,9 +21,9 @@ FILLED = 64
 
 
 def without_bad(recorded: RecordedSegment) -> RecordedSegment:
-    """The segment as it is without its bad finds; itself where there are none.
+    """The segment without its bad samples; the segment itself if it has none.
 
-    Times, counts and gaps stay those of the recording. Samples are read once more for each set of channels with the same bad rows.
+    Times, counts and gaps are those of the recording. Samples are read once more for each set of channels with the same bad rows.
     """
     bad = [one for one in recorded.finds or () if one.bad]
     if not bad:
@@ -39,7 +39,7 @@ def without_bad(recorded: RecordedSegment) -> RecordedSegment:
 
 
 def rows_of(finds: Iterable[Find]) -> int:
-    """How many rows the finds cover."""
+    """Number of rows that the findings cover."""
     covered, end = 0, 0
     for one in sorted(finds, key=lambda one: one.first):
         covered += max(0, one.first + one.rows - max(end, one.first))
@@ -48,8 +48,8 @@ def rows_of(finds: Iterable[Find]) -> int:
 
 
 def _statistics(recorded: RecordedSegment, own: Mapping[str, tuple[Find, ...]]) -> tuple[Statistics, float]:
-    """Each channel's from its own good rows; covariances between channels from the rows that are good in all. And the share of rows that
-    count, of the channel with the fewest."""
+    """Statistics of each channel from its own good rows. Covariances between channels use rows that are good in all channels. Also
+    returns the fraction of good rows in the channel with the fewest."""
     raw = recorded.statistics
     rows = raw.count + raw.rejected
     sets: dict[frozenset[tuple[int, int]], list[str]] = {}
@@ -93,7 +93,7 @@ def _of(
 
 
 def _without(blocks: Iterable[Block], finds: Mapping[str, tuple[Find, ...]], filled: int) -> Iterator[Block]:
-    """The blocks with bad rows filled, where there are at most `filled` of them together, or missing."""
+    """The blocks in which bad rows are filled if at most `filled` of them are adjacent; otherwise they are missing."""
     row = 0
     for block in blocks:
         end = row + len(block.time)

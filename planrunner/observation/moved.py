@@ -1,4 +1,4 @@
-"""The motion of a sensor that no table commanded, from the channels that the plan names for it."""
+"""The motion of a sensor that no table commanded. The channels that the plan names for it give the motion."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _UNIT = 0.05  # deviation of the norm of a quaternion from 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionShown:
-    """table: angle, rate and acceleration of an axis with an encoder, (n,) each, zero for other motions. course: of other motions.
-    averaging: number of samples to average. usable: (n,), samples with neighbours on both sides. differences: whether rates are differences
-    over both neighbours."""
+    """A motion from recorded channels. table: angle, rate and acceleration of an axis with an encoder, (n,) each, zero for other
+    motions. course: of other motions. averaging: number of samples to average. usable: (n,), samples with neighbours on both sides.
+    differences: whether rates are differences over both neighbours."""
 
     table: Mapping[str, Array]
     course: BodyMotion | None
@@ -33,8 +33,8 @@ class MotionShown:
     differences: bool = False
 
     def as_shown(self, values: Array) -> Array:
-        """Outputs (n, k), averaged as the motion is: over the interval of a difference by Simpson's rule, so that the fast part of a motion
-        does not seem larger in the outputs."""
+        """Outputs (n, k) with the same averaging as the motion: over the interval of a difference by Simpson's rule, so that the
+        outputs do not contain more of a fast motion than the reference."""
         if not self.differences:
             return values
         found = values.copy()
@@ -83,7 +83,8 @@ def recorded_course(
 
 
 def supposed_course(time: Array, site: Site) -> MotionShown:
-    """A motion about all axes, for a segment that has not been recorded: what an effect needs in order to act. No figure may rest on it."""
+    """An assumed motion about all axes, for a segment that has not been recorded. It contains everything that an effect needs in order
+    to act. No reported number may depend on it."""
     since = time - time[0]
     rates = np.radians(_SUPPOSED) * np.sin(2 * np.pi * np.outer(since, np.array([0.3, 0.5, 0.7])))
     zero = np.zeros(len(time))
@@ -92,5 +93,5 @@ def supposed_course(time: Array, site: Site) -> MotionShown:
 
 
 def _stacked(names: tuple[str, ...], shown: Mapping[str, Array]) -> Array | None:
-    """(n, k), None for no channels."""
+    """The channels as columns (n, k); None if there are no channels."""
     return np.column_stack([shown[name] for name in names]) if names else None

@@ -28,11 +28,12 @@ SIGNIFICANCE = (
 class Observations:
     """Means of k channels over n segments, in the channels' units.
 
-    mean: (n, k). standard_error: (n, k), of each mean from its own segment, NaN if the segment is too short. batches: (n,), number of
-    batches for it. start, end: (n,), of the recorded interval, half-open, s on the run's clock. correlation: (k, k) of the channels'
-    noise, over all segments. expected: from a schedule, not from a recording: means without noise, and the declared noise. share: (n,)
-    of the samples that count; None for all. courses: (n,), of each segment as in `Statistics`; None without motion. within: number of
-    further observations at the end that are no means, but contrasts within segments; their standard errors are known.
+    mean: (n, k). standard_error: (n, k), of each mean, from the scatter within its segment; NaN if the segment is too short. batches:
+    (n,), number of batches for this standard error. start, end: (n,), of the recorded interval, half-open, s on the run's clock.
+    correlation: (k, k) of the channels' noise, over all segments. expected: whether they come from a schedule; means then have no
+    noise, and standard errors come from the declared noise. share: (n,), fraction of the samples that are used; None for all. courses:
+    (n,), of each segment as in `Statistics`; None without motion. within: number of further observations at the end that are not means
+    but contrasts within segments; their standard errors are known.
     """
 
     channels: tuple[str, ...]
@@ -51,7 +52,7 @@ class Observations:
 
     @property
     def of_means(self) -> Observations:
-        """Without the contrasts."""
+        """The observations without the contrasts."""
         if not self.within:
             return self
         n = len(self.labels) - self.within
@@ -70,13 +71,13 @@ class Observations:
 
     @property
     def freedom(self) -> Array:
-        """Degrees of freedom of the standard errors, (n,); 0 where they are unknown."""
+        """Degrees of freedom of the standard errors, (n,); 0 if they are unknown."""
         taken = 0.0 if self.courses is None else np.array([np.sum(course**2) for course in self.courses])
         return np.asarray(np.maximum(self.batches - 1 - taken, 0.0))
 
     @property
     def seconds(self) -> Array:
-        """Recorded time that counts, (n,)."""
+        """Recorded time that is used, s, (n,)."""
         lasted: Array = self.end - self.start
         return lasted if self.share is None else lasted * self.share
 
@@ -94,7 +95,7 @@ class WithinSegmentNoise:
 
     @property
     def unequal(self) -> bool:
-        """Whether the weights differ by more than the jitter of recorded times."""
+        """Whether the weights differ by more than the jitter of recorded times causes."""
         return bool(self.sigma.max() > 1.05 * self.sigma.min())
 
 
@@ -147,7 +148,7 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
 
 
 def _correlation(scatter: Array) -> Array:
-    """From sums of products of deviations, (k, k)."""
+    """Correlation (k, k) from sums of products of deviations."""
     size = np.sqrt(scatter.diagonal())
     sizes = size[:, None] * size
     correlation = np.where(sizes > 0, scatter / np.where(sizes > 0, sizes, 1.0), 0.0)
@@ -156,9 +157,9 @@ def _correlation(scatter: Array) -> Array:
 
 
 def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], channels: Sequence[str]) -> Array:
-    """Correlation of the channels' means, (k, k): that of the samples, (k, k), which is known best, unless that of the batch means differs
-    (Fisher's z, with Bonferroni's bound over the pairs). It does if the samples have something in common that means do not have, such as
-    a vibration.
+    """Correlation of the channels' means, (k, k). It is the correlation of the samples, (k, k), which is known best, unless that of the
+    batch means differs significantly (Fisher's z, with Bonferroni's bound over the pairs). They differ if the samples have a common
+    part that averages out, such as a vibration.
 
     The transform of a correlation coefficient r from ν degrees of freedom has the variance 1/(ν − 2) (Fisher, Metron 1, 1921)."""
     k, scatter, freedom = len(channels), np.zeros((len(channels),) * 2), 0.0
@@ -177,7 +178,8 @@ def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], c
 
 
 def recorded_times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
-    """Beginnings and ends [s]; the planned beginnings if the recorded ones are not on one clock, so that segments overlap."""
+    """Beginnings and ends [s] of the recorded segments. If the recorded times are not on one clock, so that segments overlap, the
+    planned beginnings are used."""
     start = np.array([recorded.statistics.start for recorded in segments])
     length = np.array([max(recorded.statistics.duration, 1e-9) for recorded in segments])
     order = np.argsort(start)
@@ -192,10 +194,10 @@ def within_segment_noise(
 ) -> WithinSegmentNoise:
     """The noise of one channel's means, for weights and for uncertainties.
 
-    The variance of a mean, times its recorded time, is pooled over the segments unless Bartlett's test (Snedecor and Cochran, Statistical
-    Methods, 13.10) finds that it differs between them; then each segment keeps its own. So equal noise gives weights by recorded time only,
-    and chance differences between short segments do not become weights. explained: (n,), part of the variance of the means that has another
-    known cause and is subtracted.
+    The variance of a mean, times its recorded time, is pooled over the segments unless Bartlett's test (Snedecor and Cochran,
+    Statistical Methods, 13.10) finds that it differs between them; then each segment keeps its own. Thus, equal noise gives weights by
+    recorded time only, and chance differences between short segments do not influence the weights. explained: (n,), part of the
+    variance of the means that has another known cause and is subtracted.
     """
     error = observations.standard_error[:, channel]
     if observations.expected:
@@ -220,7 +222,7 @@ def within_segment_noise(
 
 
 def _left(variance: Array, explained: Array | float) -> Array:
-    """Standard uncertainties (n,) without the explained part of the variance, but at least a hundredth of the observed ones."""
+    """Standard uncertainties (n,) without the explained part of the variance, but at least one hundredth of the observed ones."""
     return np.sqrt(np.maximum(variance - explained, _LEAST**2 * variance))
 
 
@@ -244,7 +246,7 @@ def _noise(sensor: SensorModel, channel: str) -> NoiseModel:
 
 
 def _rounding(sensor: SensorModel, channel: str, variances: Array) -> Array:
-    """Contribution of rounding to counts to the uncertainty of each mean, (n,): resolution/√12 if the noise is too small to dither it."""
+    """Contribution of rounding to the uncertainty of each mean, (n,): resolution/√12 if the noise is too small to dither it."""
     noise = _noise(sensor, channel)
     return np.where(noise.dithers(variances), 0.0, noise.resolution / math.sqrt(12))
 

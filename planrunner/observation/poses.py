@@ -1,13 +1,14 @@
-"""Poses in unknown orientations as observations: for a sensor turned by hand only |f| = g is known while it rests.
+"""Poses in unknown orientations as observations. For a sensor that is turned by hand, only |f| = g is known while it rests.
 
-A pose's readings are a = M·f + b + noise with |f| = g. The components perpendicular to f depend on the unknown orientation, which uses up
-two numbers per pose. One observation per sample remains, along u = f/g:
+A pose's readings are a = M·f + b + noise with |f| = g. The components perpendicular to f depend on the unknown orientation, which uses
+up two numbers per pose. One observation per sample remains, along u = f/g:
 
     u·a = g + u·b + g·uᵀ(M − 1)u + noise.
 
-Therefore errors that rotate f (a tilt, an azimuth, a rotation of the whole triad) have no signature. Of the six misalignments only the sums
-of opposite ones, the three non-orthogonalities, have one. u follows from the mean of the pose and the fitted nominal model by Gauss-Newton
-steps. An effect of size δ beyond the nominal model rotates u by at most δ and changes u·a by g·δ²/2, which is of second order.
+Therefore errors that rotate f (a tilt, an azimuth, a rotation of the whole triad) cannot be observed. Of the six misalignments, only
+the sums of opposite ones, the three non-orthogonalities, can be observed. u follows from the mean of the pose and the fitted nominal
+model by Gauss-Newton steps. An effect of size δ beyond the nominal model rotates u by at most δ and changes u·a by g·δ²/2, which is of
+second order.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def unknown_orientations(recording: Sequence[RecordedSegment]) -> bool:
-    """Whether all segments rest in unknown orientations; those whose motion the recording shows need none.
+    """Whether all segments rest in unknown orientations. Segments whose motion the recording shows need no orientation.
 
-    Raises `ObservationError` if only some do, or if one moves."""
+    Raises `ObservationError` if only some segments do, or if one moves."""
     unknown = [
         item.label
         for item in recording
@@ -63,7 +64,7 @@ def poses(
 ) -> Observed:
     """Recorded poses for a diagnosis: one channel `accel`, the accelerometer reading along gravity.
 
-    nominal: terms that the simulation fits, used to find directions. Gyros are left out, because at rest in an unknown orientation they
+    nominal: terms that the simulation fits, used to find directions. Gyros are omitted, because at rest in an unknown orientation they
     show only a bias. Raises `ObservationError` without a complete triad of accelerometers, and if the readings are not near a sphere.
     """
     recording = in_time_order(recording)
@@ -151,7 +152,7 @@ def _columns(unit: Array, gravity: float, nominal: Sequence[str]) -> Array:
 
 
 def _changed(step: Array, nominal: Sequence[str]) -> tuple[Array, Array]:
-    """A step in the parameters of `_columns` as changes of bias (3,) and matrix (3, 3)."""
+    """Converts a step in the parameters of `_columns` to changes of bias (3,) and matrix (3, 3)."""
     bias, matrix, left = np.zeros(3), np.zeros((3, 3)), list(step)
     if "accel_bias" in nominal:
         bias, left = np.array(left[:3]), left[3:]

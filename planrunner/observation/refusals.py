@@ -25,4 +25,5 @@ class EstimationError(Exception):
 
 
 class UnfitDataError(EstimationError):
-    """The plan is correct, but the recorded data are not suitable for the estimate: the item or the recording is in question."""
+    """The plan is correct, but the recorded data are not suitable for the estimate: the fault is in the item under test or in the
+    recording."""

@@ -42,10 +42,11 @@ def observed(
 ) -> Observed:
     """The recorded segments of a run for a diagnosis, in order of time, as slow noise and hysteresis require.
 
-    only: the channels to use, by default all; measured: the channels, regardless of names and units. Names give their axes (`axis_of`);
-    angular-rate channels are gyros and acceleration channels accelerometers, whatever their names. angle_channel: the table's encoder;
-    temperature_channel: thermometer; supply_channel: voltmeter of the supply; pressure_channel: barometer; by default the plan's values are
-    used. power_on: recording time of power-on, s. Raises `ObservationError` if the recording cannot be diagnosed.
+    only: the channels to use, by default all; measured: channels to use regardless of their names and units. Names give their axes
+    (`axis_of`); angular-rate channels are gyros and acceleration channels accelerometers, whatever their names. angle_channel: the
+    table's encoder; temperature_channel: thermometer; supply_channel: voltmeter of the supply; pressure_channel: barometer. For a
+    channel that is not given, the plan's values are used. power_on: recording time of power-on, s. Raises `ObservationError` if the
+    recording cannot be diagnosed.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
@@ -105,7 +106,7 @@ def channels_of(first: RecordedSegment, sensor: SensorModel, only: Collection[st
 
 
 def measures_motion(text: str) -> bool:
-    """Whether a channel in this unit is one that is diagnosed."""
+    """Whether a channel with this unit measures angular rate or acceleration, so that it is diagnosed."""
     return unit(text).dimension in KINDS
 
 
@@ -119,8 +120,9 @@ def _part(
     power_on: float,
     size: int | None,
 ) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
-    """Samples of one segment, or means over `size` samples, without rows that contain NaN; their composition; the uncertainty of the
-    temperature, NaN if it changes; and the course of a motion that attitude and angle do not give. limits: full scale of each output."""
+    """Reads one segment: its samples, or means over `size` samples, without rows that contain NaN; their composition; the uncertainty
+    of the temperature, NaN if it changes; and the course of a motion that attitude and angle do not give. limits: full scale of each
+    output."""
     motion = item.segment.motion
     if isinstance(motion, RecordedMotion):
         return _moved_part(item, motion, site, limits, channels, monitors, power_on, size)
@@ -153,7 +155,8 @@ def _moved_part(
     power_on: float,
     size: int | None,
 ) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
-    """As `_part`, for a motion that the recording shows. Samples at full scale, of which the motion is not known, are left out."""
+    """The same as `_part`, for a motion that the recording shows. Samples at full scale are omitted, because the motion is not known
+    there."""
     own = [channel.name for channel in channels if channel.name in motion.channels]
     if own:
         message = f"'{own[0]}' shows the motion of segment '{item.label}' and cannot be judged by it"
@@ -191,8 +194,8 @@ def rows_of(
     size: int | None = None,
     encoder: str | None = None,
 ) -> Averaged:
-    """A segment's rows without a NaN, or, with `size`, means over so many. extra: further channels, of which `encoder` wraps. Raises
-    `ObservationError`."""
+    """A segment's rows without a NaN; if `size` is given, means over this number of rows. extra: further channels, of which `encoder`
+    wraps. Raises `ObservationError`."""
     names = [*(channel.name for channel in channels), *extra]
     missing = [name for name in names if name not in item.units]
     if missing:
@@ -211,7 +214,7 @@ def rows_of(
 
 
 def _expected(item: RecordedSegment, channels: Sequence[Channel], names: Sequence[str], size: int) -> Averaged:
-    """The times of the samples that are planned, with the expected means as values."""
+    """The times of the planned samples, with the expected means as values."""
     known = item.statistics
     time: Array = known.start + known.period * (
         np.arange(known.count // size, dtype=np.float64) * size + (size - 1) / 2

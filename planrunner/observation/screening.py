@@ -1,7 +1,7 @@
 """Screening: spikes, bursts, stuck and clipped stretches, lost and repeated samples, and steps, found in one pass over a segment.
 
-Samples are taken in pieces of fixed size from the segment's beginning, so that the finds do not depend on the division into blocks, and
-memory does not grow with the data. A piece costs a few sums; only one that contains a large change between neighbours is examined.
+Samples are read in pieces of fixed size from the segment's beginning, so that the findings do not depend on the division into blocks,
+and memory does not grow with the data. A piece needs only a few sums. Only a piece with a large change between neighbours is examined.
 
 *Spikes and bursts.* A sample is an outlier if it lies more than g scale estimates from the median of the samples around it: the
 identifier of Hampel (1985), with g chosen for the number of samples as by Davies and Gather, "The Identification of Multiple Outliers",
@@ -79,7 +79,7 @@ _CLIPPED = 10  # samples at the largest value
 
 
 def screened(recording: Sequence[RecordedSegment], sensor: SensorModel) -> tuple[RecordedSegment, ...]:
-    """The segments with their finds; those that have not been screened while they were read are read again."""
+    """The segments with their findings. Segments that were not screened while they were read are read again."""
     watch = watch_of(sensor)
     found = [item if item.finds is not None or item.expected else _screened(item, watch) for item in recording]
     channels = [output.name for output in sensor.outputs if varies(output)]
@@ -97,12 +97,12 @@ _STANDING = (DIMENSIONS["temperature"], DIMENSIONS["angle"])
 
 
 def varies(output: OutputModel) -> bool:
-    """Whether an output has noise at any time: thermometers and encoders may stand still."""
+    """Whether an output always has noise. Thermometers and encoders may keep one value."""
     return not output.constant and unit(output.unit).dimension not in _STANDING
 
 
 def watch_of(sensor: SensorModel) -> WatcherOf:
-    """Screens the sensor's outputs. Thermometers and encoders are left alone: they may stand still for a long time."""
+    """Screens the sensor's outputs. Thermometers and encoders are not screened, because they may keep one value for a long time."""
 
     def watch(segment: Segment, units: Mapping[str, str], rows: int) -> Screening:
         counts, scales = {}, {}
@@ -116,7 +116,8 @@ def watch_of(sensor: SensorModel) -> WatcherOf:
 
 
 def threshold(samples: int) -> float:
-    """g: scale estimates from which a sample among so many is an outlier; of few samples the scale is known less well."""
+    """The factor g: a sample is an outlier if its distance exceeds g scale estimates, for a window of this number of samples. For few
+    samples, g is larger because the scale is less certain."""
     from scipy.special import stdtrit
 
     return -float(stdtrit(max(0.3 * samples, 3.0), CHANCE / 2))
@@ -124,7 +125,7 @@ def threshold(samples: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """Equal samples. row, time: of the first; last: time of the last, s; before, after: the samples on either side."""
+    """A run of equal samples. row, time: of the first; last: time of the last, s; before, after: the samples on either side."""
 
     row: int
     length: int
@@ -137,7 +138,7 @@ class _Run:
 
 @dataclass(frozen=True, slots=True)
 class _Last:
-    """The sample of a channel before those that are looked at."""
+    """The last sample of a channel before the samples that are examined."""
 
     row: int
     time: float
@@ -146,8 +147,8 @@ class _Last:
 
 @dataclass
 class _Window:
-    """A piece of one channel with the samples around it, as far as they exist. low, high: its own samples; usual, count: mean change and
-    count as known when it was looked at; places: (n,), samples before its large changes."""
+    """A piece of one channel with the neighbouring samples that exist. low, high: its own samples; usual, count: mean change and count
+    as known when the piece was examined; places: (n,), indices of the samples before its large changes."""
 
     values: Array
     rows: RowNumbers
@@ -159,13 +160,13 @@ class _Window:
     places: RowNumbers
 
     def preceded(self, values: Array, rows: RowNumbers, times: Array) -> None:
-        """The samples before."""
+        """The window with the preceding samples added."""
         self.values = np.concatenate([values, self.values])
         self.rows = np.concatenate([rows, self.rows])
         self.times = np.concatenate([times, self.times])
 
     def extended(self, values: Array, rows: RowNumbers, times: Array) -> None:
-        """The samples that follow, as far as they belong to the context."""
+        """The window with the following samples added, as far as they belong to the context."""
         more = slice(0, max(self.high + _BESIDE - len(self.values), 0))
         self.values = np.concatenate([self.values, values[more]])
         self.rows = np.concatenate([self.rows, rows[more]])
@@ -174,8 +175,9 @@ class _Window:
 
 @dataclass
 class _Runs:
-    """Runs of equal samples of one channel. lengths: number of runs by length, the last for longer ones; long: the longest; row, time,
-    before: of the run that goes on; length: of it so far; count: smallest change; bend, bends: sum and number of second differences."""
+    """Runs of equal samples of one channel. lengths: number of runs by length, the last entry for longer runs; long: the longest runs;
+    row, time, before: of the current run; length: its length so far; count: smallest change; bend, bends: sum and number of second
+    differences."""
 
     lengths: RowNumbers = field(default_factory=lambda: np.zeros(_SHORT + 1, dtype=np.int64))
     long: list[_Run] = field(default_factory=list)
@@ -188,7 +190,7 @@ class _Runs:
     bends: int = 0
 
     def add(self, values: Array, rows: RowNumbers, times: Array) -> None:
-        """The next samples (n,), each from the last one before them on, except at the segment's beginning."""
+        """Adds the next samples (n,). Except at the segment's beginning, the first of them is the last one of the preceding call."""
         if not self.length:
             self.row, self.time, self.length = int(rows[0]), float(times[0]), 1
         ends = np.append(
@@ -210,7 +212,7 @@ class _Runs:
         self.bends += max(len(values) - 2, 0)
 
     def add_changing(self, values: Array, rows: Numbered, times: Array, last: _Last | None) -> None:
-        """The next samples, without the last one before them, where every sample differs from the one before."""
+        """Adds the next samples, without the last one of the preceding call, if every sample differs from the one before."""
         if last is not None:
             if self.length >= RUN:
                 two = np.array([last.value, values[0]])
@@ -223,7 +225,8 @@ class _Runs:
         self.row, self.time, self.length = int(rows[-1]), float(times[-1]), 1
 
     def _hold(self, values: Array, rows: RowNumbers, times: Array, before: int, last: int, length: int) -> None:
-        """A run that ends at `last`; before: the place of the sample before it, negative for the run that went on."""
+        """Stores a run that ends at `last`. before: index of the sample before the run, negative for a run that began in an earlier
+        piece."""
         went_on = before < 0
         row, time = (self.row, self.time) if went_on else (int(rows[before + 1]), float(times[before + 1]))
         left = self.before if went_on else float(values[before])
@@ -233,13 +236,13 @@ class _Runs:
             self.long = sorted(self.long, key=lambda one: -one.length)[:_HELD]
 
     def finish(self, values: Array, rows: RowNumbers, times: Array) -> None:
-        """The last run ends with the last of these samples."""
+        """Ends the last run at the last of these samples."""
         self.lengths[min(self.length, _SHORT)] += 1
         if self.length >= RUN:
             self._hold(values, rows, times, -1, len(values) - 1, self.length)
 
     def stuck(self) -> list[_Run]:
-        """The stretches that stand longer than counts and noise allow."""
+        """The stretches that keep one value longer than counts and noise explain."""
         runs = int(self.lengths.sum())
         usual = int(np.searchsorted(np.cumsum(self.lengths), 0.99 * runs))
         longer = [one for one in self.long if one.length > RUN * max(usual, 1)]
@@ -254,8 +257,8 @@ class Screening:
     """The pass over one segment."""
 
     def __init__(self, counts: Mapping[str, float], full_scales: Mapping[str, float], rows: int, *, steady: bool):
-        """counts: channel → declared count, 0 if none; full_scales: either sign; both in the channels' units. steady: the segment is
-        planned at rest or turning evenly, so that changes within it are none of the stimulus."""
+        """counts: channel → declared count, 0 if none; full_scales: either sign; both in the channels' units. steady: whether the
+        segment is planned at rest or turning evenly, so that the stimulus causes no changes within it."""
         self.channels, self.steady = tuple(counts), steady
         self.counts = np.array([counts[name] for name in self.channels])
         self.full_scales = full_scales
@@ -286,7 +289,8 @@ class Screening:
         self.work = np.empty(room)  # differences of time
 
     def add(self, block: Block, ranges: Ranges | None = None) -> None:
-        """The next samples; rows with a missing number are passed over. ranges: of them; found here by default, where they are needed."""
+        """Adds the next samples. Rows with a missing number are skipped. ranges: smallest and largest values of the samples; by default
+        they are computed if they are needed."""
         count = len(block.time)
         rows: Numbered = range(self.row, self.row + count)
         self.row += count
@@ -331,7 +335,7 @@ class Screening:
                 self._look_at_filled()
 
     def finds(self) -> tuple[Find, ...]:
-        """All finds in order of time. Call it once, at the end."""
+        """All findings in order of time. It must be called once, at the end."""
         if self.filled:
             self._look_at_filled()
         self._examine_waiting()
@@ -351,8 +355,8 @@ class Screening:
     def _look(
         self, time: Array, rows: Numbered, columns: list[Array], low: Array, high: Array, steps: tuple[float, float]
     ) -> None:
-        """Whole pieces, or the last one, which is shorter. low, high: no channel has values beyond them here; steps: nor have the times
-        steps, if these are known."""
+        """Examines whole pieces, or the last one, which is shorter. low, high: limits that no channel exceeds here; steps: whether the
+        times have steps, if this is known."""
         for k, window in self.waiting:
             window.extended(columns[k][:_BESIDE], _numbers(rows[:_BESIDE]), time[:_BESIDE])
         self._examine_waiting()
@@ -377,8 +381,8 @@ class Screening:
     def _channel(
         self, k: int, values: Array, rows: Numbered, times: Array, means: Array | None, low: float, high: float
     ) -> None:
-        """Whole pieces of one channel, or the last one. A piece in which no sample is far from the mean, and each differs from the one
-        before, has no find. This costs little to see, and is seen for several pieces together."""
+        """Examines whole pieces of one channel, or the last one. A piece has no finding if no sample is far from the mean and each
+        sample differs from the one before. This check is fast and is done for several pieces together."""
         last = self._last(k)
         pieces = max(len(values) // _PIECE, 1)
         size = len(values) // pieces
@@ -427,7 +431,7 @@ class Screening:
     def _piece(
         self, k: int, values: Array, rows: Numbered, times: Array, begin: int, end: int, last: _Last | None
     ) -> None:
-        """One piece of a channel, from `begin` to `end` of some samples."""
+        """Examines one piece of a channel, from `begin` to `end` of the given samples."""
         own, own_rows, own_times = values[begin:end], _numbers(rows[begin:end]), times[begin:end]
         if last is not None:
             own = np.concatenate([[last.value], own])
@@ -461,7 +465,7 @@ class Screening:
         self._level(k, level)
 
     def _count(self, k: int) -> float:
-        """The channel's count, declared or seen; 0 if neither."""
+        """The channel's count, declared or detected; 0 if there is neither."""
         seen = self.runs[k].count
         return max(float(self.counts[k]), seen if math.isfinite(seen) else 0.0)
 
@@ -483,7 +487,7 @@ class Screening:
                 self.smallest[k] = -known
 
     def _examine(self, k: int, window: _Window) -> None:
-        """Outliers near large changes, by their distance from local medians."""
+        """Finds outliers near large changes by their distance from local medians."""
         x = window.values
         if len(x) < _LEAST or not _stands_out(window):
             return
@@ -517,7 +521,7 @@ class Screening:
             self._note(k, window, int(group[0]), int(group[-1]) + 1)
 
     def _note(self, k: int, window: _Window, low: int, high: int) -> None:
-        """Keeps an outlier or a burst, from one place in the window to another."""
+        """Stores an outlier or a burst, from one index in the window to another."""
         values, rows, times = window.values, window.rows, window.times
         around = np.concatenate([values[max(0, low - _FAR) : low], values[high : high + _FAR]])
         before, after = values[max(0, low - 4) : low], values[high : high + 4]
@@ -542,7 +546,7 @@ class Screening:
         )
 
     def _of_channel(self, k: int) -> list[Find]:
-        """What is known of one channel at the end of the segment."""
+        """The findings of one channel at the end of the segment."""
         stuck = [self._stretch(k, one) for one in self.runs[k].stuck()][:_KEPT]
         if not self.steady and (len(stuck) > _MANY or 2 * sum(one.rows for one in stuck) > self.done):
             stuck = _as_one(stuck)  # a sensor that moves now and then, with coarse counts or without noise at rest
@@ -560,12 +564,13 @@ class Screening:
         return [*found, *self._flat_tops(k, found), *self._steps(k, found)]
 
     def _judged(self, one: Find) -> Find:
-        """A burst with which the segment begins or ends may be motion that is not over yet, or already ends: it counts."""
+        """Decides whether a burst counts as bad. At the beginning or end of a segment it may be motion, so there it is only reported."""
         at_an_end = one.first < _SPIKE or one.first + one.rows > self.row - _SPIKE
         return replace(one, bad=False) if one.kind is FindKind.BURST and at_an_end else one
 
     def _stretch(self, k: int, run: _Run) -> Find:
-        """A run of equal samples; clipped where it stands at an extreme value of the segment, of which there is more."""
+        """The finding for a run of equal samples. It is clipped if its value is at the full scale, or is an extreme value of the
+        segment that also occurs elsewhere."""
         extremes = ((self.largest[k], self.at_top[0, k]), (self.smallest[k], self.at_bottom[0, k]))
         limit = 0.99 * self.full_scales.get(self.channels[k], math.inf)
         clipped = abs(run.value) >= limit or any(run.value == value and at > run.length + 1 for value, at in extremes)
@@ -576,8 +581,8 @@ class Screening:
         return Find(kind, self.channels[k], run.row, run.length, run.time, seconds, run.value, math.nan, before, after)
 
     def _flat_tops(self, k: int, known: Sequence[Find]) -> list[Find]:
-        """Noise that is cut off at the largest or smallest value: the samples there are many more than those just below. known: other
-        finds, whose samples may be at the extremes."""
+        """Finds noise that is cut off at the largest or smallest value: many more samples are at this value than just below it. known:
+        other finds, whose samples may be at the extremes."""
         runs = self.runs[k]
         if not runs.bends or runs.bend / runs.bends / PER_SIGMA <= 1.1 * runs.count:
             return []
@@ -590,7 +595,7 @@ class Screening:
         return found
 
     def _steps(self, k: int, found: Sequence[Find]) -> list[Find]:
-        """Changes of level that stay: differences of neighbouring means far beyond those elsewhere in the segment."""
+        """Finds changes of level that persist: differences of neighbouring means far beyond those elsewhere in the segment."""
         if not self.steady or not self.means[k]:
             return []
         means, times = np.concatenate(self.means[k]), np.concatenate(self.bin_times)
@@ -630,7 +635,7 @@ class Screening:
         return out
 
     def _times(self, time: Array, rows: Numbered, columns: Sequence[Array]) -> None:
-        """Lost and repeated samples."""
+        """Finds lost and repeated samples."""
         if len(time) > len(self.work):
             self.work = np.empty(len(time))
         first = 0 if self.done else 1
@@ -665,21 +670,21 @@ class Screening:
                     self.in_time.append(Find(kind, "", row, 1, float(time[at]), self.interval, 1.0))
 
     def _of_time(self) -> list[Find]:
-        """Without what a clock that jitters does anyway."""
+        """Findings about time, without deviations that the jitter of the clock explains."""
         if self.pauses <= _JITTER * max(self.done, 1):
             return self.in_time
         return [one for one in self.in_time if one.kind is FindKind.LOST and one.seconds > _LONG_PAUSE * self.interval]
 
 
 def _widened(steps: tuple[float, float], others: tuple[float, float]) -> tuple[float, float]:
-    """The range of both; NaN if one is."""
+    """The smallest range that contains both ranges; NaN if one of them is NaN."""
     low, high = np.minimum(steps[0], others[0]), np.maximum(steps[1], others[1])
     return float(low), float(high)
 
 
 def _stands_out(window: _Window) -> bool:
-    """Whether a sample beside one of a few large changes is far from the samples around it: two opposite deviations of usual size make a
-    large change too."""
+    """Whether a sample beside one of a few large changes is far from the samples around it. A large change alone proves nothing,
+    because two opposite deviations of usual size can cause it."""
     if len(window.places) > _FEW:
         return True
     for place in window.places:
@@ -695,7 +700,7 @@ def _numbers(rows: Numbered) -> RowNumbers:
 
 
 def _as_one(finds: Sequence[Find]) -> list[Find]:
-    """Finds that are too many to be outliers: they belong to the noise and count."""
+    """Combines findings that are too many to be outliers into one finding that is not bad: they belong to the noise."""
     if not finds:
         return []
     largest = max(finds, key=lambda one: abs(one.size))
@@ -716,5 +721,5 @@ def _mean_around(values: Array, size: int) -> Array:
 
 
 def _trimmed(sizes: Array) -> float:
-    """Mean of the smallest 95 % of (n,) sizes."""
+    """Mean of the smallest 95 % of n absolute values (n,)."""
     return float(np.sort(sizes)[: max(1, int(0.95 * len(sizes)))].mean())

@@ -1,8 +1,8 @@
-"""Channels that stand at one value from the beginning of a segment to its end.
+"""Channels that keep one value from the beginning of a segment to its end.
 
-Within such a segment nothing shows what the noise of the channel would be. It is taken from other segments at rest or at a constant rate
-in which the same channel changes, or from the noise that is declared: a channel is stuck if noise as large as that would leave one count.
-Coarse counts at rest, signals without noise, and channels that stand in most segments, such as set points, are therefore left alone.
+Such a segment itself does not show the noise of the channel. The noise is taken from other segments at rest or at a constant rate in
+which the same channel changes, or from the bench file. A channel is stuck if noise of this size would leave one count. Coarse counts at
+rest, signals without noise, and channels that keep one value in most segments, such as set points, are therefore not reported.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ PER_SIGMA = 1.954
 def with_standing(
     recording: Sequence[RecordedSegment], sensor: SensorModel, channels: Collection[str], chance: float
 ) -> tuple[RecordedSegment, ...]:
-    """The segments with a find for each of the channels that stands where its noise would have moved it. The find counts as reported, not
-    as bad: without its samples nothing of the channel would remain, so a person has to judge.
+    """The segments with a finding for each channel that keeps one value although its noise would have changed it. The finding counts as
+    reported, not as bad, because without its samples the channel would have no data left. A person has to decide.
 
-    chance: probability with which noise may leave a channel at one value and the channel is still found to be stuck.
+    chance: largest probability with which noise may leave a channel at one value for the channel still to be reported as stuck.
     """
     found: dict[int, list[Find]] = {}
     for name in channels:
@@ -62,13 +62,13 @@ def _steady(item: RecordedSegment) -> bool:
 
 
 def _range(item: RecordedSegment, name: str) -> float:
-    """Largest less smallest sample; NaN without samples."""
+    """Largest minus smallest sample; NaN without samples."""
     place = item.statistics.of(name)
     return float(item.statistics.maximum[place] - item.statistics.minimum[place])
 
 
 def _by_others(item: RecordedSegment, changing: Sequence[RecordedSegment], name: str, chance: float) -> bool:
-    """Whether the noise of the channel in the nearest of the segments in which it changes would have moved it here."""
+    """Whether the noise of the channel would have changed it here. The noise is that of the nearest segments in which it changes."""
     still = isinstance(item.segment.motion, Rest)
     alike = [one for one in changing if not still or isinstance(one.segment.motion, Rest)]
     nearest = sorted(alike, key=lambda one: abs(one.statistics.start - item.statistics.start))[:_COMPARED]
@@ -76,7 +76,7 @@ def _by_others(item: RecordedSegment, changing: Sequence[RecordedSegment], name:
 
 
 def _samples(item: RecordedSegment, name: str) -> Array:
-    """Its first samples, without missing numbers."""
+    """The first samples of a channel, without missing numbers."""
     parts, count = [], 0
     for block in item.blocks((name,)):
         values = np.asarray(block.channels[name], dtype=float)[: _READ - count]
@@ -88,7 +88,7 @@ def _samples(item: RecordedSegment, name: str) -> Array:
 
 
 def _moves(values: Array, samples: int, chance: float) -> bool:
-    """Whether noise like that of (n,) values would not stay at one value for so many samples."""
+    """Whether noise like that of (n,) values would not stay at one value for this number of samples."""
     if len(values) < _LEAST:
         return False
     first, second = np.abs(np.diff(values)), np.abs(np.diff(values, 2))
@@ -101,8 +101,9 @@ def _moves(values: Array, samples: int, chance: float) -> bool:
 
 
 def leaves_count(noise: float, count: float, samples: int, chance: float) -> bool:
-    """Whether white noise (standard deviation) leaves one count within so many samples, except with some probability. 0.3 count² of its
-    variance may come from the counts: two that alternate without any noise give that much."""
+    """Whether white noise of this standard deviation leaves one count within this number of samples, except with a small probability.
+    Up to 0.3 count² of its variance may come from the counts: a channel that alternates between two counts without any noise has this
+    variance."""
     beyond = noise**2 - 0.3 * count**2
     if beyond <= 0:
         return False

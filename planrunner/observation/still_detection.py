@@ -1,4 +1,4 @@
-"""Still spans in a long recording, found in one pass: spans in which the standard deviation in a sliding window stays small."""
+"""Detects still spans in a long recording in one pass: spans in which the standard deviation in a sliding window stays small."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _MOST_BATCHES = 64
 
 @dataclass(frozen=True, slots=True)
 class StillSpan:
-    """One span of time. count: samples. mean, standard_error: (k,), of the detection's channels in their units; the standard
-    error from `batches` consecutive batch means, NaN where there are fewer than two."""
+    """One span of time in which the sensor is still. count: samples. mean, standard_error: (k,), of the detection's channels in their
+    units; the standard error from `batches` consecutive batch means, NaN where there are fewer than two."""
 
     span: Span
     count: int
@@ -59,7 +59,7 @@ def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSp
 
 
 def _limits(recorded: RecordedSegment, detection: Detection) -> Array:
-    """The threshold in each channel's own unit, shape (k,)."""
+    """The threshold in the unit of each channel, shape (k,)."""
     return detection_limits(detection, recorded.units, f"segment '{recorded.label}'")
 
 
@@ -72,7 +72,7 @@ _CHANNELS = "name the accelerometers of the sensor under `channels` of `segments
 
 
 def detection_limits(detection: Detection, units: Mapping[str, str], what: str) -> Array:
-    """The threshold in each channel's own unit, shape (k,). units: those of the channels of `what`. Raises `EstimationError`."""
+    """The threshold in the unit of each channel, shape (k,). units: those of the channels of `what`. Raises `EstimationError`."""
     limits = []
     for channel in detection.channels:
         if channel not in units:
@@ -91,7 +91,8 @@ def detection_limits(detection: Detection, units: Mapping[str, str], what: str) 
 def _centred(
     recorded: RecordedSegment, detection: Detection, limits: Array
 ) -> Iterator[tuple[Array, Array, NDArray[np.bool_], int]]:
-    """For each stretch of samples that are centres of windows: time, values (n, k), whether still, and samples per window."""
+    """For each stretch of samples that are centres of windows: time, values (n, k), whether each sample is still, and samples per
+    window."""
     window = detection.window.value
     times, values = np.empty(0), np.empty((0, len(limits)))
     length = 0
@@ -112,7 +113,7 @@ def _centred(
 
 
 def _sliding_variance(values: Array, length: int) -> Array:
-    """Sample variance of every window of `length` rows, shape (n − length + 1, k); infinite where a value is missing."""
+    """Sample variance of every window of `length` rows, shape (n − length + 1, k); infinite if a value is missing."""
     known = np.isfinite(values)
     centred = np.where(known, values, 0.0)
     centred = np.where(known, centred - centred.mean(axis=0), 0.0)
@@ -127,7 +128,7 @@ def _sliding_variance(values: Array, length: int) -> Array:
 
 @dataclass
 class _Growing:
-    """A span that has not ended: sums of batches of `size` samples; batches are joined in pairs if there are too many."""
+    """A span that has not ended. It keeps sums of batches of `size` samples, and joins batches in pairs if there are too many."""
 
     size: int
     period: float

@@ -17,8 +17,8 @@ from planrunner.plan.units import unit
 
 @dataclass(frozen=True, slots=True)
 class Monitors:
-    """Channels that show the state of the sensor beside its motion, None for what the plan states instead. thermometer: of the sensor;
-    voltmeter: of its supply; barometer: of the air about it. nominal_supply: V."""
+    """Channels that show the state of the sensor besides its motion; None for a state that comes from the plan. thermometer: of the
+    sensor; voltmeter: of its supply; barometer: of the ambient air. nominal_supply: V."""
 
     thermometer: str | None = None
     voltmeter: str | None = None

@@ -45,10 +45,10 @@ def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> 
 
 
 def smoothed(time: Array, values: Array) -> Temperature:
-    """A polynomial through a segment's values, (n,), and its derivative: a thermometer's noise must not become a stimulus.
+    """A polynomial through a segment's values, (n,), and its derivative. Smoothing keeps the thermometer's noise out of the stimulus.
 
-    Coefficients are added while each of them gains `_WORTH` in likelihood: a constant temperature needs one, an approach to a setpoint
-    several.
+    Coefficients are added as long as each of them improves the likelihood by `_WORTH`. A constant temperature needs one coefficient, an
+    approach to a setpoint several.
     """
     middle, half = (time[0] + time[-1]) / 2, max((time[-1] - time[0]) / 2, 1e-9)
     scaled = (time - middle) / half

@@ -1,1 +1,1 @@
-"""Uncertainty: coverage and decision rules."""
+"""Uncertainty: budgets, coverage, decision rules and Monte Carlo validation."""

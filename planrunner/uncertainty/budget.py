@@ -22,7 +22,7 @@ NEGLIGIBLE = 1e-6  # of the combined uncertainty: smaller contributions are not 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A coefficient as estimated from the data, with standard uncertainty and degrees of freedom of type A."""
+    """A coefficient as estimated from the data, with its type A standard uncertainty and degrees of freedom."""
 
     name: str
     value: float
@@ -46,8 +46,8 @@ def combine(
 ) -> Combined:
     """Adds the covariance of the influences to the type A `covariance` (m, m) of the coefficients.
 
-    source: origin of the type A part, for its line in the budgets. Raises ValueError for sensitivities that do not fit the coefficients or
-    are not finite.
+    source: origin of the type A part, for its row in the budgets. Raises ValueError for sensitivities that do not fit the coefficients
+    or are not finite.
     """
     acting = merged(influences)
     m = len(measured)
@@ -70,7 +70,8 @@ def combine(
 
 
 def merged(influences: Iterable[Influence]) -> tuple[Influence, ...]:
-    """One influence for each input: sensitivities of the same input (or of the same named part) are added, others become columns."""
+    """Merges influences so that there is one for each input. Sensitivities of the same input (or of the same named part) are added;
+    others become separate columns."""
     together: dict[tuple[InputQuantity, bool], list[Influence]] = {}
     for item in influences:
         if item.sensitivities.ndim != 2 or (item.parts and len(item.parts) != item.sensitivities.shape[1]):
@@ -81,7 +82,7 @@ def merged(influences: Iterable[Influence]) -> tuple[Influence, ...]:
 
 
 def _added(same: Sequence[Influence]) -> Influence:
-    """Of one input."""
+    """The sum of influences of one input."""
     if len(same) == 1 and len(set(same[0].parts)) == len(same[0].parts) != 1:
         return same[0]
     held: dict[object, Array] = {}
@@ -95,7 +96,8 @@ def _added(same: Sequence[Influence]) -> Influence:
 
 
 def effective_degrees_of_freedom(contributions: Sequence[float], degrees_of_freedom: Sequence[float]) -> float:
-    """Welch–Satterthwaite (JCGM 100:2008, G.4.1). Infinite if nothing contributes, zero if a contribution has no degrees of freedom."""
+    """Effective degrees of freedom by Welch–Satterthwaite (JCGM 100:2008, G.4.1). Infinite if nothing contributes, zero if a
+    contribution has no degrees of freedom."""
     pairs = [(size, freedom) for size, freedom in zip(contributions, degrees_of_freedom, strict=True) if size]
     if any(not freedom > 0 for _, freedom in pairs):
         return 0.0
@@ -130,7 +132,7 @@ def _budget(one: Measured, k: int, acting: Sequence[Influence], sizes: Array, so
 
 
 def _line(item: Influence, k: int, contribution: float) -> BudgetLine:
-    """Sensitivity and input in the unit that the input is shown in."""
+    """The row of a budget. Sensitivity and input are in the unit in which the input is shown."""
     quantity, row = item.quantity, item.sensitivities[k]
     factor = quantity.shown_factor if quantity.shown else 1.0
     return BudgetLine(

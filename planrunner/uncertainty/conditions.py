@@ -1,9 +1,9 @@
-"""Stated inputs as conditions of a formula: a method names them, and the influences on its results follow from the formula.
+"""Stated inputs as conditions of a formula. A method names these inputs, and the influences on its results follow from the formula.
 
-A result is a pure function of observations and conditions. Each condition that is stated with an uncertainty is one `StatedCondition`: the
-input quantity, and the conditions with that input moved. The formula is computed again with the input larger and smaller by its standard
-uncertainty, and half of the difference is the contribution (JCGM 100:2008, 5.1.3, note 2): rounding in the formula stays rounding in the
-contribution, whatever the unit and the size of the input.
+A result is a pure function of observations and conditions. Each input with a stated uncertainty is one `StatedCondition`. It contains
+the input quantity and the changed conditions. The formula is evaluated with the input larger and smaller by its standard uncertainty,
+and half of the difference is the contribution (JCGM 100:2008, 5.1.3, note 2). Rounding errors of the formula therefore do not grow,
+whatever the unit and the size of the input.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ Moved = Callable[[float], C]
 
 @dataclass(frozen=True, slots=True)
 class StatedCondition(Generic[C]):
-    """An input that is stated with an uncertainty above zero. parts: change of the conditions by each of its independent parts, by name;
-    the name is empty if there is only one part. in_scatter: the scatter of the data contains it."""
+    """An input that is stated with an uncertainty above zero. parts: change of the conditions by each of its independent parts, by
+    name; the name is empty if there is only one part. in_scatter: whether the scatter of the data contains it."""
 
     quantity: InputQuantity
     parts: Mapping[str, Moved[C]]
@@ -36,33 +36,34 @@ class StatedCondition(Generic[C]):
 
     @classmethod
     def single(cls, quantity: InputQuantity, moved: Moved[C]) -> StatedCondition[C]:
-        """Of one part."""
+        """A condition with a single part."""
         return cls(quantity, {"": moved})
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its parts, as for `Influence`."""
+        """Names of the parts, as for `Influence`."""
         return () if tuple(self.parts) == ("",) else tuple(self.parts)
 
     def seen_by(self, view: Callable[[C], D]) -> StatedCondition[D]:
-        """The same input as a condition of a formula that knows these conditions as `view` gives them."""
+        """The same input as a condition of another formula. view: converts these conditions to those of the other formula."""
         parts = {name: _after(moved, view) for name, moved in self.parts.items()}
         return StatedCondition(self.quantity, parts, self.in_scatter)
 
     def answers(self, formula: Callable[[C], Array]) -> list[Array]:
-        """For each part, ∂(results)/∂input in the shape of the formula's results."""
+        """For each part, the derivative ∂(results)/∂input in the shape of the formula's results."""
         return slopes(formula, self.parts.values(), self.quantity.standard_uncertainty)
 
 
 def influences_on(formula: Callable[[C], Array], stated: Iterable[StatedCondition[C]]) -> tuple[Influence, ...]:
-    """Influences on the results (m,) of a formula."""
+    """Influences of the conditions on the results (m,) of a formula."""
     return tuple(
         Influence(one.quantity, np.column_stack(one.answers(formula)), one.in_scatter, one.names) for one in stated
     )
 
 
 def slopes(formula: Callable[[C], Array], moved: Iterable[Moved[C]], step: float) -> list[Array]:
-    """The derivative along each way of moving the conditions, in the shape of the formula's results. Calls the formula twice for each."""
+    """The derivative with respect to each change of the conditions, in the shape of the formula's results. It evaluates the formula
+    twice for each change."""
     return [central(_after(one, formula), step) for one in moved]
 
 

@@ -30,8 +30,8 @@ class CoefficientRole(StrEnum):
 
 @lru_cache(maxsize=4096)
 def coverage_factor(degrees_of_freedom: float, confidence: float = CONFIDENCE) -> float:
-    """k of the expanded uncertainty: Student's t for a two-sided interval (JCGM 100:2008, G.3); the normal quantile for infinitely
-    many degrees of freedom. Infinite without any degrees of freedom."""
+    """The factor k of the expanded uncertainty: Student's t for a two-sided interval (JCGM 100:2008, G.3), or the normal quantile for
+    infinite degrees of freedom. Infinite if there are no degrees of freedom."""
     from scipy.special import ndtri, stdtrit
 
     upper = 0.5 + confidence / 2
@@ -45,7 +45,7 @@ def coverage_factor(degrees_of_freedom: float, confidence: float = CONFIDENCE) -
 def expanded_uncertainty(
     standard_uncertainty: float, degrees_of_freedom: float, confidence: float = CONFIDENCE
 ) -> float:
-    """U = k·u; zero for u = 0."""
+    """The expanded uncertainty U = k·u; zero for u = 0."""
     return coverage_factor(degrees_of_freedom, confidence) * standard_uncertainty if standard_uncertainty else 0.0
 
 
@@ -111,7 +111,7 @@ def decide(
 
 
 def guard_band(expanded: float, rule: Rule, factor: float = 1.0) -> float:
-    """w = r·U for guarded acceptance; zero for simple acceptance."""
+    """The guard band w = r·U for guarded acceptance; zero for simple acceptance."""
     return factor * expanded if rule == "guarded" and factor else 0.0
 
 
@@ -126,7 +126,8 @@ def conformance_probability(
     """The probability that the true value lies in [lower, upper].
 
     For a location: Student's t about the value, scaled by the uncertainty. For a scale s with ν degrees of freedom: ν·s²/σ² follows χ²
-    (JCGM 106, 7.2, with the prior 1/σ). For a maximum, the absolute value of a signed quantity: Student's t, both signs counted.
+    (JCGM 106, 7.2, with the prior 1/σ). For a maximum, which is the absolute value of a signed quantity: Student's t, where both signs
+    count.
     """
     from scipy.special import chdtr, ndtr, stdtr
 

@@ -1,9 +1,9 @@
-"""Derivatives of a formula, from the formula itself: no gradient is written by hand.
+"""Derivatives of a formula, computed from the formula itself. No gradient is written by hand.
 
-The complex step (Squire and Trapp, SIAM Review 40, 1998, 110): f(x + i·h) = f(x) + i·h·f′(x) + O(h²). Nothing is subtracted, so that h can
-be so small that the derivative is exact to rounding. It asks that the formula is analytic: sums, products, powers, `np.sqrt`, `np.sin`,
-`np.arctan`, `np.linalg.solve`. `abs`, `hypot`, `arctan2` and norms are not; `length` and `angle_of` stand in for the last two. Comparisons
-look at the real part. A formula that asks for more than that is differentiated by `central` differences.
+The complex step (Squire and Trapp, SIAM Review 40, 1998, 110) uses f(x + i·h) = f(x) + i·h·f′(x) + O(h²). Nothing is subtracted, so h
+can be so small that only rounding errors remain. The formula must be analytic: sums, products, powers, `np.sqrt`, `np.sin`,
+`np.arctan`, `np.linalg.solve`. `abs`, `hypot`, `arctan2` and norms are not analytic; `angle_of` and `length` replace the last two.
+Comparisons use the real part. A formula that needs other functions is differentiated by `central` differences.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def length(vector: Array) -> Array:
 
 
 def angle_of(across: Array, along: Array) -> Array:
-    """The angle whose sine and cosine are as `across` to `along`, in (−π, π], rad."""
+    """The angle [rad] in (−π, π] whose sine and cosine are proportional to `across` and `along`."""
     steep = np.abs(across.real) > np.abs(along.real)
     ratio = np.where(steep, along, across) / np.where(steep, across, along)
     direct = np.arctan(ratio) + np.where(along.real < 0, np.copysign(np.pi, across.real), 0.0)

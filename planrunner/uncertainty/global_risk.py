@@ -1,7 +1,8 @@
-"""Global risks of a decision rule over all tested items (JCGM 106:2012, 9.5): the fraction of wrong decisions of a laboratory.
+"""Global risks of a decision rule over all tested items (JCGM 106:2012, 9.5): the fraction of a laboratory's decisions that are wrong.
 
-They need prior knowledge: the distribution of the quantity over the items, assumed to be normal. A measurement scatters about the true
-value of an item as Student's t (normal for infinitely many degrees of freedom), with the standard uncertainty of the present measurement.
+They require prior knowledge: the distribution of the quantity over the items, which is assumed to be normal. A measurement scatters
+about the true value of an item as Student's t (normal for infinitely many degrees of freedom), with the standard uncertainty of the
+present measurement.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ class Prior:
 
 @dataclass(frozen=True, slots=True)
 class GlobalRisk:
-    """consumer: probability that an item does not conform and is accepted. producer: that it conforms and is rejected."""
+    """Global risks. consumer: probability that an item does not conform and is accepted. producer: probability that an item conforms
+    and is rejected."""
 
     consumer: float
     producer: float
@@ -40,7 +42,7 @@ def global_risk(
     tolerance: tuple[float, float],
     acceptance: tuple[float, float],
 ) -> GlobalRisk:
-    """R_C and R_P (JCGM 106:2012, equations 17 to 20) for limits (lower, upper), infinite if there is none.
+    """The risks R_C and R_P (JCGM 106:2012, equations 17 to 20) for limits (lower, upper), infinite if a limit is missing.
 
     acceptance: interval of accepted measured values; empty if its lower end is above its upper end. Raises ValueError for a prior without
     spread.

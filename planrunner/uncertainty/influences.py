@@ -49,10 +49,10 @@ class InputQuantity:
 class Influence:
     """Dependence of m coefficients on an input quantity.
 
-    sensitivities: shape (m, r), ∂coefficient/∂input in the coefficient's unit per `quantity.unit`. r > 1 for r independent inputs with the
-    same uncertainty, such as the error of the table at each of r positions; r = 1 for an input that all segments share. in_scatter: the
-    scatter of the data already contains it, so the budget lists it without adding it. parts: names of the r inputs, such as orientations,
-    which identify an input that acts through two influences; inputs without names count as different.
+    sensitivities: (m, r), ∂coefficient/∂input in the coefficient's unit per `quantity.unit`. r > 1 for r independent inputs with the
+    same uncertainty, such as the error of the table at each of r positions; r = 1 for an input that all segments share. in_scatter:
+    whether the scatter of the data already contains it; the budget then lists it without adding it. parts: names of the r inputs, such
+    as orientations, which identify an input that acts through two influences; inputs without names count as different.
     """
 
     quantity: InputQuantity
@@ -62,7 +62,7 @@ class Influence:
 
     @property
     def covariance(self) -> Array:
-        """Its contribution to the covariance of the coefficients, shape (m, m)."""
+        """Contribution to the covariance of the coefficients, shape (m, m)."""
         return self.quantity.standard_uncertainty**2 * (self.sensitivities @ self.sensitivities.T)
 
     def through(self, gradient: Array) -> Influence:
@@ -72,9 +72,9 @@ class Influence:
 
 @dataclass(frozen=True, slots=True)
 class BudgetLine:
-    """One row of a budget (JCGM 100:2008, H.1, table H.1). sensitivity: coefficient's unit per input's unit; contribution: |c|·u, in the
-    coefficient's unit. kind: A or B. added: whether it is part of the sum. count: number of independent inputs with this uncertainty; for
-    several, the sensitivity is the root sum of squares. calibrated: ISO date, or empty."""
+    """One row of a budget (JCGM 100:2008, H.1, table H.1). sensitivity: coefficient's unit per input's unit; contribution: |c|·u, in
+    the coefficient's unit. kind: A or B; added: whether the row is part of the sum. count: number of independent inputs with this
+    uncertainty; for several, the sensitivity is the root sum of squares. calibrated: ISO date, or empty."""
 
     quantity: str
     kind: str

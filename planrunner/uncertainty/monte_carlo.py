@@ -1,9 +1,9 @@
 """Propagation of distributions by the adaptive Monte Carlo method, and validation of an interval k·u with it (JCGM 101:2008).
 
 Draws come in blocks of 10⁴ until the results have stabilised: twice the standard deviations of the averages of estimate, standard
-uncertainty and both ends of the interval are below the numerical tolerance (7.9.4), here a fifth of that of the validation (8.2). With four
-or fewer degrees of freedom Student's t has no fourth moment, so the standard deviation of the draws cannot be estimated. It is then left
-out of the rule, and the ends of the interval, which are what is validated, decide.
+uncertainty and both ends of the interval are below the numerical tolerance (7.9.4), here a fifth of that of the validation (8.2). With
+four or fewer degrees of freedom, Student's t has no fourth moment, so the standard deviation of the draws cannot be estimated. The rule
+then omits it and uses the ends of the interval, which are the values to be validated.
 """
 
 from __future__ import annotations
@@ -67,9 +67,9 @@ def propagate(
     most: int = 1_000_000,
     heavy: Sequence[bool] = (),
 ) -> Propagated:
-    """Draw until 2·s of every result is below its tolerance, or `most` draws are made.
+    """Draws until 2·s of every result is below its tolerance, or until `most` draws are made.
 
-    tolerances: (m,), in the coefficients' units; heavy: (m,), True where the standard deviation is left out of the rule.
+    tolerances: (m,), in the coefficients' units; heavy: (m,), True for coefficients whose standard deviation the rule omits.
     """
     rng = np.random.default_rng(seed)
     limit = np.asarray(tolerances, dtype=float)
@@ -92,7 +92,7 @@ def propagate(
 
 
 def numerical_tolerance(standard_uncertainty: float, digits: int) -> float:
-    """δ = ½·10^l for u = c·10^l, c an integer of `digits` digits (JCGM 101:2008, 7.9.2)."""
+    """The tolerance δ = ½·10^l for u = c·10^l, where c is an integer of `digits` digits (JCGM 101:2008, 7.9.2)."""
     if not (standard_uncertainty > 0 and math.isfinite(standard_uncertainty)):
         return 0.0
     power = math.floor(math.log10(standard_uncertainty)) - digits + 1
@@ -108,7 +108,7 @@ def validate(value: float, expanded: float, found: Interval, tolerance: float) -
 
 def influence_draws(influences: Sequence[Influence], m: int) -> Draws:
     """First-order contributions of the inputs to m coefficients, drawn from the distributions of the inputs. Inputs that the scatter
-    already contains are left out.
+    already contains are omitted.
 
     Normal inputs are drawn together from their joint covariance.
     """
@@ -153,13 +153,13 @@ def t_draws(
 
 
 def t_scale(rng: np.random.Generator, degrees_of_freedom: float, n: int) -> Array:
-    """√(ν/χ²) for n draws; normal draws multiplied by it follow Student's t."""
+    """The factors √(ν/χ²) for n draws. Normal draws multiplied by them follow Student's t."""
     return np.asarray(np.sqrt(degrees_of_freedom / rng.chisquare(degrees_of_freedom, n)))
 
 
 def square_root(covariance: Array) -> Array:
-    """L with L·Lᵀ = covariance (m, m), which may be singular. Computed from the eigenvectors of the correlation matrix, so that units do
-    not matter."""
+    """A matrix L with L·Lᵀ = covariance (m, m); the covariance may be singular. Computed from the eigenvectors of the correlation
+    matrix, so that units do not matter."""
     size = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / (size[:, None] * size))
@@ -200,7 +200,7 @@ def _places(n: int, probability: float) -> tuple[int, int]:
 
 
 def _interval(row: Array, probability: float) -> Interval:
-    """row: (n,), sorted."""
+    """The interval of one coefficient. row: (n,), sorted draws."""
     below, above = _places(len(row), probability)
     width = above - below
     start = int(np.argmin(row[width:] - row[: len(row) - width]))

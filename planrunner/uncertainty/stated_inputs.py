@@ -126,14 +126,16 @@ def _table(table: TableModel, source: str, day: str) -> Iterator[InputQuantity]:
 
 
 def _chamber(chamber: ChamberModel, source: str, day: str) -> Iterator[InputQuantity]:
-    """The air temperature is anywhere within the tolerance; the uncertainty of the thermometer is a separate input."""
+    """Uncertainty of the chamber: the air temperature is anywhere within the tolerance. The uncertainty of the thermometer is a
+    separate input."""
     width = math.hypot(chamber.tolerance / math.sqrt(3), chamber.temperature_uncertainty)
     shape = "normal" if chamber.temperature_uncertainty else "rectangular"
     yield InputQuantity("temperature", 0.0, "K", width, distribution=shape, source=source, calibrated=day)
 
 
 def _outputs(sensor: SensorModel, source: str, day: str) -> Iterator[InputQuantity]:
-    """Resolution of ± half a count (JCGM 100:2008, F.2.2.1) and flicker by its coefficient, in the unit of the output."""
+    """Uncertainties of the outputs: resolution of ± half a count (JCGM 100:2008, F.2.2.1), and flicker by its coefficient, in the unit
+    of the output."""
     for output in sensor.outputs:
         yield InputQuantity(
             Aspect.BIAS_INSTABILITY.of(output.name),

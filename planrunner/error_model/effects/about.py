@@ -24,8 +24,9 @@ class Actor(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """name: in plain words. physics: one sentence. remedy: what to do, in which `{found}` stands for the fitted parameters. figures:
-    further values for the remedy by name, from the fitted shape in `shape_unit`, such as a bandwidth from a time constant."""
+    """What an effect states about itself. name: in plain words. physics: one sentence. remedy: what to do; in this text, `{found}` is
+    replaced by the fitted parameters. figures: computes further values for the remedy, by name, from the fitted shape in `shape_unit`,
+    such as a bandwidth from a time constant."""
 
     name: str
     physics: str
@@ -51,8 +52,8 @@ _BY_STAGE = {"stimulus": Actor.BENCH, "acquisition": Actor.BENCH}
 
 
 def about(effect: Effect) -> About:
-    """What the effect states about itself; for a plug-in that states nothing, its identifier, the first paragraph of its docstring, and the
-    actor to whom its stage belongs."""
+    """What the effect states about itself. For a plug-in that states nothing, this consists of its identifier, the first paragraph of
+    its docstring, and the actor for its stage."""
     if isinstance(effect, TellsAbout):
         return effect.about
     physics = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())

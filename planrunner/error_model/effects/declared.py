@@ -1,7 +1,7 @@
 """Wrong declarations: axes, signs, units and senses of rotation that a plan or a bench file states differently from the recording.
 
-A diagnosis does not evaluate effects that change a whole output; `gap/hypotheses/declarations.py` finds them before it evaluates effects of
-the sensor. Added to a simulation, they give recordings with these mistakes.
+A diagnosis does not evaluate effects that change a whole output; `gap/hypotheses/declarations.py` finds them before it evaluates
+effects of the sensor. If they are added to a simulation, its recordings contain these mistakes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ CYCLES = ("xy", "yz", "zx", "xyz", "xzy")
 
 
 def _channels(observed: Observed) -> Iterator[tuple[str, int, int]]:
-    """Name such as gyro_x, index and axis of every channel; none for a sensor in unknown orientations."""
+    """Name such as gyro_x, index and axis of every channel; empty for a sensor in unknown orientations."""
     if observed.along is None:
         for index, channel in enumerate(observed.channels):
             yield f"{channel.kind}_{'xyz'[channel.axis]}", index, channel.axis
@@ -76,7 +76,7 @@ class AxesMirrored:
 
 
 class AxesExchanged:
-    """Outputs of a triad under each other's names. 1: exchanged, 0: as declared."""
+    """Outputs of a triad with exchanged names. 1: exchanged, 0: as declared."""
 
     id, stage, hypothesis = "axes_exchanged", "output", False
     of_declaration: Literal[True] = True
@@ -166,7 +166,7 @@ class MountTurned:
 
 
 def turned_back(observed: Observed) -> Observed:
-    """The recording with the table turning in the opposite sense."""
+    """The same recording, but with the table turning in the opposite sense."""
     motions = tuple(replace(m, rate=-m.rate) if isinstance(m, Spin) else m for m in observed.motions)
     return replace(
         observed,
@@ -178,5 +178,5 @@ def turned_back(observed: Observed) -> Observed:
 
 
 def rearranged(observed: Observed, sources: Sequence[int], factors: Sequence[float]) -> Observed:
-    """The recording with its channels corrected: the output of channel `sources[k]`, divided by `factors[k]`, is that of channel k."""
+    """The recording with corrected channels: channel k is the output of channel `sources[k]` divided by `factors[k]`."""
     return replace(observed, values=observed.values[:, list(sources)] / np.asarray(factors))

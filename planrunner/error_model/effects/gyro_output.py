@@ -24,7 +24,7 @@ def _frequencies(tau: float) -> Mapping[str, str]:
 
 
 class GyroBandwidth(Shaped):
-    """First-order lag 1/(τs + 1) of the output, steady when a segment begins; visible where the rate changes."""
+    """First-order lag 1/(τs + 1) of the output. The lag is in steady state when a segment begins; it is visible if the rate changes."""
 
     id, stage, shape_name, shape_unit = "gyro_bandwidth", "output", "tau", "s"
     about = About(
@@ -45,8 +45,8 @@ class GyroBandwidth(Shaped):
 
 
 def lagging(observed: Observed, tau: float) -> Array:
-    """The change (N, 3) of the nominal rate behind a first-order lag; zero in segments with a constant rate. While the table rocks, the
-    rate is then (ω − τ·dω/dt)/(1 + (pτ)²), with p the angular frequency, for steady harmonic motion."""
+    """Nominal rate after a first-order lag minus the nominal rate, (N, 3); zero in segments with a constant rate. While the table
+    rocks, the lagged rate is (ω − τ·dω/dt)/(1 + (pτ)²) for steady harmonic motion, where p is the angular frequency."""
     change = observed.turn_lagged(tau)
     for rows in observed.rocked:
         squared = (observed.pulsation[rows] * tau) ** 2
@@ -56,7 +56,7 @@ def lagging(observed: Observed, tau: float) -> Array:
 
 
 class GyroAxisDelay:
-    """Each gyro is late by a delay of its own, negative if it is early: its output is that for an earlier rate."""
+    """Each gyro has its own delay, negative if it is early. Its output is the output for an earlier rate."""
 
     id, stage = "gyro_axis_delay", "acquisition"
     about = About(
@@ -71,7 +71,7 @@ class GyroAxisDelay:
         return self.around(observed, np.zeros(3))
 
     def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
-        """The secant of an axis: the change of its output for a delay, divided by the delay."""
+        """The secant of an axis: the change of its output due to a delay, divided by the delay."""
         gyros = [index for index in observed.of_kind("gyro") if observed.along is None]
         if not observed.unsteady.any() or not gyros:
             return []
@@ -127,8 +127,9 @@ class GyroSaturation(Shaped):
 
 
 class _OneSided(Shaped):
-    """Output clipped at one of its two limits. sign: 1 for the upper limit, −1 for the lower one, whose magnitude is the shape. A limit
-    that the output does not exceed in both directions cannot be distinguished from `gyro_saturation`, and is not on the grid."""
+    """Output clipped at one of its two limits. sign: 1 for the upper limit, −1 for the lower one. The shape is the magnitude of the
+    limit. A limit that the output does not exceed in both directions cannot be distinguished from `gyro_saturation`, and is not on the
+    grid."""
 
     stage, shape_unit, acts_on = "output", "deg/s", "output"
     sign: int
@@ -163,7 +164,7 @@ class _Below(_OneSided):
 
 
 class GyroSaturationAsymmetric:
-    """Output clipped at +upper or at −lower, which differ, for example because the output has an offset before it is clipped."""
+    """Output clipped at +upper or at −lower. The limits differ, for example because the output has an offset before it is clipped."""
 
     id, stage, hypothesis = "gyro_saturation_asymmetric", "output", False
     about = About(
@@ -204,7 +205,7 @@ class GyroSoftSaturation(Shaped):
 
 
 class GyroFoldOver(Shaped):
-    """Output beyond ±limit continues from the other end of the range: y − 2L·floor((y + L)/2L), as where a counter overflows."""
+    """Output beyond ±limit continues from the other end of the range, as if a counter overflows: y − 2L·floor((y + L)/2L)."""
 
     id, stage, hypothesis, shape_name, shape_unit = "gyro_fold_over", "output", False, "limit", "deg/s"
     about = About(
@@ -230,7 +231,8 @@ class GyroFoldOver(Shaped):
 def _changed(
     observed: Observed, output: Callable[[Array], Array], shape: float, acting: NDArray[np.bool_] | None
 ) -> Variant:
-    """The change caused by a function of the gyros' nominal output. acting: (S,), the segments where it is not zero; None for all."""
+    """The change that a function of the gyros' nominal output causes. acting: (S,), the segments in which it is not zero; None for all
+    segments."""
     nominal = observed.gyro_output
     change = np.zeros_like(nominal)
     for part in [part for index, part in enumerate(observed.segments()) if acting is None or acting[index]]:
@@ -240,7 +242,7 @@ def _changed(
 
 
 class GyroBiasRandomWalk:
-    """A bias that walks at random beyond the declared noise: covariance q²·min(t, t') between moments."""
+    """A bias with a random walk beyond the declared noise: covariance q²·min(t, t') between the times t and t'."""
 
     id, stage, noise = "gyro_bias_random_walk", "covariance", "random walk"
     about = About(

@@ -1,8 +1,8 @@
 """Interface of effects: the physics of a sensor's errors, and of its surroundings, as columns over the samples of a recording.
 
-An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds it, the estimator `error_model` fits its
-amplitudes to the means of segments, and the diagnosis decides whether the data support it. It may act on several channels at once, have a
-shape, or change the noise; an estimate fits effects without a shape, and effects that last longer than a segment.
+An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds it, the estimator `error_model` fits
+its amplitudes to the means of segments, and the diagnosis decides whether the data support it. It may act on several channels at once,
+have a shape, or change the noise. An estimate fits effects without a shape, and effects with a shape that last longer than a segment.
 
     class MyEffect:
         id = "my_effect"                      # the entry point's name
@@ -15,8 +15,9 @@ A variant is the effect at one value of its shape (a time constant, a limit); it
 covariance has no columns: its `noise` names its kind, 'random walk', 'white' or 'resolution'. `each = "orientation"`: its amplitudes are
 independent for every orientation; its columns are then those of each orientation in turn, in the order of first use.
 
-An effect that becomes nonlinear when large also has a method `around` (see `Curved`). `hypothesis = False`: the diagnosis does not weigh
-it unless it is named; more hypotheses change the probability of all others, so that an effect becomes one only after blind trials.
+An effect that becomes nonlinear when large also has a method `around` (see `Curved`). `hypothesis = False`: the diagnosis evaluates the
+effect only if it is named. Additional hypotheses change the probability of all others, so an effect becomes a hypothesis only after
+blind trials.
 """
 
 from __future__ import annotations
@@ -42,12 +43,10 @@ class Column:
     parts: channel index → signature (N,), SI output for an amplitude of 1 in SI.
     segments: (S,), where it acts; None for everywhere.
     whole: the effect is either present or absent, so its amplitude is not a parameter.
-    along: the axis of the sensor (0, 1, 2) whose input the column is. If this is the axis of the channel, the amplitude is the error of
+    along: the axis of the sensor (0, 1, 2) if the column is the input along this axis. If this is the axis of the channel, the amplitude is the error of
         the scale factor.
-    plain: its unit as that of a quantity, if `unit` also contains a factor without a unit, such as the strength of a field.
-    axis: the axis (0, 1, 2) to which it belongs alone, whose letter ends its name after "_"; None for an amplitude of the whole sensor or
-        of its surroundings. It must always be given, because a column of one axis is reported for each output, and one without axis for
-        all outputs in common.
+    plain: unit without a factor that is not a unit of measurement, such as the strength of a field, if `unit` contains one.
+    axis: the axis (0, 1, 2) if the column belongs to one axis alone, whose letter then ends its name after "_"; None for an amplitude of the whole sensor or of its surroundings. An effect must always state it, because a column of one axis is reported for each output, and a column without axis once for all outputs.
     largest: the largest amplitude, SI, that is physically possible.
     """
 
@@ -75,45 +74,45 @@ class Variant:
 
 
 class Effect(Protocol):
-    """A candidate."""
+    """A candidate effect."""
 
     id: str
     stage: str
 
     def variants(self, observed: Observed) -> list[Variant]:
-        """The variants of the effect for this recording; empty if it cannot act (no such channel, no rotation)."""
+        """The variants of the effect for this recording; empty if it cannot act (the channel is missing, nothing rotates)."""
 
 
 @runtime_checkable
 class Explained(Effect, Protocol):
-    """An effect that says which segments determine it."""
+    """An effect that states which segments determine it."""
 
     shown_by: str
 
 
 def shown_by(effect: Effect) -> str:
-    """Which segments determine an effect, in words; empty if the effect does not state them."""
+    """Description of the segments that determine an effect; empty if the effect does not state them."""
     return effect.shown_by if isinstance(effect, Explained) else ""
 
 
 @runtime_checkable
 class ExplainsTurning(Effect, Protocol):
-    """An effect that describes the input of accelerometers away from the axis of rotation while the table turns; without it, an estimate
-    uses accelerometers only at rest."""
+    """An effect that describes the input of accelerometers away from the axis of rotation while the table turns. Without such an
+    effect, an estimate uses accelerometers only at rest."""
 
     explains_turning: Literal[True]
 
 
 @runtime_checkable
 class FollowsTemperature(Effect, Protocol):
-    """An effect that has an amplitude proportional to the temperature, and nothing else: the drift of a bias with temperature.
-    with_temperature: name of the amplitude, without the letter of its axis."""
+    """An effect with a single amplitude, proportional to the temperature: the drift of a bias with temperature. with_temperature: name
+    of the amplitude, without the letter of its axis."""
 
     with_temperature: str
 
 
 class Follows(StrEnum):
-    """What the amplitudes of an effect are proportional to, besides the motion."""
+    """The quantities to which the amplitudes of an effect are proportional, besides the motion."""
 
     SUPPLY = "supply voltage"
     PRESSURE = "ambient pressure"
@@ -121,14 +120,15 @@ class Follows(StrEnum):
 
 @runtime_checkable
 class FollowsSurroundings(Effect, Protocol):
-    """An effect that acts in proportion to the supply voltage or the ambient pressure, which a plan may leave to the recording."""
+    """An effect in proportion to the supply voltage or the ambient pressure. If the plan does not state these, the recording may give
+    them."""
 
     follows: Follows
 
 
 @runtime_checkable
 class ShownInSome(Effect, Protocol):
-    """An effect that the diagnosis weighs only in recordings that can show what distinguishes it."""
+    """An effect that the diagnosis evaluates only in recordings that can distinguish it from similar effects."""
 
     def shown_in(self, observed: Observed) -> bool: ...
 
@@ -166,7 +166,7 @@ class ActsOnNoise(Effect, Protocol):
 
 @runtime_checkable
 class OnAccelerometerNoise(ActsOnNoise, Protocol):
-    """An effect that changes the noise of the accelerometers instead."""
+    """An effect that changes the noise of the accelerometers instead of the gyros."""
 
     of_accelerometers: Literal[True]
 
@@ -185,7 +185,8 @@ class PerOrientation(Effect, Protocol):
 
 @runtime_checkable
 class HasShape(Effect, Protocol):
-    """An effect with several variants: its shape, a time constant or a number per turn, is a parameter in addition to the amplitudes."""
+    """An effect with several variants. Its shape, such as a time constant or a number per turn, is a parameter in addition to the
+    amplitudes."""
 
     shape_name: str
     shape_unit: str
@@ -195,20 +196,20 @@ class HasShape(Effect, Protocol):
 class ChangesWithinSegments(HasShape, Protocol):
     """An effect that changes an output within segments, so that an estimate fits it to samples.
 
-    acts_on: 'rate', if the effect replaces the angular rate by an earlier or a smoothed one; 'output', if the output is a
-    function of the output without the effect at the same moment (`Observed.fitted`); in both cases, the only column of the effect
-    gives the change. 'amplitudes', if columns with amplitudes are given for each of a few values of the shape."""
+    acts_on: 'rate' if the effect replaces the angular rate by an earlier or a smoothed rate; 'output' if the output is a function of
+    the output without the effect at the same moment (`Observed.fitted`). In both cases, the only column of the effect gives the change.
+    'amplitudes' if columns with amplitudes are given for each of a few values of the shape."""
 
     acts_on: Literal["rate", "output", "amplitudes"]
 
 
 @runtime_checkable
 class DependsOnPast(HasShape, Protocol):
-    """An effect that depends on the temperatures before the first sample (`Observed.past`), where a simulation computes it in parts."""
+    """An effect that depends on the temperatures before the first sample (`Observed.past`). A simulation computes it in parts."""
 
     def remembered(self, observed: Observed, value: float) -> tuple[TemperatureCourse, ...]:
-        """A past in place of these samples and the past before them, with the same effect on what follows at this value of the shape. Its
-        length does not grow."""
+        """A shorter past that replaces these samples and the past before them. At this value of the shape, it has the same effect on
+        later samples. Its length does not grow."""
 
 
 @runtime_checkable
@@ -231,12 +232,12 @@ class Curved(Effect, Protocol):
     """An effect that is linear only for small amplitudes."""
 
     def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
-        """Its columns as secants: multiplied by these amplitudes, SI, they give the complete effect."""
+        """The columns of the effect as secants. Multiplied by these amplitudes, SI, they give the complete effect."""
 
 
 class Shaped:
-    """An effect whose shape is one positive number: `shape_name`, in `shape_unit`. Its variants are given by `at` for the values of a
-    `grid` with constant ratio; the diagnosis refines between them."""
+    """An effect whose shape is one positive number, `shape_name`, in `shape_unit`. `at` gives its variants for the values of a `grid`
+    with a constant ratio; the diagnosis refines between these values."""
 
     id: str
     stage: str
@@ -248,7 +249,7 @@ class Shaped:
         raise NotImplementedError
 
     def at(self, observed: Observed, value: float) -> Variant:
-        """The effect at one value."""
+        """The variant of the effect at one value of the shape."""
         raise NotImplementedError
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -257,21 +258,21 @@ class Shaped:
 
 @runtime_checkable
 class HasAlternatives(Effect, Protocol):
-    """An effect that acts in one of several ways, each with a shape of its own, such as a limit above or below. A diagnosis names the
-    likeliest; a simulation may combine those whose shapes are stated. alternatives: of the same `id` and `stage`, with distinct
-    `shape_name`; each fully determined by its shape."""
+    """An effect that acts in one of several ways, each with its own shape, such as a limit above or below. A diagnosis names the most
+    probable way; a simulation may combine all ways whose shapes are stated. alternatives: effects of the same `id` and `stage`, with
+    distinct `shape_name`; each is fully determined by its shape."""
 
     alternatives: Sequence[Shaped]
 
 
 def ways_of(effect: Effect) -> Sequence[Effect]:
-    """The ways in which an effect may act, mostly one."""
+    """The ways in which an effect may act; usually there is only one."""
     return effect.alternatives if isinstance(effect, HasAlternatives) else (effect,)
 
 
 @runtime_checkable
 class ShapedOverSegments(HasShape, Protocol):
-    """An effect with one shape parameter that the means of segments show, because it lasts longer than a segment."""
+    """An effect with one shape parameter that the means of segments determine, because the effect lasts longer than a segment."""
 
     over_segments: Literal[True]
 
@@ -303,7 +304,7 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
 
 
 def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
-    """Parts of a column that changes the rate which the gyros show by `omega` (N, 3), through their fitted response if it is known."""
+    """Parts of a column that changes the rate sensed by the gyros by `omega` (N, 3). Their fitted response is used if it is known."""
     gyros = observed.of_kind("gyro")
     if observed.response is None:
         return {index: observed.seen(index, omega) for index in gyros}
@@ -317,7 +318,7 @@ def whole(parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None)
 
 
 def single(columns: Sequence[Column]) -> list[Variant]:
-    """The variants of an effect without a shape."""
+    """The only variant of an effect without a shape."""
     return [Variant(tuple(columns))] if columns else []
 
 

@@ -14,12 +14,12 @@ G = 9.80665
 
 
 def felt(observed: Observed, kind: str) -> Array:
-    """The quantity that a triad measures, (N, 3)."""
+    """The quantity that a triad measures, (N, 3): rate or specific force."""
     return observed.omega if kind == "gyro" else observed.force
 
 
 def bias(observed: Observed, kind: str) -> list[Column]:
-    """A constant per axis."""
+    """A constant bias per axis."""
     unit, factor = ("deg/s", DEG) if kind == "gyro" else ("mg", 1e-3 * G)
     one = observed.time * 0 + 1
     return per_axis(observed, kind, "bias", unit, factor, factor, one)
@@ -32,7 +32,8 @@ def scale_factor(observed: Observed, kind: str) -> list[Column]:
 
 
 def misalignment(observed: Observed, kind: str) -> list[Column]:
-    """Output + m·(input of another axis of the sensor), six per triad; in unknown orientations only three, the sums of opposite ones."""
+    """Output + m·(input of another axis of the sensor), six per triad. In unknown orientations there are only three, the sums of
+    opposite misalignments."""
     return towards_others(observed, kind, "arcsec", 1e-3, inputs=True)
 
 

@@ -1,4 +1,4 @@
-"""Steps at one moment, as after a shock or where a part slips: of a bias, or of the orientation of the sensor."""
+"""Steps at one moment, for example after a shock or because a part slips: of a bias, or of the orientation of the sensor."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ def _about(triad: str) -> About:
 
 
 def _moments(observed: Observed) -> Array:
-    """Beginnings of segments and the middles of the first and the last, between which a diagnosis looks further. Every interval has the
-    same prior, so that the evidence is averaged over the moment."""
+    """The moments for which a diagnosis begins its search: beginnings of segments, and the middles of the first and the last segment.
+    It refines between them. Every interval has the same prior, so that the evidence is averaged over the moment."""
     bounds = observed.bounds
     middles = observed.time[[bounds[1] // 2, (bounds[-2] + bounds[-1]) // 2]]
     return np.unique(np.maximum([middles[0], *observed.time[bounds[1:-1]], middles[1]], 1e-9))
 
 
 class _BiasStep(Shaped):
-    """Bias + s per axis from a moment on, which is the shape."""
+    """Bias + s per axis after a moment; the moment is the shape."""
 
     stage, shape_name, shape_unit = "sensor", "time", "s"
     kind: str
@@ -60,20 +60,20 @@ class _BiasStep(Shaped):
 
 
 class GyroBiasStep(_BiasStep):
-    """Bias of each gyro + s from a time since power-on on."""
+    """Bias of each gyro + s after a moment, which is a time since power-on."""
 
     id, kind, about = "gyro_bias_step", "gyro", _about("gyro")
 
 
 class AccelBiasStep(_BiasStep):
-    """Bias of each accelerometer + s from a time since power-on on."""
+    """Bias of each accelerometer + s after a moment, which is a time since power-on."""
 
     id, kind, about = "accel_bias_step", "accel", _about("accelerometer")
 
 
 class MountShift(Shaped):
-    """The sensor is turned by three small angles about its own axes from a time since power-on on. A rotation by θ changes a vector v in
-    sensor axes by −θ×v."""
+    """The sensor is turned by three small angles about its own axes after a moment, which is a time since power-on. A rotation by θ
+    changes a vector v in sensor axes by −θ×v."""
 
     id, stage, shape_name, shape_unit = "mount_shift", "stimulus", "time", "s"
     about = About(
@@ -95,7 +95,7 @@ class MountShift(Shaped):
 
     @staticmethod
     def _from(observed: Observed, value: float, felt: Array) -> Variant:
-        """felt: (N, 12), rate and specific force and their opposites, of which the columns are columns."""
+        """Columns of the shift. felt: (N, 12), rate and specific force, then both with the opposite sign."""
         after, acting = _after(observed, value, felt)
         parts: list[dict[int, Array]] = [{}, {}, {}]
         for index, channel in enumerate(observed.channels):
@@ -111,9 +111,9 @@ class MountShift(Shaped):
 
 
 class SamplesDropped(Shaped):
-    """Samples of the sensor are lost at a time since power-on, and the time of later samples is counted without them: from then on, the
-    gyros show a later motion. lost: s, the lost time at which the columns are exact; of small ones, the change is the lost time multiplied
-    by the angular acceleration."""
+    """Samples of the sensor are lost at a moment, a time since power-on, and the times of later samples do not include the lost
+    samples. From then on, the gyros show a later motion. lost: lost time [s] at which the columns are exact. If it is small, the change
+    is the lost time multiplied by the angular acceleration."""
 
     id, stage, hypothesis, shape_name, shape_unit = "samples_dropped", "acquisition", False, "time", "s"
     about = About(
@@ -130,7 +130,7 @@ class SamplesDropped(Shaped):
         return SamplesDropped(float(amplitudes[0]))
 
     def grid(self, observed: Observed) -> Array:
-        """Moments from the last segment before the first in which the rate changes."""
+        """Possible moments: from the beginning of the first segment in which the rate changes to the end of the last one."""
         if not observed.unsteady.any() or not observed.of_kind("gyro") or observed.along is not None:
             return np.empty(0)
         moments, first = _moments(observed), int(np.flatnonzero(observed.unsteady)[0])
@@ -158,7 +158,7 @@ class SamplesDropped(Shaped):
         return float(observed.time[observed.bounds[np.flatnonzero(observed.unsteady)[-1] + 1] - 1])
 
     def _shown(self, observed: Observed) -> Array:
-        """The change (N, G) of what the gyros show, per lost time."""
+        """The change (N, G) of the gyros' outputs per lost time."""
         later = observed.turn_before(-self.lost) / self.lost if self.lost else observed.swing
         return np.column_stack(list(on_rate(observed, later).values()))
 
@@ -168,8 +168,8 @@ def _both_signs(observed: Observed) -> Array:
 
 
 def _after(observed: Observed, moment: float, table: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """A table (N, P) that is zero before a moment, and the segments (S,) that end after it. Columns of one table are evaluated together, so
-    the table itself is returned, if no segment contains the moment."""
+    """A table (N, P) that is set to zero before a moment, and the segments (S,) that end after it. If no segment contains the moment,
+    the table itself is returned, because columns of one table are evaluated together."""
     first, last = observed.time[observed.bounds[:-1]], observed.time[observed.bounds[1:] - 1]
     acting = np.asarray(last >= moment)
     if not (acting & (first < moment)).any():

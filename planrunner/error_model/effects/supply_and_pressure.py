@@ -16,8 +16,8 @@ G = 9.80665  # m/s²
 
 
 class _Quantity(NamedTuple):
-    """What the errors follow. unit: of an excess over the nominal value, `size` in SI. name, acts, remedy, shown_by: for `About` and
-    `shown_by`."""
+    """A quantity that errors follow. unit: of an excess over the nominal value, `size` in SI. name, acts, remedy, shown_by: for `About`
+    and `shown_by`."""
 
     unit: str
     size: float
@@ -76,7 +76,7 @@ class _OfSurroundings:
         return observed.overvoltage if self.follows is Follows.SUPPLY else observed.overpressure
 
     def shown_in(self, observed: Observed) -> bool:
-        """Whether segments differ in the quantity by more than regulation and weather make them differ."""
+        """Whether segments differ in the quantity by more than the usual variation from regulation and weather."""
         excess = observed.excess_voltage if self.follows is Follows.SUPPLY else observed.excess_pressure
         if excess is None:
             return False

@@ -94,8 +94,8 @@ class SiteLatitude:
 
 
 class LeverArm:
-    """Accelerometers off the axis of rotation: ω×(ω×r) + α×r = ω·(ω·r) − ω²·r + α×r, r in sensor axes, ω and α the table's; or, if other
-    accelerometers show the motion, off those."""
+    """Accelerometers off the axis of rotation: ω×(ω×r) + α×r = ω·(ω·r) − ω²·r + α×r, r in sensor axes, ω and α of the table. If other
+    accelerometers show the motion, r is the distance from these."""
 
     id, stage = "lever_arm", "stimulus"
     about = About(

@@ -15,7 +15,7 @@ EAST, NORTH, UP = np.eye(3)
 
 
 def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
-    """The base turned by an angle ε about a site axis: the sensor sees every site vector v as v − ε·axis × v.
+    """Columns for a base that is turned by an angle ε about a site axis. The sensor senses every site vector v as v − ε·axis × v.
 
     Attitude = A·R(−θ)·(I − ε[axis×]): the rate of the table turns with the base and is unchanged for the sensor. turned: (3,), rad, the
     rotation vector φ of all columns together; zero for small angles.
@@ -27,8 +27,8 @@ def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
 
 
 def secant(axis: Array, vector: Array, turned: Array) -> Array:
-    """Change of a vector per radian about an axis. Summed over the axes with the components of φ it is (R(−φ) − I)·v, by Rodrigues'
-    formula −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ × (φ × v)."""
+    """Change of a vector per radian of rotation about an axis. Summed over the axes with the components of φ it is (R(−φ) − I)·v, by
+    Rodrigues' formula −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ × (φ × v)."""
     first = np.cross(axis, vector)
     angle = float(np.linalg.norm(turned)) / np.pi
     return np.asarray(-np.sinc(angle) * first + np.sinc(angle / 2) ** 2 / 2 * np.cross(turned, first))
@@ -76,7 +76,7 @@ class TableAzimuth:
 
 
 class TablePositionError:
-    """Each orientation has a small random error that is the same each time it is set: three angles in sensor axes."""
+    """Each orientation has a small random error, three angles in sensor axes. The error is the same each time the orientation is set."""
 
     id, stage, each = "table_position_error", "stimulus", "orientation"
     about = About(

@@ -16,7 +16,7 @@ _SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2 * np.pi / 180), "accel": ("mg", 9
 
 
 def _time_to_settle(tau: float) -> Mapping[str, str]:
-    """The time after which less than a hundredth of a warm-up with a time constant in s remains."""
+    """Time after which less than one per cent of a warm-up with a time constant in s remains."""
     return {"wait": f"{tau * np.log(100.0) / 60:.2g} min"}
 
 
