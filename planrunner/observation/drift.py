@@ -59,7 +59,8 @@ def thermometer() -> str | None:
 class DriftCourse:
     """One course of drift. columns: (n, r), the same course for r parts of an output; they do not have the unit of the output. per: the
     unit by which a fitted amplitude is divided. parts: names of the parts, if there are several. order: of a course in time, otherwise
-    0. changed: change of the recorded temperature between segments, K, if the course follows it and the change is significant; otherwise 0."""
+    0. changed: change of the recorded temperature between segments, K, if the course follows it and the change is significant;
+    otherwise 0."""
 
     name: str
     per: str

@@ -43,10 +43,12 @@ class Column:
     parts: channel index → signature (N,), SI output for an amplitude of 1 in SI.
     segments: (S,), where it acts; None for everywhere.
     whole: the effect is either present or absent, so its amplitude is not a parameter.
-    along: the axis of the sensor (0, 1, 2) if the column is the input along this axis. If this is the axis of the channel, the amplitude is the error of
-        the scale factor.
+    along: the axis of the sensor (0, 1, 2) if the column is the input along this axis. If this is the axis of the channel, the
+        amplitude is the error of the scale factor.
     plain: unit without a factor that is not a unit of measurement, such as the strength of a field, if `unit` contains one.
-    axis: the axis (0, 1, 2) if the column belongs to one axis alone, whose letter then ends its name after "_"; None for an amplitude of the whole sensor or of its surroundings. An effect must always state it, because a column of one axis is reported for each output, and a column without axis once for all outputs.
+    axis: the axis (0, 1, 2) if the column belongs to one axis alone, whose letter then ends its name after "_"; None for an
+        amplitude of the whole sensor or of its surroundings. An effect must always state it, because a column of one axis is
+        reported for each output, and a column without axis once for all outputs.
     largest: the largest amplitude, SI, that is physically possible.
     """
 
