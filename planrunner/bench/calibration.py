@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from datetime import date, timedelta
 
 from planrunner.base.findings import Findings
-from planrunner.plan.kinds import ListOf, Record, Text, key
+from planrunner.plan.kinds import ListOf, Record, Text, key, optional
 
 LINE = r"[^\x00-\x1f]{1,200}"
 _DATE = r"[0-9]{4}-[0-9]{2}-[0-9]{2}"
@@ -25,13 +25,12 @@ class Calibration(Record):
     date: str = key(
         Text(_DATE, "a date", "write for example 2026-03-01"), "Day of the calibration or survey.", "2026-03-01"
     )
-    due: str | None = key(
+    due: str | None = optional(
         Text(_DATE, "a date", "write for example 2027-03-01"),
         "Last day on which the calibration is valid.",
         "2027-03-01",
-        default=None,
     )
-    laboratory: str | None = key(Text(LINE, "a laboratory"), "Who calibrated.", "accredited laboratory", default=None)
+    laboratory: str | None = optional(Text(LINE, "a laboratory"), "Who calibrated.", "accredited laboratory")
 
     @property
     def words(self) -> str:
@@ -94,29 +93,21 @@ class Laboratory(Record):
 
     name: str = key(Text(LINE, "a name"), "Name of the laboratory.", "Inertial calibration laboratory")
     address: str = key(Text(LINE, "an address"), "Its address.", "1 Example Street, 00000 Example Town")
-    location: str | None = key(
+    location: str | None = optional(
         Text(LINE, "a place"),
         "Location of the bench if it differs from that address: another site, a customer's site, a mobile facility.",
         "Building 7, basement",
-        default=None,
     )
-    contact: str | None = key(
-        Text(LINE, "a contact"),
-        "Telephone, e-mail or website of the laboratory.",
-        "calibration@example.org",
-        default=None,
+    contact: str | None = optional(
+        Text(LINE, "a contact"), "Telephone, e-mail or website of the laboratory.", "calibration@example.org"
     )
-    accreditation: str | None = key(
-        Text(LINE, "an accreditation"),
-        "Accreditation body, number and scope.",
-        "accreditation body, no. 0000",
-        default=None,
+    accreditation: str | None = optional(
+        Text(LINE, "an accreditation"), "Accreditation body, number and scope.", "accreditation body, no. 0000"
     )
-    traceability: str | None = key(
+    traceability: str | None = optional(
         Text(r"[^\x00-\x1f]{1,1000}", "a statement"),
         "Statement on the traceability of results to the SI; certificates show it in addition to the calibrations of instruments and site.",
         "Angles and rates through the table's calibration; Earth rate from the conventional value (WGS 84).",
-        default=None,
     )
     authorised: tuple[str, ...] = key(
         ListOf(Text(LINE, "a name or role"), single=True),

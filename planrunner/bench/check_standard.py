@@ -8,7 +8,7 @@ from pathlib import Path
 
 from planrunner.base.findings import Findings
 from planrunner.bench.calibration import LINE, parsed_day
-from planrunner.plan.kinds import Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.kinds import Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, key, optional
 from planrunner.plan.model import NAME, PERSON
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.run_information import device_of
@@ -20,18 +20,16 @@ _PART = r"[A-Za-z0-9_.-]{1,80}"
 class CheckedCoefficient(Record):
     """What a coefficient of the check standard is compared with. Without `reference`: with the mean of its own earlier values."""
 
-    reference: Quantity | None = key(
+    reference: Quantity | None = optional(
         QuantityOf(None, uncertain=True),
         "Reference value with its standard uncertainty, from a calibration of the check standard elsewhere.",
         "0.30 deg/h ± 0.02 deg/h",
-        default=None,
     )
-    repeatability: Quantity | None = key(
+    repeatability: Quantity | None = optional(
         QuantityOf(None),
         "Standard deviation of repeated runs that the stated uncertainties do not include; without it, it is estimated from the earlier "
         "values.",
         "0.01 deg/h",
-        default=None,
     )
 
 
@@ -63,11 +61,10 @@ class CheckStandardRule(Record):
         20,
         default=10,
     )
-    since: str | None = key(
+    since: str | None = optional(
         Text(r"[0-9]{4}-[0-9]{2}-[0-9]{2}", "a date", 'write the date in quotes, for example "2026-03-01"'),
         "First day of the control chart, such as that of an accepted change of the bench.",
         "2026-03-01",
-        default=None,
     )
     action: str = key(
         Choice(("refuse", "warn")),

@@ -27,7 +27,20 @@ from planrunner.instruments.interfaces import Counting, Driver, PlaysBack, Resum
 from planrunner.instruments.models import ChamberModel, DataOrigin, SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan import source
-from planrunner.plan.kinds import Choice, Kind, ListOf, MapOf, Number, Plugged, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.kinds import (
+    Choice,
+    Kind,
+    ListOf,
+    MapOf,
+    Number,
+    Plugged,
+    QuantityOf,
+    Record,
+    RecordOf,
+    Text,
+    key,
+    optional,
+)
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
@@ -62,18 +75,16 @@ class SiteSpec(Record):
     latitude: Quantity = key(
         QuantityOf("angle", uncertain=True), "Latitude, north positive; `latitude_kind` gives its kind.", "39.98 deg"
     )
-    latitude_kind: str | None = key(
+    latitude_kind: str | None = optional(
         Choice(("astronomic", "geodetic")),
         "Kind of the latitude: astronomic (of the plumb line, as measured with stars or gyros) or geodetic (of the "
         "ellipsoid, as in satellite positions and maps); without it, the value counts as both.",
         "geodetic",
-        default=None,
     )
-    deviation_of_vertical: DeviationOfVertical | None = key(
+    deviation_of_vertical: DeviationOfVertical | None = optional(
         RecordOf(DeviationOfVertical),
         "Converts the stated latitude to the other kind; take it from a geoid model or a survey.",
         {"north": "3.2 arcsec ± 0.5 arcsec", "east": "-1.5 arcsec"},
-        default=None,
     )
     gravity: Quantity = key(QuantityOf("acceleration", "positive", uncertain=True), "Local gravity.", "9.80154 m/s^2")
     azimuth: Quantity = key(
@@ -91,17 +102,15 @@ class SiteSpec(Record):
     height: Quantity = key(
         QuantityOf("length"), "Height above the ellipsoid; for navigation.", "50 m", default=parse_quantity("0 m")
     )
-    magnetic_field: MagneticFieldSpec | None = key(
+    magnetic_field: MagneticFieldSpec | None = optional(
         RecordOf(MagneticFieldSpec),
         "The Earth's magnetic field, all components in one unit; for sensors that respond to it.",
         {"north": 22.0, "up": -44.0},
-        default=None,
     )
-    survey: Calibration | None = key(
+    survey: Calibration | None = optional(
         RecordOf(Calibration),
         "Survey that gives latitude, gravity and azimuth.",
         {"certificate": "site survey 2026-1", "date": "2026-02-10"},
-        default=None,
     )
 
 
@@ -125,28 +134,22 @@ def geodetic_latitude(site: SiteSpec) -> float:
 class AmbientSpec(Record):
     """The room of the bench."""
 
-    temperature: Quantity | None = key(
-        QuantityOf("temperature"), "Air temperature of the room.", "23 degC", default=None
-    )
-    pressure: Quantity | None = key(QuantityOf("pressure", "positive"), "Air pressure.", "101.3 kPa", default=None)
-    humidity: Quantity | None = key(QuantityOf("ratio", "not negative"), "Relative humidity.", "45 %", default=None)
+    temperature: Quantity | None = optional(QuantityOf("temperature"), "Air temperature of the room.", "23 degC")
+    pressure: Quantity | None = optional(QuantityOf("pressure", "positive"), "Air pressure.", "101.3 kPa")
+    humidity: Quantity | None = optional(QuantityOf("ratio", "not negative"), "Relative humidity.", "45 %")
 
 
 class InstrumentEntry(Record):
     """One instrument of the bench. The driver has additional keys."""
 
     driver: str = key(Text(NAME, "a driver's name"), "Driver of the instrument.", "virtual_table")
-    asset: str | None = key(
-        Text(LINE, "an asset number"),
-        "Your own number for the instrument; stored in the run folder.",
-        "RT-0042",
-        default=None,
+    asset: str | None = optional(
+        Text(LINE, "an asset number"), "Your own number for the instrument; stored in the run folder.", "RT-0042"
     )
-    calibration: Calibration | None = key(
+    calibration: Calibration | None = optional(
         RecordOf(Calibration),
         "Calibration that the instrument's stated uncertainties come from.",
         {"certificate": "RT-0042 / 2026-117", "date": "2026-03-01", "due": "2027-03-01"},
-        default=None,
     )
     parameters: Record = field(default_factory=Record)
 
@@ -154,18 +157,16 @@ class InstrumentEntry(Record):
 class FixtureSpec(Record):
     """The fixture that the sensor is mounted in; its angles are in a plan's `mounting`."""
 
-    asset: str | None = key(Text(LINE, "an asset number"), "Your own number for the fixture.", "FX-0007", default=None)
-    reach: Quantity | None = key(
+    asset: str | None = optional(Text(LINE, "an asset number"), "Your own number for the fixture.", "FX-0007")
+    reach: Quantity | None = optional(
         QuantityOf("length", "positive"),
         "Largest distance of a sensor from the axis of the table; a diagnosis accepts no longer lever arm (default: 1 m).",
         "0.2 m",
-        default=None,
     )
-    calibration: Calibration | None = key(
+    calibration: Calibration | None = optional(
         RecordOf(Calibration),
         "Calibration that the stated uncertainties of the fixture's angles come from.",
         {"certificate": "FX-0007 / 2026-31", "date": "2026-02-20", "due": "2028-02-20"},
-        default=None,
     )
 
 
@@ -184,25 +185,22 @@ class Bench(Record):
     planrunner_bench: int = key(Number(1, 1, integer=True), "Version of the bench language.", 1)
     name: str = key(Text(LINE, "a name"), "Name of the bench.", "virtual")
     description: str = key(Text(), "What the bench is, for reviewers.", "Three-axis table with chamber.", default="")
-    clock: str | None = key(
+    clock: str | None = optional(
         Choice(("virtual", "wall")),
         "virtual: time is simulated and runs as fast as possible; wall: real time. The default is virtual if the "
         "sensor plays back a recording, otherwise wall.",
         "virtual",
-        default=None,
     )
-    laboratory: Laboratory | None = key(
+    laboratory: Laboratory | None = optional(
         RecordOf(Laboratory),
         "The laboratory that the bench belongs to; needed for certificates.",
         {"name": "Inertial calibration laboratory", "address": "1 Example Street, 00000 Example Town"},
-        default=None,
     )
-    simulation: SimulationSpec | None = key(
+    simulation: SimulationSpec | None = optional(
         RecordOf(SimulationSpec),
         "Simulated instruments at the addresses of this bench, for `planrunner simulate-bench`; a run then uses the "
         "clock of the simulation. A bench with real instruments does not have this key.",
         {"bench": "virtual", "control": "127.0.0.1:9870"},
-        default=None,
     )
     site: SiteSpec = key(
         RecordOf(SiteSpec), "Site of the bench.", {"latitude": "39.98 deg", "gravity": "9.80154 m/s^2"}
@@ -210,19 +208,16 @@ class Bench(Record):
     seed: int = key(
         Number(0, 2**63 - 1, integer=True), "Seed of all random numbers of a simulated bench.", 20, default=0
     )
-    ambient: AmbientSpec | None = key(
-        RecordOf(AmbientSpec), "The room of the bench.", {"temperature": "23 degC"}, default=None
-    )
+    ambient: AmbientSpec | None = optional(RecordOf(AmbientSpec), "The room of the bench.", {"temperature": "23 degC"})
     instruments: dict[str, InstrumentEntry] = key(
         MapOf(INSTRUMENT, pattern=NAME),
         "The instruments by name: at most one table, one chamber and one sensor, and any number of monitors.",
         {"chamber": {"driver": "virtual_chamber", "lowest": "-55 degC", "highest": "85 degC", "ramp": "3 K/min"}},
     )
-    fixture: FixtureSpec | None = key(
+    fixture: FixtureSpec | None = optional(
         RecordOf(FixtureSpec),
         "The fixture that the sensor is mounted in.",
         {"asset": "FX-0007", "calibration": {"certificate": "FX-0007 / 2026-31", "date": "2026-02-20"}},
-        default=None,
     )
     protection: Protection = key(
         PROTECTION,
@@ -230,25 +225,22 @@ class Bench(Record):
         {"rate": "320 deg/s", "hottest": "75 degC"},
         default_factory=Protection,
     )
-    time_stamps: TimeStampsSpec | None = key(
+    time_stamps: TimeStampsSpec | None = optional(
         RecordOf(TimeStampsSpec),
         "Time stamps of the journal and the seal of every run, from an authority.",
         {"url": "https://tsa.example.org/tsr", "every": "10 min", "certificate": "-----BEGIN CERTIFICATE----- …"},
-        default=None,
     )
-    approvals: ApprovalRule | None = key(
+    approvals: ApprovalRule | None = optional(
         APPROVALS,
         "Approvals that a plan needs before it may run on this bench; without this key, plans need none.",
         {"keys": "lab-keys.yaml", "required": 2, "roles": ["reviewer"]},
-        default=None,
     )
-    signing: SigningSpec | None = key(
+    signing: SigningSpec | None = optional(
         RecordOf(SigningSpec),
         "The bench's own key, which signs the seal and the analyses of every run.",
         {"key": "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIGLkQmCXDi/PQZJZziZo7k97osN1kINhk5QiG1kpfDFm"},
-        default=None,
     )
-    check_standard: CheckStandardRule | None = key(
+    check_standard: CheckStandardRule | None = optional(
         CHECK_STANDARD,
         "The check standard of the bench: other plans run only while it is in control.",
         {
@@ -257,13 +249,11 @@ class Bench(Record):
             "coefficients": {"drift.D_X_F": {"reference": "0.30 deg/h ± 0.02 deg/h"}},
             "max_age": "24 h",
         },
-        default=None,
     )
-    specification: Specification | None = key(
+    specification: Specification | None = optional(
         RecordOf(Specification),
         "Limits of the constant errors of the sensor; a diagnosis warns of values outside them.",
         {"accel_bias": "±50 mg", "gyro_scale_factor": "±1 %"},
-        default=None,
     )
     safe_order: tuple[str, ...] = key(
         ListOf(Text(NAME, "an instrument's name"), minimum=1),

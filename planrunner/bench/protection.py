@@ -11,7 +11,7 @@ from dataclasses import replace
 from planrunner.base.findings import Findings
 from planrunner.instruments.interfaces import OwnLimits
 from planrunner.instruments.models import ChamberModel, TableModel
-from planrunner.plan.kinds import QuantityOf, Record, RecordOf, key
+from planrunner.plan.kinds import QuantityOf, Record, RecordOf, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 SHORTEST_SILENCE, LONGEST_SILENCE = 5.0, 3600.0
@@ -20,26 +20,22 @@ SHORTEST_SILENCE, LONGEST_SILENCE = 5.0, 3600.0
 class Protection(Record):
     """Limits of the bench. Limits that are not stated come from the keys of each instrument."""
 
-    rate: Quantity | None = key(
-        QuantityOf("angular rate", "positive"), "Largest rate of any axis of the table.", "320 deg/s", default=None
+    rate: Quantity | None = optional(
+        QuantityOf("angular rate", "positive"), "Largest rate of any axis of the table.", "320 deg/s"
     )
-    acceleration: Quantity | None = key(
-        QuantityOf("angular acceleration", "positive"),
-        "Largest acceleration of any axis of the table.",
-        "200 deg/s^2",
-        default=None,
+    acceleration: Quantity | None = optional(
+        QuantityOf("angular acceleration", "positive"), "Largest acceleration of any axis of the table.", "200 deg/s^2"
     )
-    position_error: Quantity | None = key(
+    position_error: Quantity | None = optional(
         QuantityOf("angle", "positive"),
         "Following error at which the table and all its instruments are stopped.",
         "2 deg",
-        default=None,
     )
-    coldest: Quantity | None = key(
-        QuantityOf("temperature"), "Lowest permitted temperature of anything on the bench.", "-50 degC", default=None
+    coldest: Quantity | None = optional(
+        QuantityOf("temperature"), "Lowest permitted temperature of anything on the bench.", "-50 degC"
     )
-    hottest: Quantity | None = key(
-        QuantityOf("temperature"), "Highest permitted temperature of anything on the bench.", "75 degC", default=None
+    hottest: Quantity | None = optional(
+        QuantityOf("temperature"), "Highest permitted temperature of anything on the bench.", "75 degC"
     )
     silence: Quantity = key(
         QuantityOf("time", "positive"),

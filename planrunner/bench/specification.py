@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from planrunner.bench.grades import GRADE_NAMES, GRADES
-from planrunner.plan.kinds import Choice, Record, key
+from planrunner.plan.kinds import Choice, Record, optional
 from planrunner.plan.model import SymmetricKind
 from planrunner.plan.quantity import Quantity, parse_symmetric
 
@@ -13,29 +13,26 @@ from planrunner.plan.quantity import Quantity, parse_symmetric
 class Specification(Record):
     """Limits of the constant errors of every axis, as the data sheet gives them."""
 
-    grade: str | None = key(
+    grade: str | None = optional(
         Choice(GRADE_NAMES),
         "Grade of the sensor; its usual limits apply to errors without a limit of their own. By default it follows from the noise.",
         "tactical",
-        default=None,
     )
-    gyro_bias: str | None = key(
-        SymmetricKind("angular rate"), "Limits of the bias of a gyro.", "±0.5 deg/s", default=None
+    gyro_bias: str | None = optional(SymmetricKind("angular rate"), "Limits of the bias of a gyro.", "±0.5 deg/s")
+    gyro_scale_factor: str | None = optional(
+        SymmetricKind("ratio"), "Limits of the scale-factor error of a gyro.", "±1 %"
     )
-    gyro_scale_factor: str | None = key(
-        SymmetricKind("ratio"), "Limits of the scale-factor error of a gyro.", "±1 %", default=None
+    gyro_misalignment: str | None = optional(
+        SymmetricKind("angle"), "Limits of the misalignment of a gyro's input axis.", "±0.2 deg"
     )
-    gyro_misalignment: str | None = key(
-        SymmetricKind("angle"), "Limits of the misalignment of a gyro's input axis.", "±0.2 deg", default=None
+    accel_bias: str | None = optional(
+        SymmetricKind("acceleration"), "Limits of the bias of an accelerometer.", "±50 mg"
     )
-    accel_bias: str | None = key(
-        SymmetricKind("acceleration"), "Limits of the bias of an accelerometer.", "±50 mg", default=None
+    accel_scale_factor: str | None = optional(
+        SymmetricKind("ratio"), "Limits of the scale-factor error of an accelerometer.", "±0.5 %"
     )
-    accel_scale_factor: str | None = key(
-        SymmetricKind("ratio"), "Limits of the scale-factor error of an accelerometer.", "±0.5 %", default=None
-    )
-    accel_misalignment: str | None = key(
-        SymmetricKind("angle"), "Limits of the misalignment of an accelerometer's input axis.", "±0.2 deg", default=None
+    accel_misalignment: str | None = optional(
+        SymmetricKind("angle"), "Limits of the misalignment of an accelerometer's input axis.", "±0.2 deg"
     )
 
     def limits(self) -> Mapping[str, Quantity]:

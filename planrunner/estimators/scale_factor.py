@@ -45,7 +45,7 @@ from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.drift import drift, drift_of, thermometer
 from planrunner.observation.flicker import drift_span, flicker_errors, unstated_flicker
 from planrunner.observation.observations import Observations, observe
-from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key, optional
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Rock, Segment, Spin
 from planrunner.plan.units import Unit, unit
@@ -68,11 +68,10 @@ class ScaleFactorParameters(Record):
     rate_unit: str = key(
         Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", default="deg/s"
     )
-    rate_uncertainty: Quantity | None = key(
+    rate_uncertainty: Quantity | None = optional(
         QuantityOf("ratio", "not negative"),
         "Relative standard uncertainty of the table's rate, common to all rates.",
         "50 ppm",
-        default=None,
     )
     weights: str = key(
         Choice(("noise", "equal")),

@@ -10,7 +10,19 @@ from planrunner.base.findings import Findings
 from planrunner.instruments.formats.choice import Format, FormatChoice
 from planrunner.instruments.formats.file import TimeStamps
 from planrunner.instruments.parameters import nominal_supply
-from planrunner.plan.kinds import Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, WordOr, key
+from planrunner.plan.kinds import (
+    Choice,
+    ListOf,
+    MapOf,
+    Number,
+    QuantityOf,
+    Record,
+    RecordOf,
+    Text,
+    WordOr,
+    key,
+    optional,
+)
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.source import Node, Scalar
 from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
@@ -44,24 +56,17 @@ class TimeColumn(Record):
 
     column: str = key(Text(COLUMN, "a column's name"), "Name of the column.", "time_s")
     unit: str = key(Choice(TIME_UNITS), "Its unit.", "s", default="s")
-    per_second: float | None = key(
-        Number(),
-        "For a counter instead of a time: its counts per second.",
-        168000000,
-        default=None,
-    )
-    wraps: float | None = key(
+    per_second: float | None = optional(Number(), "For a counter instead of a time: its counts per second.", 168000000)
+    wraps: float | None = optional(
         Number(),
         "For a counter: the value at which it starts again from zero, in its own counts or unit. It may not wrap twice between two rows.",
         4294967296,
-        default=None,
     )
-    power_on: Quantity | None = key(
+    power_on: Quantity | None = optional(
         QuantityOf("time"),
         "Time at which the sensor was switched on, as a value of the column; the time of the recording then starts at "
         "this value. By default it starts at the first row.",
         "0 s",
-        default=None,
     )
 
 
@@ -84,43 +89,34 @@ class ChannelColumn(Record):
     per_unit: float = key(
         Number(), "Change of the column per unit of the channel, for a file of raw counts.", 256, default=1.0
     )
-    noise: Quantity | None = key(
-        QuantityOf(None, "not negative"),
-        "White noise as the standard deviation of one sample at rest.",
-        "0.1 deg/s",
-        default=None,
+    noise: Quantity | None = optional(
+        QuantityOf(None, "not negative"), "White noise as the standard deviation of one sample at rest.", "0.1 deg/s"
     )
-    noise_density: Quantity | None = key(
+    noise_density: Quantity | None = optional(
         QuantityOf(None, "not negative"),
         "White noise as a one-sided density D, as data sheets give it: one sample at f Hz scatters by D·√(f/2).",
         "0.002 deg/s/sqrt(Hz)",
-        default=None,
     )
-    random_walk: Quantity | None = key(
+    random_walk: Quantity | None = optional(
         QuantityOf(None, "not negative"),
         "White noise as the coefficient N of an Allan deviation: a mean over T scatters by N/√T.",
         "0.085 deg/sqrt(h)",
-        default=None,
     )
-    bias_instability: Quantity | None = key(
-        QuantityOf(None, "not negative"), "Flicker floor of the output.", "2 deg/h", default=None
+    bias_instability: Quantity | None = optional(
+        QuantityOf(None, "not negative"), "Flicker floor of the output.", "2 deg/h"
     )
-    resolution: Quantity | None = key(QuantityOf(None, "not negative"), "One count.", "0.0005 deg/s", default=None)
-    full_scale: Quantity | None = key(
-        QuantityOf(None, "positive"), "Full scale, for both signs.", "2000 deg/s", default=None
-    )
+    resolution: Quantity | None = optional(QuantityOf(None, "not negative"), "One count.", "0.0005 deg/s")
+    full_scale: Quantity | None = optional(QuantityOf(None, "positive"), "Full scale, for both signs.", "2000 deg/s")
 
-    standard_deviation: str | None = key(
+    standard_deviation: str | None = optional(
         Text(COLUMN, "a column's name"),
         "With `summary`: column of the standard deviation of the samples, in the unit of the column.",
         "gyro_y_sd",
-        default=None,
     )
-    standard_error: str | None = key(
+    standard_error: str | None = optional(
         Text(COLUMN, "a column's name"),
         "With `summary`, instead: column of the standard error of the mean.",
         "gyro_y_u",
-        default=None,
     )
 
     def white(self, sample_rate: float) -> float:
@@ -212,11 +208,10 @@ class RowColumns(Record):
 
     label: str = key(Text(COLUMN, "a column's name"), "Column of the labels.", "state", default="label")
     count: str = key(Text(COLUMN, "a column's name"), "Column of the number of samples.", "n", default="count")
-    start: str | None = key(
+    start: str | None = optional(
         Text(COLUMN, "a column's name"),
         "Column of the start times; by default the rows follow each other without pauses.",
         "start_s",
-        default=None,
     )
     unit: str = key(Choice(TIME_UNITS), "Unit of the start times.", "s", default="s")
 
@@ -236,50 +231,44 @@ class RecordingParameters(Record):
         ["jig/staircase_2.parquet"],
         default=(),
     )
-    pause_between_files: Quantity | None = key(
+    pause_between_files: Quantity | None = optional(
         QuantityOf("time", "positive"),
         "If the time of each file begins anew: time from the last row of a file to the first row of the next. Without it, the times of the "
         "files must follow each other.",
         "60 s",
-        default=None,
     )
-    format: Format | None = key(
+    format: Format | None = optional(
         FormatChoice(),
         "Format of the files, and properties that the files themselves do not state.",
         {"type": "text", "separator": "semicolon", "decimal": "comma"},
-        default=None,
     )
-    time: TimeColumn | Literal["sample_count"] | None = key(
+    time: TimeColumn | Literal["sample_count"] | None = optional(
         WordOr((SAMPLE_COUNT,), RecordOf(TimeColumn, check_time)),
         "The time column, unless there is `summary`. `sample_count`: the file has no time, and its rows follow each other at "
         "`sample_rate`.",
         {"column": "time_s", "unit": "s"},
-        default=None,
     )
-    summary: RowColumns | None = key(
+    summary: RowColumns | None = optional(
         RecordOf(RowColumns),
         "The file is a table with one row per segment instead of samples: the mean of every channel, its standard deviation, and the "
         "number of samples.",
         {"label": "state", "count": "n"},
-        default=None,
     )
     channels: dict[str, ChannelColumn] = key(
         MapOf(ChannelKind(), pattern=NAME),
         "Channel name → column of the file.",
         {"gyro_y": {"column": "gyro_y_deg_per_s", "unit": "deg/s"}},
     )
-    segments: SegmentColumns | None = key(
+    segments: SegmentColumns | None = optional(
         RecordOf(SegmentColumns),
         "Table of the segments; without it the whole recording is one segment.",
         {"table": "jig/stops.csv", "trim": "2 s"},
-        default=None,
     )
-    pauses: Quantity | None = key(
+    pauses: Quantity | None = optional(
         QuantityOf("time", "positive"),
         "Instead of a table: divide the recording into segments wherever the time steps by more than this, in the order "
         "of the plan.",
         "10 s",
-        default=None,
     )
     sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "100 Hz")
     nominal_supply: Quantity = nominal_supply()

@@ -9,7 +9,7 @@ from planrunner.instruments.models import TableModel
 from planrunner.physics.kinematics import TableAxis, Unreachable, check_geometry
 from planrunner.plan import source
 from planrunner.plan.directions import DIRECTIONS
-from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, RecordOf, Schema, Text, key
+from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, RecordOf, Schema, Text, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 
@@ -24,13 +24,10 @@ class AxisSpec(Record):
     max_acceleration: Quantity = key(
         QuantityOf("angular acceleration", "positive"), "Highest acceleration.", "200 deg/s^2"
     )
-    lowest: Quantity | None = key(
-        QuantityOf("angle"),
-        "Lower joint limit; an axis without limits is continuous (slip rings).",
-        "-100 deg",
-        default=None,
+    lowest: Quantity | None = optional(
+        QuantityOf("angle"), "Lower joint limit; an axis without limits is continuous (slip rings).", "-100 deg"
     )
-    highest: Quantity | None = key(QuantityOf("angle"), "Upper joint limit.", "100 deg", default=None)
+    highest: Quantity | None = optional(QuantityOf("angle"), "Upper joint limit.", "100 deg")
 
     def axis(self) -> TableAxis:
         return TableAxis(

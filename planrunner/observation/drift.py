@@ -20,7 +20,7 @@ from planrunner.base.findings import closest
 from planrunner.observation.observations import Observations, recorded_times
 from planrunner.observation.refusals import EstimationError
 from planrunner.observation.temperature import CHANGED
-from planrunner.plan.kinds import CHANNEL, Choice, ListOf, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, key, optional
 from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
 
 BY_EVIDENCE, NONE = "by_evidence", "none"
@@ -46,11 +46,10 @@ def drift() -> tuple[str, ...]:
 
 def thermometer() -> str | None:
     """The key that names the channel whose mean is the temperature of a segment."""
-    channel: str | None = key(
+    channel: str | None = optional(
         CHANNEL,
         "The sensor's own thermometer, for a drift with temperature; by default the only recorded channel that is a temperature.",
         "sensor_temperature",
-        default=None,
     )
     return channel
 

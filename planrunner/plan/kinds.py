@@ -58,6 +58,7 @@ __all__ = [
     "key",
     "keys_of",
     "object_schema",
+    "optional",
     "read_keys",
 ]
 
@@ -146,6 +147,11 @@ def key(
     if default_factory is not _REQUIRED:
         return field(default_factory=default_factory, metadata=metadata)
     return field(default=default, metadata=metadata)
+
+
+def optional(kind: Kind, description: str, example: Any, *, name: str | None = None, traits: object = None) -> Any:
+    """A key that may be left out; its value is then None."""
+    return key(kind, description, example, default=None, name=name, traits=traits)
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(key, field))

@@ -28,6 +28,7 @@ from planrunner.plan.kinds import (
     Text,
     WordOr,
     key,
+    optional,
 )
 from planrunner.plan.quantity import SYMMETRIC, Quantity, QuantityError, is_symmetric, parse_symmetric
 from planrunner.plan.segments import NAME, STATE_KEYS, Ramp, SegmentKind, SegmentSpec, State
@@ -148,13 +149,12 @@ class MountedAxis(Record):
         "Angle between the input axis and the rotation axis.",
         "54.7356 deg ± 20 arcsec",
     )
-    azimuth: Quantity | None = key(
+    azimuth: Quantity | None = optional(
         QuantityOf("angle", uncertain=True),
         "Azimuth of the input axis about the rotation axis when the table is in its home position. "
         "It is measured from the sensor's x axis, right-handed about "
         "z.",
         "120 deg",
-        default=None,
     )
 
     @property
@@ -192,11 +192,10 @@ class EstimateSpec(Record):
         "keep",
         default="exclude",
     )
-    validate: str | MonteCarloSpec | None = key(
+    validate: str | MonteCarloSpec | None = optional(
         WordOr(("monte_carlo",), RecordOf(MonteCarloSpec)),
         "Compare the reported intervals with Monte Carlo draws (JCGM 101).",
         "monte_carlo",
-        default=None,
     )
     parameters: Record = field(default_factory=Record)
 
@@ -247,9 +246,9 @@ class Limit(Record):
         "The coefficient and its estimate.",
         "drift.D_X_F",
     )
-    within: str | None = key(SymmetricKind(), "Limits that are symmetric about zero.", "±0.5 deg/h", default=None)
-    at_least: Quantity | None = key(QuantityOf(None), "Lower limit.", 0.99, default=None)
-    at_most: Quantity | None = key(QuantityOf(None), "Upper limit.", 1.01, default=None)
+    within: str | None = optional(SymmetricKind(), "Limits that are symmetric about zero.", "±0.5 deg/h")
+    at_least: Quantity | None = optional(QuantityOf(None), "Lower limit.", 0.99)
+    at_most: Quantity | None = optional(QuantityOf(None), "Upper limit.", 1.01)
     rule: Literal["simple", "guarded"] = key(
         Choice(("simple", "guarded")),
         "Decision rule (JCGM 106): simple requires the value to be within the limit; guarded requires it to be within the limit "
@@ -264,12 +263,11 @@ class Limit(Record):
         0.99,
         default=0.95,
     )
-    prior: Quantity | None = key(
+    prior: Quantity | None = optional(
         QuantityOf(None, uncertain=True),
         "Prior distribution of the quantity among the tested items, as mean ± standard deviation; gives the global "
         "risks of the rule.",
         "0.1 deg/h ± 0.2 deg/h",
-        default=None,
     )
 
 
@@ -339,8 +337,8 @@ class Plan(Record):
         {"x": {"angle": "54.7356 deg ± 20 arcsec", "azimuth": "0 deg"}},
         default_factory=dict,
     )
-    defaults: State | None = key(
-        RecordOf(State), "The state that every segment starts from.", {"settle": "30 s", "dwell": "2 min"}, default=None
+    defaults: State | None = optional(
+        RecordOf(State), "The state that every segment starts from.", {"settle": "30 s", "dwell": "2 min"}
     )
     segments: tuple[SegmentSpec, ...] = key(
         ListOf(SegmentKind(), minimum=1),
@@ -359,12 +357,11 @@ class Plan(Record):
         [{"quantity": "drift.D_X_F", "within": "±0.5 deg/h"}],
         default_factory=tuple,
     )
-    diagnosis: DiagnosisSpec | None = key(
+    diagnosis: DiagnosisSpec | None = optional(
         RecordOf(DiagnosisSpec),
         "How `planrunner diagnose` analyses a recording of this plan; by default all segments with the full nominal "
         "model.",
         {"nominal": ["accel_bias", "accel_misalignment"]},
-        default=None,
     )
     report: tuple[str, ...] = key(
         ListOf(Text(FILE_NAME, "a file name")),

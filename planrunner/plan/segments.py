@@ -20,6 +20,7 @@ from planrunner.plan.kinds import (
     WordOr,
     key,
     keys_of,
+    optional,
 )
 from planrunner.plan.orientation import Orientation, OrientationKind
 from planrunner.plan.quantity import Quantity
@@ -49,11 +50,10 @@ class State(Record):
     behaviour of the bench is defined in the schedule.
     """
 
-    orientation: Orientation | None = key(
+    orientation: Orientation | None = optional(
         OrientationKind(),
         "Where the sensor's axes point, in words or as a rotation; 'unknown' for hand-held recordings.",
         {"x": "up", "y": "north", "z": "west"},
-        default=None,
         traits=StateTraits(
             swept=True,
             decisive=True,
@@ -63,23 +63,21 @@ class State(Record):
             },
         ),
     )
-    rate: Quantity | None = key(
+    rate: Quantity | None = optional(
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY),
         "Constant rate about the up direction; short for motion: {rate: …}.",
         "10 deg/s",
-        default=None,
         traits=StateTraits(
             swept=True, directed=True, decisive=True, replaces="motion", sweep_example="±300, ±150 deg/s"
         ),
     )
-    motion: MotionSpec | str | None = key(
+    motion: MotionSpec | str | None = optional(
         WordOr(("rest",), RecordOf(MotionSpec)),
         "What the table does while the segment records; if this key is left out, the table is at rest.",
         {"rate": "10 deg/s"},
-        default=None,
         traits=StateTraits(swept=True, decisive=True, replaces="rate"),
     )
-    temperature: Quantity | Ramp | None = key(
+    temperature: Quantity | Ramp | None = optional(
         ByShape(
             QuantityOf("temperature", elsewhere=TEMPERATURE_UNCERTAINTY),
             RecordOf(Ramp),
@@ -87,73 +85,61 @@ class State(Record):
         ),
         "Chamber temperature to hold, or a ramp during which the segment records.",
         "25 degC",
-        default=None,
         traits=StateTraits(swept=True, decisive=True, sweep_example="-40, 20, 60 degC"),
     )
-    supply_voltage: Quantity | None = key(
+    supply_voltage: Quantity | None = optional(
         QuantityOf("voltage", "positive"),
         "Voltage that supplies the sensor. A person sets it, not a driver: ask for it with `prompt`. Virtual sensors follow it.",
         "5 V",
-        default=None,
         traits=StateTraits(swept=True, decisive=True, sweep_example="4.5, 5, 5.5 V"),
     )
-    ambient_pressure: Quantity | None = key(
+    ambient_pressure: Quantity | None = optional(
         QuantityOf("pressure", "positive"),
         "Absolute pressure of the air around the sensor. A person sets it, not a driver: ask for it with "
         "`prompt`. Virtual sensors "
         "follow it.",
         "900 hPa",
-        default=None,
         traits=StateTraits(swept=True, decisive=True, sweep_example="200, 600, 1000 hPa"),
     )
-    soak: Quantity | StabilitySpec | None = key(
+    soak: Quantity | StabilitySpec | None = optional(
         ByShape(QuantityOf("time", "not negative"), STABILITY, what="a time or {for: …}"),
         "Wait after a new temperature is reached: for a time, or until readings have settled.",
         "60 min",
-        default=None,
         traits=StateTraits(swept=True),
     )
-    settle: Quantity | StabilitySpec | None = key(
+    settle: Quantity | StabilitySpec | None = optional(
         ByShape(QuantityOf("time", "not negative"), STABILITY, what="a time or {for: …}"),
         "Wait after the motion is steady, before recording: for a time, or until readings have settled.",
         "30 s",
-        default=None,
         traits=StateTraits(swept=True),
     )
-    dwell: Quantity | Turns | str | None = key(
+    dwell: Quantity | Turns | str | None = optional(
         WordOr(
             ("recorded",),
             ByShape(QuantityOf("time", "positive"), RecordOf(Turns), what="a time, {turns: …} or {cycles: …}"),
         ),
         "How long to record: a time, whole turns or cycles, or 'recorded' for the length of a played-back segment.",
         "2 min",
-        default=None,
         traits=StateTraits(swept=True, decisive=True),
     )
-    sample_rate: Quantity | None = key(
+    sample_rate: Quantity | None = optional(
         QuantityOf("frequency", "positive"),
         "Samples per second; by default the sample rate of the sensor.",
         "100 Hz",
-        default=None,
         traits=StateTraits(swept=True),
     )
-    mode: str | None = key(
+    mode: str | None = optional(
         Text(NAME, "a mode's name"),
         "Operating mode in which the sensor records, if its driver offers modes (such as caged and navigation).",
         "navigation",
-        default=None,
     )
-    watch: WatchSpec | None = key(
+    watch: WatchSpec | None = optional(
         WATCH,
         "Limits on what the instruments read while the segment records.",
         {"position_error": "5 arcsec", "lost_frames": "0.1 %", "retakes": 2},
-        default=None,
     )
-    on_break: str | None = key(
-        Choice(("retake", "keep")),
-        "When a run is resumed: what to do with a segment that a crash cut short.",
-        "keep",
-        default=None,
+    on_break: str | None = optional(
+        Choice(("retake", "keep")), "When a run is resumed: what to do with a segment that a crash cut short.", "keep"
     )
 
 
@@ -177,18 +163,16 @@ class SegmentKind:
 class SegmentSpec(State):
     """One entry of `segments`: a state, or a sweep over states, or steps that share one."""
 
-    label: str | None = key(
+    label: str | None = optional(
         Text(r"[^\x00-\x1f]{1,80}", "a label"),
         "Name of the segment; {rate}, {temperature} … are replaced by the swept value.",
         "start-zero",
-        default=None,
     )
-    prompt: str | None = key(
+    prompt: str | None = optional(
         Text(r"[^\x00-\x1f]{1,200}", "a line of text"),
         "Instruction or question that the operator must confirm before the segment begins (before the first of its steps); until then the "
         "bench is in its safe state.",
         "Turn the fixture to face {orientation}, then leave the table",
-        default=None,
     )
     conditioning: bool = key(
         Boolean(),
@@ -197,11 +181,10 @@ class SegmentSpec(State):
         True,
         default=False,
     )
-    for_each: Sweep | None = key(
+    for_each: Sweep | None = optional(
         ForEachKind(State),
         "Repeat for every value. Several keys give all combinations of their values; the first key changes slowest.",
         {"rate": "±300, ±150 deg/s"},
-        default=None,
     )
     order: str = key(
         Choice(("as_written", "reversed", "serpentine", "shuffled")),

@@ -5,7 +5,19 @@ from __future__ import annotations
 
 from planrunner.base.findings import Findings
 from planrunner.plan.directions import DIRECTIONS
-from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.kinds import (
+    CHANNEL,
+    Choice,
+    ListOf,
+    MapOf,
+    Number,
+    QuantityOf,
+    Record,
+    RecordOf,
+    Text,
+    key,
+    optional,
+)
 from planrunner.plan.quantity import Quantity
 
 READINGS = ("position_error", "rate_error", "temperature_error", "temperature_drift")
@@ -14,26 +26,19 @@ READINGS = ("position_error", "rate_error", "temperature_error", "temperature_dr
 class Tolerated(Record):
     """Largest permitted magnitudes of the readings of the instruments."""
 
-    position_error: Quantity | None = key(
-        QuantityOf("angle", "positive"), "Following error of the table, on every axis.", "5 arcsec", default=None
+    position_error: Quantity | None = optional(
+        QuantityOf("angle", "positive"), "Following error of the table, on every axis.", "5 arcsec"
     )
-    rate_error: Quantity | None = key(
-        QuantityOf("angular rate", "positive"),
-        "Measured minus commanded rate, on every axis.",
-        "0.002 deg/s",
-        default=None,
+    rate_error: Quantity | None = optional(
+        QuantityOf("angular rate", "positive"), "Measured minus commanded rate, on every axis.", "0.002 deg/s"
     )
-    temperature_error: Quantity | None = key(
-        QuantityOf("temperature", "positive"),
-        "Measured minus commanded temperature of the chamber.",
-        "0.5 K",
-        default=None,
+    temperature_error: Quantity | None = optional(
+        QuantityOf("temperature", "positive"), "Measured minus commanded temperature of the chamber.", "0.5 K"
     )
-    temperature_drift: Quantity | None = key(
+    temperature_drift: Quantity | None = optional(
         QuantityOf("temperature rate", "positive"),
         "Rate at which the temperatures of the chamber and of the sensor change.",
         "0.1 K/min",
-        default=None,
     )
 
     def stated(self) -> dict[str, Quantity]:
@@ -58,14 +63,11 @@ class StabilitySpec(Tolerated):
 class WatchSpec(Tolerated):
     """Limits on the readings while the segment records, and what happens when a limit is exceeded."""
 
-    lost_frames: Quantity | None = key(
-        QuantityOf("ratio", "not negative"), "Share of the sensor's frames that may be missing.", "0.1 %", default=None
+    lost_frames: Quantity | None = optional(
+        QuantityOf("ratio", "not negative"), "Share of the sensor's frames that may be missing.", "0.1 %"
     )
-    corrupt_frames: Quantity | None = key(
-        QuantityOf("ratio", "not negative"),
-        "Share of the sensor's frames that may have a wrong checksum.",
-        "0 %",
-        default=None,
+    corrupt_frames: Quantity | None = optional(
+        QuantityOf("ratio", "not negative"), "Share of the sensor's frames that may have a wrong checksum.", "0 %"
     )
     doubts: str = key(
         Choice(("limit", "note")),
@@ -127,11 +129,10 @@ class RecordedSpec(Record):
     """Channels of the recording that show a motion that was not commanded, such as that of a hand, a vehicle, or a jig without a drive.
     One of angle, attitude and rates gives the rotation."""
 
-    angle: str | None = key(
+    angle: str | None = optional(
         CHANNEL,
         "Encoder of the axis about which the sensor turns; it reads zero in the orientation of the segment.",
         "table_angle",
-        default=None,
     )
     attitude: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=4, maximum=4),
@@ -152,12 +153,11 @@ class RecordedSpec(Record):
         ["reference_accel_x", "reference_accel_y", "reference_accel_z"],
         default_factory=tuple,
     )
-    averaging: Quantity | None = key(
+    averaging: Quantity | None = optional(
         QuantityOf("time", "positive"),
         "Time over which outputs and motion are averaged before they are compared; by default ten samples for an angle or an attitude, "
         "whose differences are noisy, and none for rates.",
         "50 ms",
-        default=None,
     )
 
 
@@ -169,11 +169,8 @@ MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSI
 class MotionSpec(Record):
     """What the sensor does while the segment records. Give one of rate, rock, cycle and recorded; without any of them, it is at rest."""
 
-    rate: Quantity | None = key(
-        QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY),
-        "Constant rate about the rotation axis.",
-        "300 deg/s",
-        default=None,
+    rate: Quantity | None = optional(
+        QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY), "Constant rate about the rotation axis.", "300 deg/s"
     )
     about: str = key(
         Choice(tuple(DIRECTIONS)),
@@ -181,34 +178,30 @@ class MotionSpec(Record):
         "up",
         default="up",
     )
-    recorded: RecordedSpec | None = key(
+    recorded: RecordedSpec | None = optional(
         RecordOf(RecordedSpec),
         "A motion that was not commanded, such as that of a hand or a vehicle; the recording shows it.",
         {"rates": ["reference_gyro_x", "reference_gyro_y", "reference_gyro_z"]},
-        default=None,
     )
-    rock: RockSpec | None = key(
-        RecordOf(RockSpec), "Sinusoidal rocking.", {"amplitude": "3 deg", "frequency": "0.2 Hz"}, default=None
+    rock: RockSpec | None = optional(
+        RecordOf(RockSpec), "Sinusoidal rocking.", {"amplitude": "3 deg", "frequency": "0.2 Hz"}
     )
-    for_: Quantity | None = key(
+    for_: Quantity | None = optional(
         QuantityOf("time", "positive"),
         "Rock at full amplitude for this part of the dwell only, then rest.",
         "8 min",
-        default=None,
         name="for",
     )
-    after: Quantity | None = key(
+    after: Quantity | None = optional(
         QuantityOf("time", "positive"),
         "Rest for this part of the dwell, then begin to rock; by default the rocking begins one period before the "
         "dwell.",
         "60 s",
-        default=None,
     )
-    cycle: dict[str, Quantity] | None = key(
+    cycle: dict[str, Quantity] | None = optional(
         MapOf(QuantityOf("angle"), pattern=POSITION),
         "Named positions of an indexing cycle.",
         {"A": "0 deg", "B": "90 deg", "C": "180 deg", "D": "270 deg"},
-        default=None,
     )
     moves: tuple[str, ...] = key(
         ListOf(
@@ -223,11 +216,11 @@ class MotionSpec(Record):
         ["A +180 C", "C -180 A"],
         default_factory=tuple,
     )
-    turn_rate: Quantity | None = key(
-        QuantityOf("angular rate", "positive"), "Rate of the turns between stops.", "10 deg/s", default=None
+    turn_rate: Quantity | None = optional(
+        QuantityOf("angular rate", "positive"), "Rate of the turns between stops.", "10 deg/s"
     )
-    stop: Quantity | None = key(
-        QuantityOf("time", "not negative"), "Time at each stop; `0 s` for turns without stops.", "3 min", default=None
+    stop: Quantity | None = optional(
+        QuantityOf("time", "not negative"), "Time at each stop; `0 s` for turns without stops.", "3 min"
     )
     sense: str = key(
         Choice(("counterclockwise", "clockwise")),
@@ -240,11 +233,8 @@ class MotionSpec(Record):
 class Turns(Record):
     """A dwell counted in whole turns of a spinning table, or in whole cycles of turns and stops."""
 
-    turns: int | None = key(Number(1, 1_000_000, integer=True), "Record for this many whole turns.", 1, default=None)
-    cycles: int | None = key(Number(1, 1_000_000, integer=True), "Record for this many whole cycles.", 34, default=None)
-    at_least: Quantity | None = key(
-        QuantityOf("time", "positive"),
-        "Add whole turns or cycles until the dwell lasts this long.",
-        "30 s",
-        default=None,
+    turns: int | None = optional(Number(1, 1_000_000, integer=True), "Record for this many whole turns.", 1)
+    cycles: int | None = optional(Number(1, 1_000_000, integer=True), "Record for this many whole cycles.", 34)
+    at_least: Quantity | None = optional(
+        QuantityOf("time", "positive"), "Add whole turns or cycles until the dwell lasts this long.", "30 s"
     )

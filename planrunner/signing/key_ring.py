@@ -17,7 +17,7 @@ from pathlib import Path
 from planrunner.base.findings import Findings, InputError
 from planrunner.bench.signatures import ROLE
 from planrunner.plan import source
-from planrunner.plan.kinds import ListOf, MapOf, Number, Record, RecordOf, Text, key
+from planrunner.plan.kinds import ListOf, MapOf, Number, Record, RecordOf, Text, key, optional
 from planrunner.plan.model import PERSON
 from planrunner.signing.keys import PublicKey, parse_public
 
@@ -37,19 +37,17 @@ class KeyEntry(Record):
     roles: tuple[str, ...] = key(
         ListOf(Text(ROLE, "a role")), "Roles of the owner.", ["reviewer"], default_factory=tuple
     )
-    person: str | None = key(
+    person: str | None = optional(
         Text(NAME, "a name in the key ring"),
         "Name of the person, if the person has several keys; by default the name of the entry.",
         "anna",
-        default=None,
     )
-    from_: str | None = key(_DAY, "First day on which the key is valid.", "2026-01-01", default=None, name="from")
-    until: str | None = key(_DAY, "Last day on which the key is valid.", "2028-12-31", default=None)
-    revoked: str | None = key(
+    from_: str | None = optional(_DAY, "First day on which the key is valid.", "2026-01-01", name="from")
+    until: str | None = optional(_DAY, "Last day on which the key is valid.", "2028-12-31")
+    revoked: str | None = optional(
         _DAY,
         "Day on which the key was revoked. As soon as it is stated, no signature of the key counts, whatever its date.",
         "2027-05-04",
-        default=None,
     )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings, InputError, closest
 from planrunner.plan import source
-from planrunner.plan.kinds import Choice, ListOf, Number, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.kinds import Choice, ListOf, Number, QuantityOf, Record, RecordOf, Text, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.simulators.frames import Bytes
 
@@ -76,17 +76,16 @@ class Fault(Record):
         default=parse_quantity("0 s"),
         name="at",
     )
-    lasts: Quantity | None = key(
+    lasts: Quantity | None = optional(
         QuantityOf("time", "positive"),
         "Duration on the bench's clock; by default the fault does not end.",
         "5 s",
-        default=None,
         name="for",
     )
-    count: int | None = key(
-        Number(1, 10**9, integer=True), "Number of replies that the fault affects before it ends.", 1, default=None
+    count: int | None = optional(
+        Number(1, 10**9, integer=True), "Number of replies that the fault affects before it ends.", 1
     )
-    message: str | None = key(Text(), "Only replies to messages that contain this text.", "PVAL", default=None)
+    message: str | None = optional(Text(), "Only replies to messages that contain this text.", "PVAL")
     delay: Quantity = key(
         QuantityOf("time", "positive"),
         "For `late`: the delay, in real time.",

@@ -44,7 +44,7 @@ from planrunner.estimators.interface import (
     Unpredicted,
 )
 from planrunner.estimators.root_of_square import root_of
-from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Rest
 from planrunner.uncertainty.influences import Influence
@@ -83,11 +83,8 @@ class AllanDeviationParameters(Record):
     terms: tuple[str, ...] = key(
         ListOf(Choice(TERMS), minimum=1, single=True), "Coefficients to fit.", ["N", "B"], default=TERMS
     )
-    fit_up_to: Quantity | None = key(
-        QuantityOf("time", "positive"),
-        "Longest averaging time in the fit, above which drift dominates.",
-        "1 h",
-        default=None,
+    fit_up_to: Quantity | None = optional(
+        QuantityOf("time", "positive"), "Longest averaging time in the fit, above which drift dominates.", "1 h"
     )
     scale_factors: dict[str, Quantity | str] = key(
         MapOf(ScaleFactorKind()),

@@ -11,7 +11,7 @@ from planrunner.estimators.outputs_fit import BASES
 from planrunner.observation.drift import drift
 from planrunner.observation.flicker import drift_span
 from planrunner.plan import source
-from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Record, Schema, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Record, Schema, Text, key, optional
 from planrunner.plan.quantity import Quantity, anchored
 
 AXES = ("x", "y", "z")
@@ -55,30 +55,26 @@ class ErrorModelParameters(Record):
         {"torquer_x": "y"},
         default_factory=dict,
     )
-    temperature_channel: str | None = key(
+    temperature_channel: str | None = optional(
         CHANNEL,
         "The sensor's own thermometer, whose mean is the temperature of a segment; by default the planned temperature. If this "
         "key is left out, a drift with temperature uses the only recorded channel that is a temperature.",
         "temperature",
-        default=None,
     )
-    supply_channel: str | None = key(
+    supply_channel: str | None = optional(
         CHANNEL,
         "The voltage that supplies the sensor, of which the mean over a segment is used; by default `supply_voltage` of the segment.",
         "supply_voltage",
-        default=None,
     )
-    pressure_channel: str | None = key(
+    pressure_channel: str | None = optional(
         CHANNEL,
         "The ambient pressure, of which the mean over a segment is used; by default `ambient_pressure` of the segment.",
         "ambient_pressure",
-        default=None,
     )
-    angle_channel: str | None = key(
+    angle_channel: str | None = optional(
         CHANNEL,
         "The encoder of the table, for outputs that are fitted to samples; by default the planned angle.",
         "table_angle",
-        default=None,
     )
     expected: dict[str, dict[str, str]] = key(
         MapOf(MapOf(Text(), pattern=_COLUMN), pattern=r"[a-z][a-z0-9_]{0,59}"),

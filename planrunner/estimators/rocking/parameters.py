@@ -8,7 +8,7 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.instruments.parameters import QuantityLike
-from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, RecordOf, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, RecordOf, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 
@@ -56,19 +56,17 @@ class RockingDriftParameters(Record):
         "2 s",
         default=parse_quantity("2 s"),
     )
-    second_window: Quantity | None = key(
+    second_window: Quantity | None = optional(
         QuantityOf("time", "positive"),
         "t1, time from the beginning of the record to the second window; by default the second window ends "
         "with the shortest record.",
         "590 s",
-        default=None,
     )
-    released_before: Quantity | None = key(
+    released_before: Quantity | None = optional(
         QuantityOf("time", "not negative"),
         "Time from the release of the element to the beginning of each record, for `azimuth: nominal`; the default "
         "is the time that the run recorded. A recording that is played back does not contain it.",
         "5 s",
-        default=None,
     )
     cutoff: Quantity = key(
         QuantityOf("frequency", "positive"),
@@ -96,29 +94,23 @@ class RockingDriftParameters(Record):
         "encoders",
         default="encoders",
     )
-    azimuth_uncertainty: Quantity | None = key(
+    azimuth_uncertainty: Quantity | None = optional(
         QuantityOf("angle", "not negative"),
         "Standard uncertainty of the element's azimuth at t0 in one run; by default, with encoders, the table's position uncertainty.",
         "7 arcsec",
-        default=None,
     )
-    accelerometer_stability: Quantity | None = key(
+    accelerometer_stability: Quantity | None = optional(
         QuantityOf("acceleration", "not negative"),
         "Standard uncertainty of the change of an accelerometer's bias from the first window to the second.",
         "10 ug",
-        default=None,
     )
-    drift_repeatability: Quantity | None = key(
+    drift_repeatability: Quantity | None = optional(
         QuantityOf("angular rate", "not negative"),
         "Standard uncertainty of the difference between the element's drift in one run and its mean drift over all runs.",
         "0.002 deg/h",
-        default=None,
     )
-    random_walk: Quantity | None = key(
-        QuantityLike("deg/sqrt(h)", "not negative"),
-        "Random walk of the element's attitude.",
-        "0.0004 deg/sqrt(h)",
-        default=None,
+    random_walk: Quantity | None = optional(
+        QuantityLike("deg/sqrt(h)", "not negative"), "Random walk of the element's attitude.", "0.0004 deg/sqrt(h)"
     )
     smallest_drift: Quantity = key(
         QuantityOf("angular rate", "positive"),

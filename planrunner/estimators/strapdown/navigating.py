@@ -31,7 +31,7 @@ from planrunner.navigation.mechanisation import Knots, Navigator
 from planrunner.navigation.wgs84 import normal_gravity
 from planrunner.observation.flicker import drift_span
 from planrunner.physics.earth import Site
-from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key, optional
 from planrunner.plan.quantity import Quantity, QuantityError, parse_quantity, without_uncertainty
 from planrunner.plan.selection import matches
 from planrunner.uncertainty.influences import Aspect, InputQuantity, Inputs
@@ -107,17 +107,15 @@ class StrapdownNavigationParameters(Record):
         "0 s",
         default=parse_quantity("0.1 s"),
     )
-    gyro_uncertainty: Quantity | None = key(
+    gyro_uncertainty: Quantity | None = optional(
         QuantityOf("angular rate", "positive"),
         "Standard uncertainty of each gyro's constant error, for the uncertainty of the alignment and the expected errors.",
         "0.005 deg/h",
-        default=None,
     )
-    accelerometer_uncertainty: Quantity | None = key(
+    accelerometer_uncertainty: Quantity | None = optional(
         QuantityOf("acceleration", "positive"),
         "Standard uncertainty of each accelerometer's constant error, for the uncertainty of the alignment and the expected errors.",
         "50 ug",
-        default=None,
     )
 
     drift_span: Quantity = drift_span()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from planrunner.estimators.temperature.curve import FORMS, RULES
 from planrunner.observation.drift import NONE, ORDERS
 from planrunner.observation.flicker import drift_span
-from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, Text, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 
@@ -25,20 +25,18 @@ class TemperatureModelParameters(Record):
         ["gyro_x"],
         default_factory=tuple,
     )
-    temperature_channel: str | None = key(
+    temperature_channel: str | None = optional(
         CHANNEL,
         "The sensor's own thermometer, for channels along a ramp; by default the planned temperature.",
         "temperature",
-        default=None,
     )
     form: str = key(
         Choice(FORMS), "Powers of T − reference, or a natural cubic spline.", "spline", default="polynomial"
     )
-    order: int | None = key(
+    order: int | None = optional(
         Number(0, 12, integer=True),
         "Order of the polynomial, or number of knots of the spline minus one; by default the order is chosen by cross-validation.",
         2,
-        default=None,
     )
     highest_order: int = key(Number(1, 12, integer=True), "Highest order to try.", 4, default=4)
     folds: int = key(
@@ -66,12 +64,11 @@ class TemperatureModelParameters(Record):
         "2 K",
         default=parse_quantity("1 K"),
     )
-    drift: str | None = key(
+    drift: str | None = optional(
         Choice((NONE, *ORDERS)),
         "Drift in time that is fitted together with the curve; each word includes the lower orders. `none` states that there is no drift. "
         "By default none is fitted, and a warning is given if the order of the temperatures would hide one.",
         "linear",
-        default=None,
     )
     drift_span: Quantity = drift_span()
     uncertainty: str = key(

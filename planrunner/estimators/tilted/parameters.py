@@ -5,7 +5,7 @@ from __future__ import annotations
 from planrunner.estimators.tilted.scatter import (
     BASES,
 )
-from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 THERMOMETER = "sensor_temperature"
@@ -36,12 +36,11 @@ class ScaleFactorTiltedParameters(Record):
     rate_unit: str = key(
         Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", default="deg/s"
     )
-    rate_uncertainty: Quantity | None = key(
+    rate_uncertainty: Quantity | None = optional(
         QuantityOf("ratio", "not negative"),
         "Relative standard uncertainty of the table's rate, common to all rates; the bench file gives the error of "
         "each rate.",
         "50 ppm",
-        default=None,
     )
     uncertainty: str = key(
         Choice(BASES),
@@ -56,12 +55,11 @@ class ScaleFactorTiltedParameters(Record):
         "20 degC",
         default=parse_quantity("20 degC"),
     )
-    temperature: str | None = key(
+    temperature: str | None = optional(
         CHANNEL,
         f"Channel with the temperature of the sensor; by default {THERMOMETER} if it is recorded, "
         "otherwise the planned temperatures.",
         THERMOMETER,
-        default=None,
     )
     remounting: Quantity = key(
         QuantityOf("time", "not negative"),

@@ -12,7 +12,7 @@ from planrunner.instruments.chambers.wired_chamber import AirCommands, ChamberDr
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.wire.links import LineAnswers, LinkedCommands, LinkSettings, MessageLink
 from planrunner.instruments.wire.replies import parsed
-from planrunner.plan.kinds import Number, key
+from planrunner.plan.kinds import Number, optional
 
 REASONS = {
     "CMD ERR": "it does not know the command",
@@ -26,11 +26,8 @@ REASONS = {
 class EspecP300Parameters(WiredChamberKeys):
     """A chamber with an Espec P300 or SCP-220 controller."""
 
-    station: int | None = key(
-        Number(1, 16, integer=True),
-        "Address of the chamber on a line that several chambers share (RS-485).",
-        1,
-        default=None,
+    station: int | None = optional(
+        Number(1, 16, integer=True), "Address of the chamber on a line that several chambers share (RS-485).", 1
     )
 
 

@@ -23,7 +23,7 @@ from planrunner.instruments.frame_keys import (
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.wire.columns import numbers
 from planrunner.instruments.wire.framing import Framer, Frames, Framing, Piece
-from planrunner.plan.kinds import MapOf, Number, Record, RecordOf, key
+from planrunner.plan.kinds import MapOf, Number, Record, RecordOf, key, optional
 from planrunner.plan.span import Span
 
 
@@ -37,17 +37,15 @@ class BinaryKeys(Record):
         {"time": {"at": 0, "type": "f64", "little_endian": True}},
     )
     skip: int = key(Number(0, 2**31, integer=True), "Number of bytes before the first record.", 64, default=0)
-    sync: str | None = key(
+    sync: str | None = optional(
         SYNC,
         "The bytes that every record begins with. Without it, the records follow each other without gaps.",
         "A5 5A",
-        default=None,
     )
-    checksum: ChecksumOfFrame | None = key(
+    checksum: ChecksumOfFrame | None = optional(
         RecordOf(ChecksumOfFrame),
         "Checksum at the end of the record, with `sync`. Records with a wrong checksum are left out and counted.",
         {"type": "sum16"},
-        default=None,
     )
 
     @property

@@ -13,7 +13,7 @@ from planrunner.base.findings import closest
 from planrunner.instruments.formats import file as format_file
 from planrunner.instruments.formats.file import FormatFile, HeldRows, SampleRows, few_columns, open_samples
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.plan.kinds import Record, Text, key
+from planrunner.plan.kinds import Record, Text, optional
 from planrunner.plan.span import Span
 
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 class SqliteKeys(Record):
     """Keys of a SQLite file."""
 
-    table: str | None = key(
-        Text(r"[^\x00-\x1f]{1,200}", "a table's name"), "The table; by default the only one.", "samples", default=None
+    table: str | None = optional(
+        Text(r"[^\x00-\x1f]{1,200}", "a table's name"), "The table; by default the only one.", "samples"
     )
 
 

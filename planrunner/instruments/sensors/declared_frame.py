@@ -37,7 +37,7 @@ from planrunner.instruments.sensors.serial_sensor import SerialSensor
 from planrunner.instruments.wire.codes import FLOAT
 from planrunner.instruments.wire.columns import Field
 from planrunner.instruments.wire.host_clock import FrameCounter
-from planrunner.plan.kinds import Boolean, Choice, MapOf, Number, Record, RecordOf, Text, key
+from planrunner.plan.kinds import Boolean, Choice, MapOf, Number, Record, RecordOf, Text, key, optional
 
 
 class FieldOfFrame(ScaledNumber):
@@ -54,8 +54,8 @@ class CounterOfFrame(Record):
     step: int = key(
         Number(1, 2**31, integer=True), "Increment of the counter from one frame to the next.", 1, default=1
     )
-    modulus: int | None = key(
-        Number(2, 2**32, integer=True), "The counter restarts at zero when it reaches this value.", 128, default=None
+    modulus: int | None = optional(
+        Number(2, 2**32, integer=True), "The counter restarts at zero when it reaches this value.", 128
     )
     little_endian: bool = key(Boolean(), "True if the low byte comes first.", True, default=False)
 
@@ -93,20 +93,18 @@ class DeclaredFrameParameters(SerialSensorParameters):
         "Channel → its position in the frame.",
         {"gyro_x": {"at": 2, "type": "i16", "scale": 0.02, "unit": "deg/s"}},
     )
-    checksum: ChecksumOfFrame | None = key(
+    checksum: ChecksumOfFrame | None = optional(
         RecordOf(ChecksumOfFrame),
         "Checksum of the frame. Without it, corrupt frames cannot be distinguished from good ones.",
         {"type": "crc16_modbus", "from": 2},
-        default=None,
     )
-    counter: CounterOfFrame | None = key(
+    counter: CounterOfFrame | None = optional(
         RecordOf(CounterOfFrame),
         "Counter in the frame. Without it, lost frames are detected only as silences longer than 0.1 s.",
         {"at": 14},
-        default=None,
     )
-    status: StatusOfFrame | None = key(
-        RecordOf(StatusOfFrame), "Status word in the frame.", {"at": 15, "bits": {"overload": 4}}, default=None
+    status: StatusOfFrame | None = optional(
+        RecordOf(StatusOfFrame), "Status word in the frame.", {"at": 15, "bits": {"overload": 4}}
     )
     modes: dict[str, str] = key(
         MapOf(Text(r"[\x20-\x7e]{1,60}", "a line of text"), pattern=NAME),

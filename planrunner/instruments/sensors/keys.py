@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.parameters import QuantityLike, nominal_supply
-from planrunner.plan.kinds import Number, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.kinds import Number, QuantityOf, Record, RecordOf, Text, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.units import unit
 
@@ -20,37 +20,34 @@ RATES, ACCELERATIONS = ("deg/s", "rad/s"), ("g", "m/s^2")
 class GyroKnowledge(Record):
     """Declared properties of the gyros, equal for all axes."""
 
-    full_scale: Quantity | None = key(
+    full_scale: Quantity | None = optional(
         QuantityOf("angular rate", "positive"),
         "Largest rate, for both signs; `check` compares plans with it.",
         "400 deg/s",
-        default=None,
     )
-    angle_random_walk: Quantity | None = key(
+    angle_random_walk: Quantity | None = optional(
         QuantityLike("deg/sqrt(h)", "not negative"),
         "White noise N: a mean over T scatters by N/√T. `check` and `design` predict uncertainties from it.",
         "0.15 deg/sqrt(h)",
-        default=None,
     )
-    bias_instability: Quantity | None = key(
-        QuantityOf("angular rate", "not negative"), "Flicker floor of the output.", "0.3 deg/h", default=None
+    bias_instability: Quantity | None = optional(
+        QuantityOf("angular rate", "not negative"), "Flicker floor of the output.", "0.3 deg/h"
     )
 
 
 class AccelerometerKnowledge(Record):
     """Declared properties of the accelerometers, equal for all axes."""
 
-    full_scale: Quantity | None = key(
-        QuantityOf("acceleration", "positive"), "Largest specific force, for both signs.", "10 g", default=None
+    full_scale: Quantity | None = optional(
+        QuantityOf("acceleration", "positive"), "Largest specific force, for both signs.", "10 g"
     )
-    velocity_random_walk: Quantity | None = key(
+    velocity_random_walk: Quantity | None = optional(
         QuantityLike("m/s/sqrt(h)", "not negative"),
         "White noise N: a mean over T scatters by N/√T.",
         "0.07 m/s/sqrt(h)",
-        default=None,
     )
-    bias_instability: Quantity | None = key(
-        QuantityOf("acceleration", "not negative"), "Flicker floor of the output.", "0.05 mg", default=None
+    bias_instability: Quantity | None = optional(
+        QuantityOf("acceleration", "not negative"), "Flicker floor of the output.", "0.05 mg"
     )
 
 
@@ -77,24 +74,17 @@ class SerialSensorParameters(Record):
         "1 s",
         default=parse_quantity("1 s"),
     )
-    thermal_lag: Quantity | None = key(
+    thermal_lag: Quantity | None = optional(
         QuantityOf("time", "positive"),
         "Time constant with which the sensor's temperature follows the chamber's air; `check` compares soaks with it.",
         "10 min",
-        default=None,
     )
     nominal_supply: Quantity = nominal_supply()
-    gyros: GyroKnowledge | None = key(
-        RecordOf(GyroKnowledge),
-        "Declared properties of the gyros.",
-        {"angle_random_walk": "0.15 deg/sqrt(h)"},
-        default=None,
+    gyros: GyroKnowledge | None = optional(
+        RecordOf(GyroKnowledge), "Declared properties of the gyros.", {"angle_random_walk": "0.15 deg/sqrt(h)"}
     )
-    accelerometers: AccelerometerKnowledge | None = key(
-        RecordOf(AccelerometerKnowledge),
-        "Declared properties of the accelerometers.",
-        {"full_scale": "10 g"},
-        default=None,
+    accelerometers: AccelerometerKnowledge | None = optional(
+        RecordOf(AccelerometerKnowledge), "Declared properties of the accelerometers.", {"full_scale": "10 g"}
     )
 
 

@@ -23,7 +23,7 @@ from planrunner.instruments.wire.columns import Field
 from planrunner.instruments.wire.framing import Frames, Framing
 from planrunner.instruments.wire.host_clock import FrameCounter
 from planrunner.instruments.wire.serial_stream import SerialStream
-from planrunner.plan.kinds import Choice, ListOf, key
+from planrunner.plan.kinds import Choice, ListOf, key, optional
 
 BASE_RATE = 800.0  # Hz, of which binary output takes every n-th
 COMMON_GROUP = 1
@@ -71,11 +71,10 @@ class VectorNavParameters(SerialSensorParameters):
         ["time_startup", "imu", "mag_pres"],
         default=("time_startup", "imu", "mag_pres"),
     )
-    configure: str | None = key(
+    configure: str | None = optional(
         Choice(("port_1", "port_2")),
         "Port of the sensor whose binary output is set when connecting; by default the sensor must already have these settings.",
         "port_1",
-        default=None,
     )
 
 

@@ -20,7 +20,7 @@ from planrunner.instruments.tables.axis_table import LinkedTableKeys, TableDrive
 from planrunner.instruments.tables.wired_axes import counted
 from planrunner.instruments.wire.links import LineAnswers, LinkedCommands, LinkSettings, MessageLink
 from planrunner.instruments.wire.replies import identification, number, written
-from planrunner.plan.kinds import Choice, ListOf, Record, RecordOf, Schema, Text, key
+from planrunner.plan.kinds import Choice, ListOf, Record, RecordOf, Schema, Text, key, optional
 from planrunner.plan.source import Node, Scalar
 
 
@@ -88,23 +88,16 @@ class TableCommands(Record):
         ["AXIS{axis}:DRIVE ON"],
         default_factory=tuple,
     )
-    go_to: str | None = key(
-        CommandTemplate(("axis", "position")),
-        "Go to a {position} and stay there.",
-        "AXIS{axis}:POS {position}",
-        default=None,
+    go_to: str | None = optional(
+        CommandTemplate(("axis", "position")), "Go to a {position} and stay there.", "AXIS{axis}:POS {position}"
     )
-    turn: str | None = key(
-        CommandTemplate(("axis", "rate")),
-        "Turn at a {rate}, which can be zero.",
-        "AXIS{axis}:RATE {rate}",
-        default=None,
+    turn: str | None = optional(
+        CommandTemplate(("axis", "rate")), "Turn at a {rate}, which can be zero.", "AXIS{axis}:RATE {rate}"
     )
-    rock: str | None = key(
+    rock: str | None = optional(
         CommandTemplate(SINE),
         "Rock about the present position with {amplitude}, {frequency} and {phase}; amplitude zero ends it.",
         "AXIS{axis}:SINE {amplitude},{frequency},{phase}",
-        default=None,
     )
     stop: str = key(CommandTemplate(("axis",)), "Bring an axis to rest under control.", "AXIS{axis}:STOP")
     switch_off: tuple[str, ...] = key(

@@ -6,18 +6,15 @@ import math
 from dataclasses import dataclass
 
 from planrunner.instruments.table_keys import AxesKind, AxisSpec, TableKeys
-from planrunner.plan.kinds import Choice, Number, QuantityOf, key
+from planrunner.plan.kinds import Choice, Number, QuantityOf, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 
 class WiredAxisSpec(AxisSpec):
     """One axis of a real table."""
 
-    number: int | None = key(
-        Number(1, 16, integer=True),
-        "Number of the axis at the controller; by default its position in the list.",
-        1,
-        default=None,
+    number: int | None = optional(
+        Number(1, 16, integer=True), "Number of the axis at the controller; by default its position in the list.", 1
     )
     zero: Quantity = key(
         QuantityOf("angle"),

@@ -11,7 +11,7 @@ from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.parameters import QuantityLike
 from planrunner.instruments.virtual.track import POLAR, Track, TrackProgress
 from planrunner.instruments.virtual.world import World
-from planrunner.plan.kinds import Choice, QuantityOf, Record, key
+from planrunner.plan.kinds import Choice, QuantityOf, Record, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 SPEED_UP = 60.0  # s
@@ -38,11 +38,10 @@ class VirtualCarrierParameters(Record):
         "great-circle",
         default="constant-heading",
     )
-    period: Quantity | None = key(
+    period: Quantity | None = optional(
         QuantityOf("time", "positive"),
         "Period of a sinusoidal velocity back and forth; by default the speed is constant.",
         "120 s",
-        default=None,
     )
     start: Quantity = key(
         QuantityOf("time", "not negative"),
@@ -50,11 +49,10 @@ class VirtualCarrierParameters(Record):
         "20 min",
         default=parse_quantity("0 s"),
     )
-    speed_up: Quantity | None = key(
+    speed_up: Quantity | None = optional(
         QuantityOf("time", "positive"),
         "Time in which the carrier reaches its constant speed, at constant acceleration; by default 1 min.",
         "1 min",
-        default=None,
     )
     bench: str = key(
         Choice(("north-aligned", "heading-aligned")),

@@ -24,7 +24,7 @@ from planrunner.instruments.parameters import QuantityLike
 from planrunner.instruments.virtual.courses import Value
 from planrunner.instruments.virtual.noise import Flicker, Readout, generator
 from planrunner.instruments.virtual.streaming import Sampling
-from planrunner.plan.kinds import QuantityOf, Record, RecordOf, key
+from planrunner.plan.kinds import QuantityOf, Record, RecordOf, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import ZERO_CELSIUS
@@ -88,11 +88,10 @@ class VirtualFlexureGyroParameters(Record):
         "0.9 pulse/sqrt(s)",
         default=parse_quantity("0 pulse/sqrt(s)"),
     )
-    bias_instability: Quantity | None = key(
+    bias_instability: Quantity | None = optional(
         QuantityLike("pulse/s", "not negative"),
         "Coefficient B of IEEE Std 952; the flat part of the Allan deviation is 0.664·B.",
         "0.025 pulse/s",
-        default=None,
     )
     resolution: Quantity = key(
         QuantityLike("pulse/s", "not negative"),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from planrunner.base.findings import Findings
 from planrunner.instruments.parameters import Polynomial, QuantityLike, nominal_supply
-from planrunner.plan.kinds import Boolean, Choice, MapOf, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.kinds import Boolean, Choice, MapOf, QuantityOf, Record, RecordOf, Text, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 MOST_AXES = 12
@@ -20,239 +20,184 @@ FRAME = ("x", "y", "z")
 class ScaleErrors(Record):
     """Differences between the true and the declared scale factor, with the same keys for gyros and accelerometers."""
 
-    scale_factor_error: Quantity | None = key(
+    scale_factor_error: Quantity | None = optional(
         QuantityOf("ratio"),
         "Relative error of the declared scale factor: (true − declared)/declared, at the reference temperature.",
         "150 ppm",
-        default=None,
     )
-    scale_factor_asymmetry: Quantity | None = key(
-        QuantityOf("ratio"),
-        "2·(K₊ − K₋)/(K₊ + K₋) of the scale factors for positive and negative input.",
-        "20 ppm",
-        default=None,
+    scale_factor_asymmetry: Quantity | None = optional(
+        QuantityOf("ratio"), "2·(K₊ − K₋)/(K₊ + K₋) of the scale factors for positive and negative input.", "20 ppm"
     )
-    scale_factor_temperature: tuple[Quantity, ...] | None = key(
-        Polynomial("ppm"),
-        "Relative change of the scale factor: coefficients of ΔT, ΔT², ΔT³.",
-        ["30 ppm/K"],
-        default=None,
+    scale_factor_temperature: tuple[Quantity, ...] | None = optional(
+        Polynomial("ppm"), "Relative change of the scale factor: coefficients of ΔT, ΔT², ΔT³.", ["30 ppm/K"]
     )
-    scale_factor_supply: Quantity | None = key(
+    scale_factor_supply: Quantity | None = optional(
         QuantityLike("ppm/V"),
         "Relative change of the scale factor per volt of supply above `nominal_supply`.",
         "50 ppm/V",
-        default=None,
     )
-    scale_factor_pressure: Quantity | None = key(
+    scale_factor_pressure: Quantity | None = optional(
         QuantityLike("ppm/hPa"),
         "Relative change of the scale factor per hPa of ambient pressure above 1013.25 hPa.",
         "0.2 ppm/hPa",
-        default=None,
     )
-    scale_factor_repeatability: Quantity | None = key(
+    scale_factor_repeatability: Quantity | None = optional(
         QuantityOf("ratio", "not negative"),
         "Standard deviation of the scale factor from one switch-on to the next.",
         "10 ppm",
-        default=None,
     )
-    warm_up_time: Quantity | None = key(
+    warm_up_time: Quantity | None = optional(
         QuantityOf("time", "positive"),
         "Time constant with which the warm-up error decays; by default 10 min.",
         "10 min",
-        default=None,
     )
 
 
 class GyroErrors(ScaleErrors):
     """Errors of one gyro, or of all."""
 
-    scale_factor: Quantity | None = key(
+    scale_factor: Quantity | None = optional(
         QuantityLike("(pulse/s)/(deg/s)", "positive", ("1",)),
         "Declared scale factor: with a ratio the output is in deg/s, with pulses per angle in pulse/s. By default 1.",
         "1000 (pulse/s)/(deg/s)",
-        default=None,
     )
-    bias: Quantity | None = key(
-        QuantityOf("angular rate"), "Bias at the reference temperature.", "0.05 deg/h", default=None
+    bias: Quantity | None = optional(QuantityOf("angular rate"), "Bias at the reference temperature.", "0.05 deg/h")
+    bias_temperature: tuple[Quantity, ...] | None = optional(
+        Polynomial("deg/h"), "Change of the bias: coefficients of ΔT, ΔT², ΔT³.", ["0.002 deg/h/K", "1e-5 deg/h/K^2"]
     )
-    bias_temperature: tuple[Quantity, ...] | None = key(
-        Polynomial("deg/h"),
-        "Change of the bias: coefficients of ΔT, ΔT², ΔT³.",
-        ["0.002 deg/h/K", "1e-5 deg/h/K^2"],
-        default=None,
+    bias_supply: Quantity | None = optional(
+        QuantityLike("deg/h/V"), "Change of the bias per volt of supply above `nominal_supply`.", "0.5 deg/h/V"
     )
-    bias_supply: Quantity | None = key(
-        QuantityLike("deg/h/V"),
-        "Change of the bias per volt of supply above `nominal_supply`.",
-        "0.5 deg/h/V",
-        default=None,
-    )
-    bias_pressure: Quantity | None = key(
+    bias_pressure: Quantity | None = optional(
         QuantityLike("deg/h/hPa"),
         "Change of the bias per hPa of ambient pressure above 1013.25 hPa.",
         "0.001 deg/h/hPa",
-        default=None,
     )
-    bias_repeatability: Quantity | None = key(
+    bias_repeatability: Quantity | None = optional(
         QuantityOf("angular rate", "not negative"),
         "Standard deviation of the bias from one switch-on to the next.",
         "0.02 deg/h",
-        default=None,
     )
-    warm_up: Quantity | None = key(
-        QuantityOf("angular rate"),
-        "Additional bias at switch-on, which decays exponentially.",
-        "0.3 deg/h",
-        default=None,
+    warm_up: Quantity | None = optional(
+        QuantityOf("angular rate"), "Additional bias at switch-on, which decays exponentially.", "0.3 deg/h"
     )
-    quadratic: Quantity | None = key(
-        QuantityLike("ppm/(deg/s)"), "Nonlinearity: coefficient of the squared input.", "0.02 ppm/(deg/s)", default=None
+    quadratic: Quantity | None = optional(
+        QuantityLike("ppm/(deg/s)"), "Nonlinearity: coefficient of the squared input.", "0.02 ppm/(deg/s)"
     )
-    cubic: Quantity | None = key(
-        QuantityLike("ppm/dps^2"), "Nonlinearity: coefficient of the cubed input.", "1e-4 ppm/dps^2", default=None
+    cubic: Quantity | None = optional(
+        QuantityLike("ppm/dps^2"), "Nonlinearity: coefficient of the cubed input.", "1e-4 ppm/dps^2"
     )
-    g_sensitivity: dict[str, Quantity] | None = key(
+    g_sensitivity: dict[str, Quantity] | None = optional(
         MapOf(QuantityLike("deg/h/g"), names=FRAME),
         "Bias proportional to the specific force along the sensor's axes.",
         {"x": "0.1 deg/h/g", "z": "-0.2 deg/h/g"},
-        default=None,
     )
-    dead_zone: Quantity | None = key(
-        QuantityOf("angular rate", "not negative"),
-        "Threshold: a smaller input gives no output.",
-        "0.002 deg/h",
-        default=None,
+    dead_zone: Quantity | None = optional(
+        QuantityOf("angular rate", "not negative"), "Threshold: a smaller input gives no output.", "0.002 deg/h"
     )
-    resolution: Quantity | None = key(
+    resolution: Quantity | None = optional(
         QuantityLike("arcsec", "not negative", ("deg/s",)),
         "Smallest step. An output in pulses counts angle steps and carries the remainder to the next sample; a rate is rounded sample by "
         "sample.",
         "0.01 arcsec",
-        default=None,
     )
-    full_scale: Quantity | None = key(
-        QuantityOf("angular rate", "positive"),
-        "Largest input, for both signs; unlimited by default.",
-        "400 deg/s",
-        default=None,
+    full_scale: Quantity | None = optional(
+        QuantityOf("angular rate", "positive"), "Largest input, for both signs; unlimited by default.", "400 deg/s"
     )
-    angle_random_walk: Quantity | None = key(
+    angle_random_walk: Quantity | None = optional(
         QuantityLike("deg/sqrt(h)", "not negative"),
         "White noise N: a mean over T scatters by N/√T.",
         "0.003 deg/sqrt(h)",
-        default=None,
     )
-    bias_instability: Quantity | None = key(
+    bias_instability: Quantity | None = optional(
         QuantityOf("angular rate", "not negative"),
         "Coefficient B of IEEE Std 952; the flat part of the Allan deviation is 0.664·B.",
         "0.005 deg/h",
-        default=None,
     )
-    rate_random_walk: Quantity | None = key(
+    rate_random_walk: Quantity | None = optional(
         QuantityLike("deg/h/sqrt(h)", "not negative"),
         "Random walk of the bias: it scatters by K·√T.",
         "0.001 deg/h/sqrt(h)",
-        default=None,
     )
 
 
 class AccelerometerErrors(ScaleErrors):
     """Errors of one accelerometer, or of all."""
 
-    scale_factor: Quantity | None = key(
+    scale_factor: Quantity | None = optional(
         QuantityLike("(pulse/s)/(m/s^2)", "positive", ("1",)),
         "Declared scale factor: with a ratio the output is in m/s^2, with pulses per velocity in pulse/s. By default 1.",
         "10000 (pulse/s)/(m/s^2)",
-        default=None,
     )
-    bias: Quantity | None = key(QuantityOf("acceleration"), "Bias at the reference temperature.", "50 ug", default=None)
-    bias_temperature: tuple[Quantity, ...] | None = key(
-        Polynomial("ug"), "Change of the bias: coefficients of ΔT, ΔT², ΔT³.", ["5 ug/K"], default=None
+    bias: Quantity | None = optional(QuantityOf("acceleration"), "Bias at the reference temperature.", "50 ug")
+    bias_temperature: tuple[Quantity, ...] | None = optional(
+        Polynomial("ug"), "Change of the bias: coefficients of ΔT, ΔT², ΔT³.", ["5 ug/K"]
     )
-    bias_supply: Quantity | None = key(
-        QuantityLike("ug/V"),
-        "Change of the bias per volt of supply above `nominal_supply`.",
-        "20 ug/V",
-        default=None,
+    bias_supply: Quantity | None = optional(
+        QuantityLike("ug/V"), "Change of the bias per volt of supply above `nominal_supply`.", "20 ug/V"
     )
-    bias_pressure: Quantity | None = key(
-        QuantityLike("ug/hPa"),
-        "Change of the bias per hPa of ambient pressure above 1013.25 hPa.",
-        "0.1 ug/hPa",
-        default=None,
+    bias_pressure: Quantity | None = optional(
+        QuantityLike("ug/hPa"), "Change of the bias per hPa of ambient pressure above 1013.25 hPa.", "0.1 ug/hPa"
     )
-    bias_repeatability: Quantity | None = key(
+    bias_repeatability: Quantity | None = optional(
         QuantityOf("acceleration", "not negative"),
         "Standard deviation of the bias from one switch-on to the next.",
         "20 ug",
-        default=None,
     )
-    warm_up: Quantity | None = key(
-        QuantityOf("acceleration"), "Additional bias at switch-on, which decays exponentially.", "100 ug", default=None
+    warm_up: Quantity | None = optional(
+        QuantityOf("acceleration"), "Additional bias at switch-on, which decays exponentially.", "100 ug"
     )
-    quadratic: Quantity | None = key(
-        QuantityLike("ug/g^2"), "Nonlinearity: coefficient of the squared input.", "10 ug/g^2", default=None
+    quadratic: Quantity | None = optional(
+        QuantityLike("ug/g^2"), "Nonlinearity: coefficient of the squared input.", "10 ug/g^2"
     )
-    cubic: Quantity | None = key(
-        QuantityLike("ug/g^3"), "Nonlinearity: coefficient of the cubed input.", "1 ug/g^3", default=None
+    cubic: Quantity | None = optional(
+        QuantityLike("ug/g^3"), "Nonlinearity: coefficient of the cubed input.", "1 ug/g^3"
     )
-    dead_zone: Quantity | None = key(
-        QuantityOf("acceleration", "not negative"), "Threshold: a smaller input gives no output.", "1 ug", default=None
+    dead_zone: Quantity | None = optional(
+        QuantityOf("acceleration", "not negative"), "Threshold: a smaller input gives no output.", "1 ug"
     )
-    resolution: Quantity | None = key(
+    resolution: Quantity | None = optional(
         QuantityLike("m/s", "not negative", ("m/s^2",)),
         "Smallest step. An output in pulses counts velocity steps and carries the remainder to the next sample; an "
         "acceleration is rounded sample by sample.",
         "1e-5 m/s",
-        default=None,
     )
-    full_scale: Quantity | None = key(
-        QuantityOf("acceleration", "positive"),
-        "Largest input, for both signs; unlimited by default.",
-        "20 g",
-        default=None,
+    full_scale: Quantity | None = optional(
+        QuantityOf("acceleration", "positive"), "Largest input, for both signs; unlimited by default.", "20 g"
     )
-    velocity_random_walk: Quantity | None = key(
+    velocity_random_walk: Quantity | None = optional(
         QuantityLike("m/s/sqrt(h)", "not negative"),
         "White noise N: a mean over T scatters by N/√T.",
         "0.02 m/s/sqrt(h)",
-        default=None,
     )
-    bias_instability: Quantity | None = key(
+    bias_instability: Quantity | None = optional(
         QuantityOf("acceleration", "not negative"),
         "Coefficient B of IEEE Std 952; the flat part of the Allan deviation is 0.664·B.",
         "10 ug",
-        default=None,
     )
-    acceleration_random_walk: Quantity | None = key(
-        QuantityLike("ug/sqrt(h)", "not negative"),
-        "Random walk of the bias: it scatters by K·√T.",
-        "1 ug/sqrt(h)",
-        default=None,
+    acceleration_random_walk: Quantity | None = optional(
+        QuantityLike("ug/sqrt(h)", "not negative"), "Random walk of the bias: it scatters by K·√T.", "1 ug/sqrt(h)"
     )
 
 
 class InputAxisDirection(Record):
     """Direction of an input axis in the sensor's frame: tilted by a fixture, or near an axis of the frame."""
 
-    angle: Quantity | None = key(
-        QuantityOf("angle"), "True angle from the frame's z axis; with `azimuth`.", "54.7391 deg", default=None
+    angle: Quantity | None = optional(
+        QuantityOf("angle"), "True angle from the frame's z axis; with `azimuth`.", "54.7391 deg"
     )
-    azimuth: Quantity | None = key(
-        QuantityOf("angle"), "True azimuth about the frame's z axis, right-handed from x.", "120 deg", default=None
+    azimuth: Quantity | None = optional(
+        QuantityOf("angle"), "True azimuth about the frame's z axis, right-handed from x.", "120 deg"
     )
-    axis: str | None = key(
+    axis: str | None = optional(
         Choice(FRAME),
         "Axis of the frame along which the input axis nominally points; by default the axis with the same name.",
         "x",
-        default=None,
     )
-    towards: dict[str, Quantity] | None = key(
+    towards: dict[str, Quantity] | None = optional(
         MapOf(QuantityOf("angle"), names=FRAME),
         "Misalignments: small angles by which the axis is tilted towards the other two axes of the frame.",
         {"y": "12 arcsec", "z": "-5 arcsec"},
-        default=None,
     )
 
 
@@ -328,14 +273,11 @@ class VirtualImuParameters(Record):
         "gyro-triad",
         default="imu",
     )
-    gyros: Gyros | None = key(
-        RecordOf(Gyros, check_axes),
-        "The gyros.",
-        {"angle_random_walk": "0.003 deg/sqrt(h)", "axes": {"x": {}}},
-        default=None,
+    gyros: Gyros | None = optional(
+        RecordOf(Gyros, check_axes), "The gyros.", {"angle_random_walk": "0.003 deg/sqrt(h)", "axes": {"x": {}}}
     )
-    accelerometers: Accelerometers | None = key(
-        RecordOf(Accelerometers, check_axes), "The accelerometers.", {"axes": {"x": {"bias": "50 ug"}}}, default=None
+    accelerometers: Accelerometers | None = optional(
+        RecordOf(Accelerometers, check_axes), "The accelerometers.", {"axes": {"x": {"bias": "50 ug"}}}
     )
     sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "200 Hz")
     reference_temperature: Quantity = key(
@@ -354,17 +296,15 @@ class VirtualImuParameters(Record):
         default=parse_quantity("0.005 K"),
     )
     nominal_supply: Quantity = nominal_supply()
-    voltmeter_noise: Quantity | None = key(
+    voltmeter_noise: Quantity | None = optional(
         QuantityOf("voltage", "not negative"),
         "Noise of one reading of the supply voltage. With this key, the sensor records the channel `supply_voltage`.",
         "1 mV",
-        default=None,
     )
-    barometer_noise: Quantity | None = key(
+    barometer_noise: Quantity | None = optional(
         QuantityOf("pressure", "not negative"),
         "Noise of one reading of the ambient pressure. With this key, the sensor records the channel `ambient_pressure`.",
         "5 Pa",
-        default=None,
     )
     reference: bool = key(
         Boolean(), "True to record true position and velocity in addition to the outputs.", True, default=False

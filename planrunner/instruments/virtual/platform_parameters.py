@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from planrunner.instruments.parameters import QuantityLike
-from planrunner.plan.kinds import Choice, Kind, ListOf, Number, QuantityOf, Record, RecordOf, key
+from planrunner.plan.kinds import Choice, Kind, ListOf, Number, QuantityOf, Record, RecordOf, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 
@@ -153,11 +153,8 @@ class VirtualPlatformParameters(Record):
         "0.0004 deg/sqrt(h)",
         "0 deg/sqrt(h)",
     )
-    rocking_drift: DriftByRocking | None = key(
-        RecordOf(DriftByRocking),
-        "Drift while the base rocks.",
-        {"rms_rate": "4.62 deg/s", "x": "0.01 deg/h"},
-        default=None,
+    rocking_drift: DriftByRocking | None = optional(
+        RecordOf(DriftByRocking), "Drift while the base rocks.", {"rms_rate": "4.62 deg/s", "x": "0.01 deg/h"}
     )
     caging: Caging = key(
         RecordOf(Caging), "Caging and release of the element.", {"azimuth": "1 arcmin"}, default_factory=Caging

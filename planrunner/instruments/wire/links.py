@@ -21,7 +21,7 @@ from types import SimpleNamespace
 from typing import Any, Protocol
 
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.plan.kinds import Number, QuantityOf, Record, Text, key
+from planrunner.plan.kinds import Number, QuantityOf, Record, Text, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 LONGEST = 4096
@@ -417,12 +417,11 @@ class LinkKeys(Record):
     baud: int = key(
         Number(50, 4_000_000, integer=True), "Bit rate of a serial line, in bits per second.", 9600, default=9600
     )
-    model_contains: str | None = key(
+    model_contains: str | None = optional(
         Text(r"\S.{0,60}", "some text"),
         "Text that the identification of the instrument must contain (case does not matter); by default the "
         "text that the driver expects.",
         "ACUTROL",
-        default=None,
     )
 
     def check_identity(self, said: str, expected: str) -> None:
