@@ -125,7 +125,7 @@ _REQUIRED: Any = dataclasses.MISSING
 def key(
     kind: Kind,
     description: str,
-    example: Any,
+    example: object,
     *,
     default: Any = _REQUIRED,
     default_factory: Any = _REQUIRED,
@@ -149,7 +149,7 @@ def key(
     return field(default=default, metadata=metadata)
 
 
-def optional(kind: Kind, description: str, example: Any, *, name: str | None = None, traits: object = None) -> Any:
+def optional(kind: Kind, description: str, example: object, *, name: str | None = None, traits: object = None) -> Any:
     """A key that may be left out; its value is then None."""
     return key(kind, description, example, default=None, name=name, traits=traits)
 
