@@ -8,7 +8,7 @@ whatever the unit and the size of the input.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -56,9 +56,28 @@ class StatedCondition(Generic[C]):
 
 def influences_on(formula: Callable[[C], Array], stated: Iterable[StatedCondition[C]]) -> tuple[Influence, ...]:
     """Influences of the conditions on the results (m,) of a formula."""
-    return tuple(
-        Influence(one.quantity, np.column_stack(one.answers(formula)), one.in_scatter, one.names) for one in stated
-    )
+    return influences_on_several(lambda each: np.stack([formula(one) for one in each]), stated)
+
+
+def influences_on_several(
+    formula: Callable[[Sequence[C]], Array], stated: Iterable[StatedCondition[C]]
+) -> tuple[Influence, ...]:
+    """Influences of the conditions on the results (m,) of a formula that takes k conditions at once and gives the results (k, m)."""
+    inputs = [one for one in stated if one.parts]
+    moved: list[C] = []
+    for one in inputs:
+        u = one.quantity.standard_uncertainty
+        moved += [part(by) for part in one.parts.values() for by in (u, -u)]
+    if not moved:
+        return ()
+    results = formula(moved)
+    changes, found, begin = (results[0::2] - results[1::2]).T, [], 0
+    for one in inputs:
+        end = begin + len(one.parts)
+        answers = changes[:, begin:end] / (2 * one.quantity.standard_uncertainty)
+        found.append(Influence(one.quantity, answers, one.in_scatter, one.names))
+        begin = end
+    return tuple(found)
 
 
 def slopes(formula: Callable[[C], Array], moved: Iterable[Moved[C]], step: float) -> list[Array]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +82,22 @@ def starts(steps: Sequence[Step]) -> Array:
 
 def felt(steps: Sequence[Step], sampling: float, tilts: Array | None = None, rate_errors: Array | None = None) -> Felt:
     """sampling: Hz; tilts: (S, 3), rad, how each step's orientation is turned away from the planned one, about east, north and up;
-    rate_errors: (S,), by how much of itself each rate is wrong."""
+    rate_errors: (S,), by how much of itself each rate is wrong. Without such errors, all tests of a campaign have the same arrays, which
+    cannot be written."""
+    if tilts is None and rate_errors is None:
+        return _as_planned(tuple(steps), sampling)
+    return _felt(steps, sampling, tilts, rate_errors)
+
+
+@lru_cache(maxsize=2)
+def _as_planned(steps: tuple[Step, ...], sampling: float) -> Felt:
+    made = _felt(steps, sampling, None, None)
+    for one in (made.time, made.step, made.rate, made.force):
+        one.flags.writeable = False
+    return made
+
+
+def _felt(steps: Sequence[Step], sampling: float, tilts: Array | None, rate_errors: Array | None) -> Felt:
     times, owners, rates, forces = [], [], [], []
     for number, (step, start) in enumerate(zip(steps, starts(steps), strict=True)):
         local = np.arange(round(step.dwell * sampling)) / sampling

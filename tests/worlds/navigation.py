@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from tests.worlds.felt import EARTH, GRAVITY, LATITUDE
@@ -21,10 +22,11 @@ _A, _E2 = 6378137.0, 6.69437999014e-3  # WGS 84
 NAUTICAL_MILE = 1852.0
 
 
+@njit(cache=True)
 def radii(latitude: float) -> tuple[float, float]:
     """Of curvature in the meridian and in the prime vertical, m."""
     w = 1 - _E2 * np.sin(latitude) ** 2
-    return float(_A * (1 - _E2) / w**1.5), float(_A / np.sqrt(w))
+    return _A * (1 - _E2) / w**1.5, _A / np.sqrt(w)
 
 
 def aligned(gyro: Array, accel: Array) -> Array:
@@ -49,38 +51,47 @@ def navigated(gyro: Array, accel: Array, angle: Callable[[Array], Array], second
     inner = (np.arange(steps * 20) + 0.5) * step / 20
     turned = angle(inner).reshape(steps, 20)
     cosine, sine = np.cos(turned).mean(axis=1), np.sin(turned).mean(axis=1)
-    earth = _RATE * np.array([0.0, np.cos(site), np.sin(site)])
-
-    def slope(state: Array, rate: Array, force: Array) -> Array:
-        c, (ve, vn), latitude = state[:9].reshape(3, 3), state[9:11], state[11]
-        m, n = radii(latitude)
-        omega = _RATE * np.array([0.0, np.cos(latitude), np.sin(latitude)])
-        carried = np.array([-vn / m, ve / n, ve * np.tan(latitude) / n])
-        w = rate - c.T @ (omega + carried)
-        across = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-        turning = 2 * omega + carried
-        f = c @ force
-        return np.concatenate(
-            [
-                (c @ across).ravel(),
-                [f[0] + turning[2] * vn, f[1] - turning[2] * ve, vn / m, ve / (n * np.cos(latitude))],
-            ]
-        )
-
     state = np.concatenate([aligned(gyro, accel).ravel(), [0.0, 0.0, site, 0.0]])
-    found = np.zeros((5, steps + 1))
+    found = _integrated(state, gyro, accel, cosine, sine, step)
     m, n = radii(site)
-    for k in range(steps):
-        turn = np.array([[cosine[k], -sine[k], 0], [sine[k], cosine[k], 0], [0, 0, 1]])
-        rate, force = earth + turn @ gyro, turn @ accel + np.array([0.0, 0.0, GRAVITY])
-        a = slope(state, rate, force)
-        b = slope(state + step / 2 * a, rate, force)
-        c = slope(state + step / 2 * b, rate, force)
-        d = slope(state + step * c, rate, force)
+    east, north = found[3] * n * np.cos(site), (found[2] - site) * m
+    return np.stack([step * np.arange(steps + 1), east, north, found[0], found[1]])
+
+
+@njit(cache=True)
+def _integrated(state: Array, gyro: Array, accel: Array, cosine: Array, sine: Array, step: float) -> Array:
+    """East and north velocity, latitude and longitude at multiples of `step`, (4, n). state: (13,), attitude by rows and these four;
+    cosine, sine: (n − 1,), of the table's angle, their means over each step."""
+    site = state[11]
+    found = np.empty((4, len(cosine) + 1))
+    found[:, 0] = state[9:]
+    for k in range(len(cosine)):
+        turn = np.array([[cosine[k], -sine[k], 0.0], [sine[k], cosine[k], 0.0], [0.0, 0.0, 1.0]])
+        rate = _RATE * np.array([0.0, np.cos(site), np.sin(site)]) + turn @ gyro
+        force = turn @ accel + np.array([0.0, 0.0, GRAVITY])
+        a = _slope(state, rate, force)
+        b = _slope(state + step / 2 * a, rate, force)
+        c = _slope(state + step / 2 * b, rate, force)
+        d = _slope(state + step * c, rate, force)
         state = state + step / 6 * (a + 2 * b + 2 * c + d)
-        east, north = state[12] * n * np.cos(site), (state[11] - site) * m
-        found[:, k + 1] = [(k + 1) * step, east, north, state[9], state[10]]
+        found[:, k + 1] = state[9:]
     return found
+
+
+@njit(cache=True)
+def _slope(state: Array, rate: Array, force: Array) -> Array:
+    c, latitude, ve, vn = state[:9].copy().reshape(3, 3), state[11], state[9], state[10]
+    m, n = radii(latitude)
+    omega = _RATE * np.array([0.0, np.cos(latitude), np.sin(latitude)])
+    carried = np.array([-vn / m, ve / n, ve * np.tan(latitude) / n])
+    w = rate - c.T @ (omega + carried)
+    across = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+    turning = 2 * omega + carried
+    f = c @ force
+    out = np.empty(13)
+    out[:9] = (c @ across).ravel()
+    out[9:] = f[0] + turning[2] * vn, f[1] - turning[2] * ve, vn / m, ve / (n * np.cos(latitude))
+    return out
 
 
 def figures(course: Array) -> dict[str, float]:

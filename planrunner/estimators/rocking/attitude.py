@@ -33,20 +33,21 @@ def turned(axis: int, angle: Array | float) -> Array:
 
 
 def earth_turn(earth: Array, seconds: Array) -> Array:
-    """The matrices R(Ω_ie·t), shape (n, 3, 3), for times (n,) in s. They transform site components at time t to site components at time
-    zero.
+    """The matrices R(Ω_ie·t), shape (…, n, 3, 3), for times (n,) in s. They transform site components at time t to site components at
+    time zero.
 
-    earth: (3,) rad/s, Earth rate in site axes. C(0)·R(Ω_ie·t) is the attitude of an element that is fixed in inertial space.
+    earth: (…, 3) rad/s, Earth rate in site axes. C(0)·R(Ω_ie·t) is the attitude of an element that is fixed in inertial space.
     """
-    rate = float(np.linalg.norm(earth))
-    a, b, c = earth / rate
-    cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
+    rate = np.linalg.norm(earth, axis=-1)[..., None]
+    a, b, c = np.moveaxis(earth / rate, -1, 0)
+    zero = np.zeros_like(a)
+    cross = np.stack([zero, -c, b, c, zero, -a, -b, a, zero], axis=-1).reshape(*a.shape, 1, 3, 3)
     angle = (rate * np.asarray(seconds, dtype=float))[..., None, None]
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross))
 
 
 def rotation_vector(between: Array) -> Array:
-    """The rotation vector θ with exp(−[θ×]) = `between`, shape (n, 3) for (n, 3, 3). It is valid for frame rotations well below 180°."""
+    """The rotation vector θ with exp(−[θ×]) = `between`, shape (…, 3) for (…, 3, 3). It is valid for frame rotations well below 180°."""
     m = between
     vector = 0.5 * np.stack(
         [m[..., 1, 2] - m[..., 2, 1], m[..., 2, 0] - m[..., 0, 2], m[..., 0, 1] - m[..., 1, 0]], axis=-1
@@ -58,7 +59,7 @@ def rotation_vector(between: Array) -> Array:
 
 
 def turned_by(vector: Array) -> Array:
-    """The frame rotation exp(−[θ×]) by a rotation vector, shape (n, 3, 3) for (n, 3). It is the inverse of `rotation_vector`."""
+    """The frame rotation exp(−[θ×]) by a rotation vector, shape (…, 3, 3) for (…, 3). It is the inverse of `rotation_vector`."""
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     x, y, z = np.moveaxis(vector, -1, 0)
     zero = np.zeros_like(x)
@@ -111,8 +112,8 @@ class LevelState:
         """+1 if (vertical, sine, other) is a cyclic permutation of x, y, z."""
         return 1.0 if self.sine == (self.vertical + 1) % 3 else -1.0
 
-    def tilts(self, force: Array, gravity: float) -> Array:
-        """Tilts about the level axes, shape (n, 2), from the specific force in element axes (n, 3) [m/s^2].
+    def tilts(self, force: Array, gravity: Array | float) -> Array:
+        """Tilts about the level axes, shape (…, 2), from the specific force in element axes (…, 3) [m/s^2].
 
         With y up: d_z = asin(f_x/g), d_x = −atan2(f_z, f_y) for C = R_x·R_z·R_y; d_z = atan2(f_x, f_y), d_x = −asin(f_z/g) for R_z·R_x·R_y.
         """
@@ -122,18 +123,18 @@ class LevelState:
         pair = (about_sine, about_other) if self.sine < self.other else (about_other, about_sine)
         return np.stack(pair, axis=-1)
 
-    def attitude(self, tilts: Array, heading: float) -> Array:
-        """The matrix C (3, 3) for tilts (2,) about the level axes and a rotation `heading` about the vertical axis."""
-        about = dict(zip(self.level, tilts, strict=True))
+    def attitude(self, tilts: Array, heading: Array | float) -> Array:
+        """The matrix C (…, 3, 3) for tilts (…, 2) about the level axes and a rotation `heading` (…) about the vertical axis."""
+        about = dict(zip(self.level, np.moveaxis(tilts, -1, 0), strict=True))
         turns = (
             turned(self.other, about[self.other]) @ turned(self.sine, about[self.sine]) @ turned(self.vertical, heading)
         )
         return np.asarray(turns @ self.nominal)
 
-    def heading(self, attitude: Array) -> float:
-        """The rotation about the vertical axis in `attitude` (3, 3)."""
+    def heading(self, attitude: Array) -> Array:
+        """The rotation (…) about the vertical axis in `attitude` (…, 3, 3)."""
         turns = attitude @ self.nominal.T
-        return float(np.arctan2(-self.hand * turns[self.other, self.sine], turns[self.other, self.other]))
+        return np.arctan2(-self.hand * turns[..., self.other, self.sine], turns[..., self.other, self.other])
 
 
 def level_state(nominal: Array, order: str) -> LevelState | None:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,18 +19,28 @@ from planrunner.base.arrays import Array
 from planrunner.estimators.interface import DesignRequest, EstimateRequest
 from planrunner.estimators.rocking.attitude import turned_by
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
-from planrunner.estimators.rocking.solution import ReducedRun, RockingConditions, accelerometer_drift, gimbal_drift
+from planrunner.estimators.rocking.solution import (
+    ReducedRun,
+    RockingConditions,
+    accelerometer_drift,
+    gimbal_drift,
+    several_conditions,
+    several_runs,
+)
 from planrunner.estimators.rocking.statistics import AXES, WEIGHTS, CombinedDrifts
 from planrunner.estimators.stated_errors import stated_site
 from planrunner.physics.earth import Site
 from planrunner.plan.units import unit
 from planrunner.uncertainty.budget import merged
-from planrunner.uncertainty.conditions import StatedCondition, influences_on
+from planrunner.uncertainty.conditions import StatedCondition, influences_on_several
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
+T = TypeVar("T")
 Runs = Sequence[Sequence[Sequence[ReducedRun]]]
 """The runs, state by state, quadruple by quadruple, four runs each."""
 Request = EstimateRequest[RockingDriftParameters] | DesignRequest[RockingDriftParameters]
+AT_ONCE = 50_000
+"""Samples, of all variants together, that are processed in one step."""
 DEG_PER_HOUR = math.degrees(1.0) * 3600
 
 
@@ -38,12 +49,12 @@ def conditions_of(site: Site, parameters: RockingDriftParameters) -> RockingCond
 
 
 def drifts_of(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """Drifts of one run [deg/h] about the two level axes: by the accelerometers, then by the gimbals if there are encoders; shape (2,)
-    or (4,)."""
+    """Drifts of one run [deg/h] about the two level axes: by the accelerometers, then by the gimbals if there are encoders; shape (…, 2)
+    or (…, 4)."""
     parts = [accelerometer_drift(reduced, conditions)]
     if reduced.first.turn is not None:
         parts.append(gimbal_drift(reduced, conditions))
-    return np.concatenate(parts) * DEG_PER_HOUR
+    return np.concatenate(np.broadcast_arrays(*parts), axis=-1) * DEG_PER_HOUR
 
 
 def influences_of(
@@ -52,21 +63,21 @@ def influences_of(
     conditions: RockingConditions,
     request: EstimateRequest[RockingDriftParameters],
 ) -> tuple[Influence, ...]:
-    def formula(moved: RockingConditions) -> Array:
+    def formula(moved: Sequence[RockingConditions]) -> Array:
         return _coefficients(runs, combined, moved)
 
-    found = list(influences_on(formula, _of_all_runs(conditions, request)))
+    found = list(influences_on_several(formula, _of_all_runs(conditions, request)))
     for share, state in zip(combined.shares, runs, strict=True):
         for four in state:
             for reduced, weight in zip(four, WEIGHTS, strict=True):
-                own = influences_on(lambda moved: drifts_of(moved, conditions), _of_one_run(reduced, request))
+                own = influences_on_several(partial(_drifts_of_variants, conditions), _of_one_run(reduced, request))
                 found += [one.through(share * weight / len(state)) for one in own]
     return merged(found)
 
 
 def expected_scatter(reduced: ReducedRun, conditions: RockingConditions, request: Request) -> Array:
     """Covariance of the drifts of one run about their mean over all runs, (k, k) deg²/h², from the declared effects."""
-    own = influences_on(lambda moved: drifts_of(moved, conditions), _of_one_run(reduced, request))
+    own = influences_on_several(partial(_drifts_of_variants, conditions), _of_one_run(reduced, request))
     count = len(drifts_of(reduced, conditions))
     return np.asarray(sum((one.covariance for one in own), np.zeros((count, count))))
 
@@ -100,13 +111,27 @@ def _installed(conditions: RockingConditions, k: int, by: float) -> RockingCondi
     )
 
 
-def _coefficients(runs: Runs, combined: CombinedDrifts, conditions: RockingConditions) -> Array:
-    total = np.zeros(len(combined.axes))
+def _coefficients(runs: Runs, combined: CombinedDrifts, each: Sequence[RockingConditions]) -> Array:
+    """The k coefficients under m conditions, shape (m, k)."""
+    total = np.zeros((len(each), len(combined.axes)))
     for share, state in zip(combined.shares, runs, strict=True):
         for four in state:
-            drifts = np.array([drifts_of(reduced, conditions) for reduced in four])
-            total += share @ (WEIGHTS @ drifts) / len(state)
+            for reduced, weight in zip(four, WEIGHTS, strict=True):
+                parts = [drifts_of(reduced, several_conditions(some)) for some in _portions(each, reduced)]
+                total += weight * np.concatenate(parts) @ share.T / len(state)
     return total
+
+
+def _drifts_of_variants(conditions: RockingConditions, each: Sequence[ReducedRun]) -> Array:
+    """The drifts of m variants of one run, shape (m, 2) or (m, 4)."""
+    return np.concatenate([drifts_of(several_runs(some), conditions) for some in _portions(each, each[0])])
+
+
+def _portions(each: Sequence[T], reduced: ReducedRun) -> Iterator[Sequence[T]]:
+    """Splits a list of conditions or variants of a run, so that memory stays limited if the windows have many samples."""
+    size = max(1, AT_ONCE // max(len(reduced.first.time), len(reduced.second.time)))
+    for first in range(0, len(each), size):
+        yield each[first : first + size]
 
 
 def _of_one_run(reduced: ReducedRun, request: Request) -> Iterator[StatedCondition[ReducedRun]]:

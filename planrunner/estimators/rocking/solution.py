@@ -6,6 +6,7 @@ is subtracted.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,35 +30,38 @@ from planrunner.estimators.rocking.windows import Windows, low_pass, read_pieces
 @dataclass(frozen=True, slots=True)
 class RockingConditions:
     """Conditions of the solution. earth: (3,), rad/s, East-North-Up; gravity: m/s^2; installation: (6,), rad, in the order of
-    `Installation.stated`; turned: error of the table's azimuth, rad, positive if the true azimuth is farther east."""
+    `Installation.stated`; turned: error of the table's azimuth, rad, positive if the true azimuth is farther east.
+
+    An object for m conditions (see `several_conditions`) has arrays with a leading axis of length m."""
 
     earth: Array
-    gravity: float
+    gravity: Array | float
     installation: Array
-    turned: float = 0.0
+    turned: Array | float = 0.0
 
     @property
     def felt_earth(self) -> Array:
         """Earth rate in the site axes that the planned orientation refers to."""
-        east, north, up = self.earth
+        east, north, up = np.moveaxis(self.earth, -1, 0)
         c, s = np.cos(self.turned), np.sin(self.turned)
-        return np.array([c * east - s * north, s * east + c * north, up])
+        return np.stack([c * east - s * north, s * east + c * north, up], axis=-1)
 
     @property
     def inputs(self) -> Array:
-        """The matrix (3, 3) from specific force in element axes to the accelerometers' readings."""
-        xz, xy, yz, yx, zy, zx = self.installation
-        return np.array([[1.0, xz, -xy], [-yz, 1.0, yx], [zy, -zx, 1.0]])
+        """The matrix (…, 3, 3) from specific force in element axes to the accelerometers' readings."""
+        xz, xy, yz, yx, zy, zx = np.moveaxis(self.installation, -1, 0)
+        one = np.ones_like(xz)
+        return np.stack([one, xz, -xy, -yz, one, yx, zy, -zx, one], axis=-1).reshape(*xz.shape, 3, 3)
 
     def compensated(self, readings: Array) -> Array:
-        """Specific force in element axes (n, 3) from the accelerometers (n, 3)."""
-        return np.asarray(np.linalg.solve(self.inputs, readings.T).T)
+        """Specific force in element axes (…, n, 3) from the accelerometers (…, n, 3)."""
+        return np.asarray(readings @ np.swapaxes(np.linalg.inv(self.inputs), -1, -2))
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Filtered samples of one window. time: (n,) s; readings: (n, 3) m/s^2; turn: (n, 3) rad, rotation vector from the planned attitude
-    to that of the encoders, None without encoders."""
+    """Filtered samples of one window. time: (n,) s; readings: (…, n, 3) m/s^2; turn: (…, n, 3) rad, rotation vector from the planned
+    attitude to that of the encoders, None without encoders."""
 
     time: Array
     readings: Array
@@ -69,14 +73,16 @@ class ReducedRun:
     """The windows of a run. before: the window that ends when the base begins to rock, if there is one. lead: time [s] from the release
     to the beginning of the record. If it is None, the encoders give the azimuth at t0. Otherwise this azimuth is that of the planned
     orientation, changed by the Earth's rotation since the release. off: rad, assumed error of the azimuth of this run, for
-    sensitivities."""
+    sensitivities.
+
+    An object for m variants of a run (see `several_runs`) has a leading axis of length m in the second window and in `off`."""
 
     run: Run
     first: Window
     second: Window
     before: Window | None
     lead: float | None
-    off: float = 0.0
+    off: Array | float = 0.0
 
     @property
     def seconds(self) -> float:
@@ -142,8 +148,27 @@ def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode:
     return run.planned_lead
 
 
+def several_conditions(each: Sequence[RockingConditions]) -> RockingConditions:
+    """One object for m conditions. The drifts computed with it have the shape (m, 2)."""
+    return RockingConditions(
+        np.stack([one.earth for one in each]),
+        np.array([one.gravity for one in each]),
+        np.stack([one.installation for one in each]),
+        np.array([one.turned for one in each]),
+    )
+
+
+def several_runs(each: Sequence[ReducedRun]) -> ReducedRun:
+    """One object for m variants of a run that differ in the second window and in `off`. The drifts computed from it have the shape
+    (m, 2)."""
+    second, turns = each[0].second, [one.second.turn for one in each if one.second.turn is not None]
+    readings = np.stack([one.second.readings for one in each])
+    window = replace(second, readings=readings, turn=np.stack(turns) if turns else None)
+    return replace(each[0], second=window, off=np.array([one.off for one in each]))
+
+
 def accelerometer_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """Drift [rad/s] about the two level axes by steps 2 to 5, in the order x, y, z, shape (2,)."""
+    """Drift [rad/s] about the two level axes by steps 2 to 5, in the order x, y, z, shape (…, 2)."""
     return _drift_between(reduced, reduced.second, conditions)
 
 
@@ -155,47 +180,47 @@ def drift_before_rocking(reduced: ReducedRun, conditions: RockingConditions) -> 
 
 def _drift_between(reduced: ReducedRun, later: Window, conditions: RockingConditions) -> Array:
     angles = [drift_angles(reduced, conditions, window.time, window.readings) for window in (reduced.first, later)]
-    count = min(map(len, angles))
+    count = min(one.shape[-2] for one in angles)
     seconds = float(later.time.mean() - reduced.first.time.mean())
-    return np.asarray(np.mean(angles[1][:count] - angles[0][:count], axis=0) / seconds)
+    return np.asarray(np.mean(angles[1][..., :count, :] - angles[0][..., :count, :], axis=-2) / seconds)
 
 
 def drift_angles(reduced: ReducedRun, conditions: RockingConditions, time: Array, readings: Array) -> Array:
-    """Tilts (n, 2) [rad] about the two level axes, minus those of an inertially fixed element with the same attitude at t0.
+    """Tilts (…, n, 2) [rad] about the two level axes, minus those of an inertially fixed element with the same attitude at t0.
 
-    time: (n,) s from the beginning of the record. readings: (n, 3) m/s^2, of the accelerometers at these times.
+    time: (n,) s from the beginning of the record. readings: (…, n, 3) m/s^2, of the accelerometers at these times.
     """
-    state, gravity, earth = reduced.run.state, conditions.gravity, conditions.felt_earth
+    state, earth = reduced.run.state, conditions.felt_earth
+    gravity = np.asarray(conditions.gravity)[..., None]
     zero = float(reduced.first.time.mean())
-    tilt = state.tilts(conditions.compensated(reduced.first.readings), gravity).mean(axis=0)
+    tilt = state.tilts(conditions.compensated(reduced.first.readings), gravity).mean(axis=-2)
     start = state.attitude(tilt, _heading(reduced, earth, zero) + reduced.off)
-    fixed = start @ earth_turn(earth, time - zero)
-    return np.asarray(
-        state.tilts(conditions.compensated(readings), gravity) - state.tilts(gravity * (fixed @ UP), gravity)
-    )
+    up = earth_turn(earth, time - zero)[..., 2] @ np.swapaxes(start, -1, -2)  # of the fixed element, in element axes
+    return np.asarray(state.tilts(conditions.compensated(readings), gravity) - state.tilts(up, 1.0))
 
 
 def gimbal_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """Drift [rad/s] about the two level axes from the attitude that rings and gimbals give, shape (2,)."""
+    """Drift [rad/s] about the two level axes from the attitude that rings and gimbals give, shape (…, 2)."""
     state, earth = reduced.run.state, conditions.felt_earth
     zero = float(reduced.first.time.mean())
     in_space = [
-        turned_by(window.turn) @ state.nominal @ np.swapaxes(earth_turn(earth, window.time - zero), 1, 2)
+        turned_by(window.turn) @ state.nominal @ np.swapaxes(earth_turn(earth, window.time - zero), -1, -2)
         for window in (reduced.first, reduced.second)
         if window.turn is not None
     ]
-    start = in_space[0][len(in_space[0]) // 2]
-    angles = [rotation_vector(attitude @ start.T).mean(axis=0) for attitude in in_space]
-    return np.asarray(((angles[1] - angles[0]) / reduced.seconds)[list(state.level)])
+    middle = in_space[0].shape[-3] // 2
+    start = np.swapaxes(in_space[0][..., middle : middle + 1, :, :], -1, -2)
+    angles = [rotation_vector(attitude @ start).mean(axis=-2) for attitude in in_space]
+    return np.asarray(((angles[1] - angles[0]) / reduced.seconds)[..., list(state.level)])
 
 
-def _heading(reduced: ReducedRun, earth: Array, zero: float) -> float:
-    """Rotation of the element about the vertical at t0."""
+def _heading(reduced: ReducedRun, earth: Array, zero: float) -> Array:
+    """Rotation of the element about the vertical at t0, shape (…)."""
     state, turn = reduced.run.state, reduced.first.turn
     if reduced.lead is not None or turn is None:
         assert reduced.lead is not None  # without encoders the azimuth is nominal
-        return state.heading(state.nominal @ earth_turn(earth, np.array([zero + reduced.lead]))[0])
-    return state.heading(turned_by(turn.mean(axis=0)[None])[0] @ state.nominal)
+        return state.heading(state.nominal @ earth_turn(earth, np.array([zero + reduced.lead]))[..., 0, :, :])
+    return state.heading(turned_by(turn.mean(axis=0)) @ state.nominal)
 
 
 def _encoder_turn(run: Run, angles: Array, request: EstimateRequest[RockingDriftParameters]) -> Array:
