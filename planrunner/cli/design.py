@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner.cli import exit_codes
+from planrunner.cli.check import add_parameter
 from planrunner.cli.jobs import add_workers, workers_of
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.estimators.interface import EstimationError
+from planrunner.plan.parameters import parameters_of
 from planrunner.plan.quantity import QuantityError, without_uncertainty
 from planrunner.reporting.printable import beneath
 
@@ -30,6 +32,7 @@ PATIENCE = 2.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", metavar="PLAN", help="plan file")
     parser.add_argument("--bench", metavar="BENCH", help="design for this bench: a shipped name or a file")
+    add_parameter(parser)
     parser.add_argument(
         "--estimate", metavar="NAME", help="design for this estimate (default: the first that can be designed)"
     )
@@ -94,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
         args.rates, args.line_only, not args.drop_lowest, args.segment, args.order,
     )  # fmt: skip
     with _progress(args.quiet) as progress:
-        study = design(Path(args.plan), asked, args.bench, progress, workers_of(args))
+        study = design(Path(args.plan), asked, args.bench, progress, workers_of(args), parameters_of(args.parameter))
     print_findings(study.subject.findings)
     if not args.json:
         _show(study)

@@ -6,10 +6,12 @@ import argparse
 import sys
 from pathlib import Path
 
+from planrunner.cli.check import add_parameter
 from planrunner.cli.outcome import finish, tell
 from planrunner.cli.printing import print_findings
 from planrunner.cli.progress import reading_progress, run_progress
 from planrunner.cli.run import add_new_runs, add_run_arguments, seed
+from planrunner.plan.parameters import parameters_of
 from planrunner.plan.run_information import gather
 
 
@@ -29,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="run information that the plan asks for"
     )
+    add_parameter(parser)
     parser.add_argument("--seed", type=seed, help="seed of the simulation (default: the bench's own)")
     parser.add_argument(
         "--write-bench", metavar="FILE", type=Path, help="write the bench with its effects, for later runs"
@@ -42,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     from planrunner.tasks import run as running
     from planrunner.tasks.simulate import simulation
 
-    made = simulation(args.plan, args.bench, args.effects)
+    made = simulation(args.plan, args.bench, args.effects, parameters_of(args.parameter))
     print_findings(made.sound.findings)
     given = {setting.partition("=")[0].strip() for setting in args.set}
     wanted = [

@@ -7,11 +7,14 @@ study.text                     the plan with the chosen design in it
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from planrunner.base.workers import ALONE, Workers
 from planrunner.design.study import Asked, SearchProgress, Study, Subject
 from planrunner.estimators.interface import EstimationError
+from planrunner.plan.parameters import Given
 from planrunner.reporting import cycle_study, positions_study, rates_study
 from planrunner.reporting.context import site_facts
 from planrunner.tasks.check import Checked, Document, check_plan
@@ -26,10 +29,11 @@ def design(
     bench: str | None = None,
     progress: SearchProgress | None = None,
     workers: Workers = ALONE,
+    parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Study:
     """The study for the plan and the options: a study of positions if an estimate uses segments at rest. workers: share the free search of
-    positions. Raises `InputError` with the plan's findings, and `EstimationError` if there is nothing to design."""
-    checked = check_plan(plan, bench=bench)
+    positions. parameters: values for parameters of the plan. Raises `InputError` with the plan's findings, and `EstimationError` if there is nothing to design."""
+    checked = check_plan(plan, bench=bench, parameters=parameters)
     if asked.segment is None and (asked.rates or has_rates_alone(checked, asked.estimate)):
         return rates_study.study(design_rates(checked, asked, bench), _subject(checked))
     if asked.segment is not None or (asked.estimate is None and has_cycle_alone(checked)):

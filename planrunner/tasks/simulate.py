@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import yaml
@@ -19,6 +20,7 @@ from planrunner.bench.model import driver_of, runs_on_virtual_clock
 from planrunner.error_model.virtual_instrument import AddedEffects
 from planrunner.instruments.interfaces import TakesEffects
 from planrunner.plan import source
+from planrunner.plan.parameters import Given
 from planrunner.plan.rewriting import appended
 from planrunner.tasks.check import Document, Sound, check_plan
 
@@ -44,12 +46,19 @@ class Simulation:
         ]
 
 
-def simulation(plan: Path, bench: str | None, effects: Sequence[str]) -> Simulation:
-    """The plan on a virtual bench with effects, each as `EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…`.
+def simulation(
+    plan: Path,
+    bench: str | None,
+    effects: Sequence[str],
+    parameters: Mapping[str, Given] = MappingProxyType({}),
+) -> Simulation:
+    """The plan on a virtual bench with effects, each as `EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…`. parameters: values
+    for parameters of the plan.
 
     Raises `InputError` with all obstacles.
     """
-    sound = check_plan(plan, bench=bench, today=date.today()).sound()
+    today = date.today()
+    sound = check_plan(plan, bench, today, parameters).sound()
     check_virtual(sound)
     if not effects:
         return Simulation(sound, ())
@@ -63,7 +72,8 @@ def simulation(plan: Path, bench: str | None, effects: Sequence[str]) -> Simulat
     shown = sound.bench.origin.mark.file
     text = with_effects(source.decode(sound.bench_bytes, shown), additions)
     added = Document(text.encode(), shown)
-    return Simulation(check_plan(Document(sound.plan_bytes, sound.file), added, date.today()).sound(), additions)
+    plan_as_read = Document(sound.plan_bytes, sound.file)
+    return Simulation(check_plan(plan_as_read, added, today, parameters).sound(), additions)
 
 
 def stated(item: Addition) -> dict[str, str]:

@@ -116,6 +116,21 @@ def test_recording_times_fill_the_budget_in_whole_turns(plan: Path) -> None:
     assert max(dwells.values()) > 2 * min(dwells.values())
 
 
+def test_values_of_parameters_are_designed_for(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As for a plan that has these values."""
+    rates, least = "±200, ±100, ±50, ±20 deg/s", "40 s"
+    written, given = plan.with_name("written.yaml"), plan.with_name("given.yaml")
+    written.write_text(PLAN.replace("±240, ±120, ±60, ±20 deg/s", rates).replace("30 s", least), encoding="utf-8")
+    given.write_text(PLAN.replace("rate: ±", "rate: &rates ±").replace("30 s", "&least 30 s"), encoding="utf-8")
+    options, studies = ("--parameter", f"rates={rates}", "--parameter", f"least={least}"), []
+    for words in ((str(written),), (str(given), *options), (str(given),)):
+        assert main(["design", *words, "--json", "--write", str(plan.with_name("better.yaml"))]) == 0
+        studies.append((json.loads(capsys.readouterr().out)["sets"], check_plan(plan.with_name("better.yaml")).schedule))
+    assert studies[0] == studies[1] != studies[2]
+    assert main(["design", str(given), "--parameter", "least=1 K"]) == 2
+    assert "command line: error[meaning-dimension]" in capsys.readouterr().err
+
+
 def test_the_study_as_data(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["design", str(plan), "--json", "--criterion", "A"]) == 0
     data = json.loads(capsys.readouterr().out)

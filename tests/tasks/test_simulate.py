@@ -95,6 +95,19 @@ def test_a_sensor_that_takes_no_effects_is_named() -> None:
         simulation(shipped("plans") / "flexure_gyro_eight_position.yaml", None, ["table_tilt"])
 
 
+def test_a_run_with_values_of_parameters_keeps_them(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan.write_text(PLAN.replace("dwell: 20 s", "dwell: &dwell 20 s"), encoding="utf-8")
+    words = ["simulate", str(plan), "--with", "table_tilt=20", "--quiet", "--runs", str(plan.parent / "runs")]
+    assert main([*words, "--parameter", "dwell=2 min"]) == 0
+    (run,) = (plan.parent / "runs").iterdir()
+    assert "dwell: &dwell 2 min" in (run / "plan.yaml").read_text(encoding="utf-8")
+    assert "table_tilt" in (run / "bench.yaml").read_text(encoding="utf-8")
+    assert json.loads((run / "run.json").read_text(encoding="utf-8"))["plan"] == "six (dwell=2 min)"
+    capsys.readouterr()
+    assert main([*words, "--parameter", "dwell=2 K"]) == 2
+    assert "command line: error[meaning-dimension]" in capsys.readouterr().err
+
+
 def test_values_are_distinguished() -> None:
     assert parsed("gyro_warm_up=tau:600 s,a_x:0.01 deg/s") == ("gyro_warm_up", {"tau": "600 s", "a_x": "0.01 deg/s"})
     assert parsed("time_latency = 1 ms") == ("time_latency", {"": "1 ms"})
