@@ -40,6 +40,7 @@ def run(size: Size = FULL) -> Figures:
 
 def rebuilt(number: int) -> Figures:
     """With one process that reads."""
+    from planrunner.base.workers import ALONE
     from planrunner.night.history.index import Index
 
     with tempfile.TemporaryDirectory() as folder:
@@ -47,11 +48,11 @@ def rebuilt(number: int) -> Figures:
         fill(archive, number)
         with Index.open(archive, str(Path(folder) / "index.sqlite")) as index:
             began, used = time.perf_counter(), time.process_time()
-            done = index.refresh(rebuild=True, jobs=1)
+            done = index.refresh(rebuild=True, workers=ALONE)
             took, used = time.perf_counter() - began, time.process_time() - used
             assert done.read == number == index.count() and not done.faults
             began = time.perf_counter()
-            index.refresh(jobs=1)
+            index.refresh(workers=ALONE)
             again = time.perf_counter() - began
     return {
         f"rebuilding the index of {number} runs [s]": took,

@@ -29,10 +29,10 @@ class Workers:
 ALONE = Workers(1)
 """Only this process."""
 
-_FEW, _MANY = 8, 32
-"""Items of each process that are computed before results are handed on, of long and of short items."""
-_SHORT = 1.0
-"""Seconds that a few short items take at most."""
+_FEW, _MOST = 8, 256
+"""Items of each process that are computed before results are handed on: at first, and at most."""
+_SHORT = 0.5
+"""Seconds; after less, the next results may take four times as long to be handed on."""
 
 
 def results_of(
@@ -64,7 +64,7 @@ def results_in_order(
         began = monotonic()
         found = shared_out(work, items[done : done + size], workers.jobs)
         if jobs > 1 and monotonic() - began < _SHORT:
-            size = _MANY * jobs
+            size = min(4 * size, _MOST * jobs)
         done += len(found)
         yield from found
         if tell is not None:

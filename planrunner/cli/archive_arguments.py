@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner.cli import exit_codes
+from planrunner.cli.jobs import add_workers, workers_of
 from planrunner.cli.printing import print_line
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ def add_index(parser: argparse.ArgumentParser) -> None:
         "--rebuild", action="store_true", help="read all runs again, not only those that are new or changed"
     )
     parser.add_argument("--no-refresh", action="store_true", help="use the index as it is")
+    add_workers(parser, "processes that read the runs (default: one for each processor)")
     parser.add_argument("--quiet", action="store_true", help="show no progress")
 
 
@@ -79,8 +81,9 @@ def opened_index(args: argparse.Namespace, archive: Path) -> Iterator[Index]:
     from planrunner.cli.progress import reading_progress
     from planrunner.tasks.history import Freshness, opened
 
+    workers = workers_of(args, None)
     with reading_progress(args.quiet or args.json) as notice:
-        index = opened(archive, args.index, Freshness(not args.no_refresh, args.rebuild, notice))
+        index = opened(archive, args.index, Freshness(not args.no_refresh, args.rebuild, notice, workers))
     with index:
         yield index
 

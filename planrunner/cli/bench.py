@@ -13,6 +13,7 @@ from planrunner.bench.model import read_bench, shipped_benches
 from planrunner.cli import exit_codes
 from planrunner.cli.archive_arguments import add_index, report_left_out
 from planrunner.cli.dates import day_of
+from planrunner.cli.jobs import workers_of
 from planrunner.cli.printing import name_file, print_json, print_line
 from planrunner.cli.signer import add_signer, signer_of
 
@@ -73,7 +74,7 @@ def _check_standard(args: argparse.Namespace) -> int:
 
     bench, _, shown = read_bench(args.bench, Path())
     with reading_progress(args.quiet or args.json) as notice:
-        fresh = Freshness(not args.no_refresh, args.rebuild, notice)
+        fresh = Freshness(not args.no_refresh, args.rebuild, notice, workers_of(args, None))
         state = control_state(bench, args.runs, index=args.index, fresh=fresh)
     if state is None:
         hint = "declare it under `check_standard:` in the bench file"

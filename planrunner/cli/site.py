@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from planrunner.cli.archive_arguments import folder_argument, report_left_out
+from planrunner.cli.jobs import add_workers, workers_of
 from planrunner.cli.printing import print_json
 from planrunner.cli.progress import reading_progress
 
@@ -17,6 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("out", metavar="OUT", type=Path, help="folder of the site: a new one, or a site to replace")
     parser.add_argument("--index", metavar="INDEX", help="file or URL of the index (default: a file of this user)")
     parser.add_argument("--no-refresh", action="store_true", help="use the index as it is, without reading new runs")
+    add_workers(parser, "processes that read the runs (default: one for each processor)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
@@ -25,9 +27,10 @@ def run(args: argparse.Namespace) -> int:
     from planrunner.night.history.index import Index
     from planrunner.night.site import build_site
 
+    workers = workers_of(args, None)
     with reading_progress(args.quiet) as notice, Index.open(args.archive, args.index) as index:
         if not args.no_refresh:
-            index.refresh(notice=notice)
+            index.refresh(notice=notice, workers=workers)
         built = build_site(index, args.out, notice)
         faults = index.faults()
     if args.json:

@@ -245,7 +245,14 @@ class _Designer:
             settings = free
             if criterion != self.asked.criterion:
                 settings = optimal.search(
-                    region, self.count, weighting, restarts=3, seed=self.asked.seed, starts=[free], fixed=self.fixed
+                    region,
+                    self.count,
+                    weighting,
+                    restarts=3,
+                    seed=self.asked.seed,
+                    starts=[free],
+                    fixed=self.fixed,
+                    workers=self.workers,
                 ).settings
                 merits.append(self._merit(region.rows_of(settings)))
             continuous_ones[criterion] = optimal.bound(region, settings, weighting, fixed=self._per_observation())

@@ -9,6 +9,7 @@ from pathlib import Path
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import COMMAND_LINE, InputError, closest
 from planrunner.base.progress import Announce
+from planrunner.base.workers import Workers
 from planrunner.night.history.gauge import GaugeStudy, UnbalancedError, gauge_study
 from planrunner.night.history.index import Index
 from planrunner.night.history.rows import FaultRow, RunFilter, RunRow
@@ -39,11 +40,13 @@ class RunList:
 
 @dataclass(frozen=True, slots=True)
 class Freshness:
-    """How an index is brought up to date before it is asked. refresh: new and changed runs are read; rebuild: all runs are."""
+    """How an index is brought up to date before it is asked. refresh: new and changed runs are read; rebuild: all runs are. workers: they
+    read."""
 
     refresh: bool = True
     rebuild: bool = False
     notice: Announce | None = None
+    workers: Workers | None = None
 
 
 def opened(archive: Path, index: str | None, fresh: Freshness) -> Index:
@@ -51,7 +54,7 @@ def opened(archive: Path, index: str | None, fresh: Freshness) -> Index:
     found = Index.open(archive, index)
     try:
         if fresh.refresh or fresh.rebuild:
-            found.refresh(rebuild=fresh.rebuild, notice=fresh.notice)
+            found.refresh(rebuild=fresh.rebuild, notice=fresh.notice, workers=fresh.workers)
     except BaseException:
         found.close()
         raise

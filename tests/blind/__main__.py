@@ -7,6 +7,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from planrunner.base.findings import InputError
+from planrunner.cli.jobs import add_workers, workers_of
 from tests.blind import campaign
 from tests.blind.commitment import BrokenSealError
 
@@ -37,8 +39,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     for command in (answer, score):
         command.add_argument("--first", type=int, metavar="N", help="only the first N cases (default: all)")
     for command in (make, answer):
-        command.add_argument("--jobs", type=int, default=1, help="processes of this machine (default: 1)")
-        command.add_argument("--scheduler", help="address of a Dask scheduler, in place of --jobs")
+        add_workers(command, "processes of this machine (default: 1)")
     return parser.parse_args(argv)
 
 
@@ -50,12 +51,10 @@ def main(argv: list[str] | None = None) -> int:
     given = _arguments(argv)
     try:
         if given.command == "make":
-            campaign.make_all(
-                given.folder, given.count, given.seed, given.jobs, given.scheduler, _tell, given.real_noise
-            )
+            campaign.make_all(given.folder, given.count, given.seed, workers_of(given), _tell, given.real_noise)
         elif given.command == "answer":
             for name in given.by or ["planrunner"]:
-                campaign.answer_all(given.folder, name, given.jobs, given.scheduler, _tell, given.first)
+                campaign.answer_all(given.folder, name, workers_of(given), _tell, given.first)
         elif given.command == "ceiling":
             from tests.blind.ceiling import told
 
@@ -68,7 +67,7 @@ def main(argv: list[str] | None = None) -> int:
             from tests.blind import report
 
             print(report.scored(given.folder, given.json, given.first), end="")
-    except (BrokenSealError, ValueError, OSError) as error:
+    except (BrokenSealError, InputError, ValueError, OSError) as error:
         _tell(f"tests.blind: {error}")
         return 2
     return 0

@@ -8,13 +8,13 @@ from __future__ import annotations
 import importlib
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from planrunner.base.workers import Workers, results_in_order
+from planrunner.base.workers import ALONE, Workers, results_in_order
 from tests.blind import folder as store
 from tests.blind.generator import assigned, make
 
@@ -67,11 +67,6 @@ def _batches(keyed: list[tuple[Any, Any]]) -> list[list]:
     return found
 
 
-def _run(task: Callable, batches: list[list], arguments: tuple, jobs: int, scheduler: str | None) -> Iterator[int]:
-    """Counts of done cases, as batches end: in processes of this machine, or on a Dask cluster."""
-    yield from results_in_order(partial(task, *arguments), batches, Workers(jobs, scheduler))
-
-
 class Progress:
     """Tells how many cases are done and about how long the others will take, from those done since it began."""
 
@@ -91,8 +86,7 @@ def make_all(
     folder: Path,
     count: int,
     seed: int,
-    jobs: int = 1,
-    scheduler: str | None = None,
+    workers: Workers = ALONE,
     tell: Callable = lambda _: None,
     real_noise: bool = False,
 ) -> None:
@@ -112,7 +106,7 @@ def make_all(
     have = set(store.made(folder))
     wanted = [(assigned(seed, n, real_noise)[:2], n) for n in range(count) if f"case-{n:05d}" not in have]
     progress = Progress("made", count - len(wanted), count, tell)
-    for more in _run(make_batch, _batches(wanted), (str(folder), seed, real_noise), jobs, scheduler):
+    for more in results_in_order(partial(make_batch, str(folder), seed, real_noise), _batches(wanted), workers):
         progress.more(more)
     store.commit(folder)
 
@@ -120,8 +114,7 @@ def make_all(
 def answer_all(
     folder: Path,
     name: str,
-    jobs: int = 1,
-    scheduler: str | None = None,
+    workers: Workers = ALONE,
     tell: Callable = lambda _: None,
     first: int | None = None,
 ) -> None:
@@ -134,5 +127,5 @@ def answer_all(
         if not store.answer_file(folder, label, case).exists()
     ]
     progress = Progress(f"answered by {name}", len(cases) - len(wanted), len(cases), tell)
-    for more in _run(answer_batch, _batches(wanted), (str(folder), name, label), jobs, scheduler):
+    for more in results_in_order(partial(answer_batch, str(folder), name, label), _batches(wanted), workers):
         progress.more(more)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from dask.distributed import LocalCluster
 
+from planrunner.base.workers import Workers
 from tests.blind import baselines, campaign, commitment, folder, generator, oracle
 from tests.blind.__main__ import main
 from tests.blind.device import SENSORS
@@ -112,7 +113,7 @@ def test_a_campaign_is_the_same_on_one_and_two_workers(tmp_path: Path, monkeypat
         "protocol": "tcp",
     }  # threads, which see what is patched
     with LocalCluster(n_workers=2, threads_per_worker=1, **here) as cluster:
-        campaign.make_all(tmp_path / "two", 4, SEED, scheduler=cluster.scheduler_address)
+        campaign.make_all(tmp_path / "two", 4, SEED, Workers(1, cluster.scheduler_address))
     one, two = ((tmp_path / name / "commitments.txt").read_text(encoding="utf-8") for name in ("one", "two"))
     assert one == two and len(one.splitlines()) == 4
     for name in folder.made(tmp_path / "one"):
@@ -126,8 +127,8 @@ def test_a_campaign_is_the_same_on_one_and_two_workers(tmp_path: Path, monkeypat
 def test_processes_of_this_machine_answer_alike(made: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(made, copy)
-    for where, jobs in ((made, 1), (copy, 2)):
-        campaign.answer_all(where, "whitened-bic", jobs)
+    campaign.answer_all(made, "whitened-bic")
+    campaign.answer_all(copy, "whitened-bic", Workers(2))
     answers = [folder.answers(where, "whitened-bic") for where in (made, copy)]
     for one, two in zip(*(sorted(found.items()) for found in answers), strict=True):
         assert one[0] == two[0]

@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from planrunner.base.workers import Workers, results_in_order
+from planrunner.base.workers import ALONE, Workers, results_in_order
+from planrunner.cli.jobs import add_workers, workers_of
 from tests.blind import product
 from tests.blind.device import SENSORS, Device, Sensor, clean_output, limit, random_device
 from tests.blind.effects import CATALOGUE
@@ -178,12 +179,12 @@ def _hours(begin: float, further: Sequence[Segment]) -> float:
 
 
 def outcomes(
-    seed: int, numbers: Sequence[int], jobs: int = 1, equipped: bool = False, scheduler: str | None = None
+    seed: int, numbers: Sequence[int], workers: Workers = ALONE, equipped: bool = False
 ) -> Iterator[tuple[int, Outcome | str]]:
     """All cases, those of one set-up together: its signatures are kept."""
     numbers = sorted(numbers, key=lambda number: (number % len(SETUPS), number))
     work = partial(_numbered, seed, equipped)
-    yield from results_in_order(work, numbers, Workers(jobs, scheduler))
+    yield from results_in_order(work, numbers, workers)
 
 
 def _numbered(seed: int, equipped: bool, number: int) -> tuple[int, Outcome | str]:
@@ -217,14 +218,11 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.blind.two_rounds", description=__doc__)
     parser.add_argument("count", type=int)
     parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--scheduler", help="address of a Dask scheduler, in place of --jobs")
+    add_workers(parser, "processes of this machine (default: 1)")
     parser.add_argument("--equipped", action="store_true", help="on a bench with a three-axis table and a chamber")
     given = parser.parse_args(argv)
     found, others = [], dict[str, int]()
-    for done, (_, one) in enumerate(
-        outcomes(given.seed, range(given.count), given.jobs, given.equipped, given.scheduler), 1
-    ):
+    for done, (_, one) in enumerate(outcomes(given.seed, range(given.count), workers_of(given), given.equipped), 1):
         if isinstance(one, Outcome):
             found.append(one)
             print(json.dumps(asdict(one)), flush=True)

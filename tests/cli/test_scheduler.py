@@ -7,6 +7,9 @@ import os
 import pickle
 import re
 import shutil
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -100,6 +103,63 @@ def test_a_search_for_positions_finds_the_same_digits(cluster: Cluster) -> None:
     )
     assert here.returncode == 0 and json.loads(here.stdout)
     assert here.stdout == there.stdout == forks.stdout, there.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
+def test_monte_carlo_draws_the_same_numbers_though_a_worker_is_lost(tmp_path: Path) -> None:
+    """The plan has its intervals validated by Monte Carlo, with draws that a worker makes."""
+    plan = (ROOT / "plans" / "flexure_gyro_eight_position.yaml").read_text(encoding="utf-8")
+    plan = plan.replace("segments: P*, ", "segments: P*, validate: {digits: 1, draws: 100000, seed: 1}, ")
+    plan = plan.replace("dwell: 2 min", "dwell: 10 s").replace("[report.html, summary.md]", "[summary.md]")
+    (tmp_path / "validated.yaml").write_text(plan, encoding="utf-8")
+    sound = check_plan(tmp_path / "validated.yaml").sound()
+    for seed in range(4):
+        info = {"device_serial": str(seed), "operator": "ann"}
+        _, outcome = running.start(
+            sound, info=info, runs=tmp_path / "here" / "runs", stop=StopRequest(), durability="flushed", seed=seed
+        )
+        assert outcome.ok
+    shutil.copytree(tmp_path / "here", tmp_path / "there")
+    here = planrunner("estimate", "--all", "runs", cwd=tmp_path / "here")
+    with dask_cluster(tmp_path, allowed_failures=5) as cluster:
+        words = ("-m", "planrunner", "estimate", "--all", "runs", "--scheduler", cluster.address)
+        with subprocess.Popen(
+            (sys.executable, *words), cwd=tmp_path / "there", stdout=subprocess.PIPE, text=True
+        ) as there:
+            assert there.stdout is not None
+            lines = [there.stdout.readline()]  # the name of the first run, which has been computed
+            victim = cluster.workers[0]
+            os.kill(victim.pid, signal.SIGKILL)
+            lines += there.stdout.readlines()
+    assert victim.returncode == -signal.SIGKILL and there.returncode == here.returncode
+    assert "".join(lines) == here.stdout and here.stdout.count("Monte Carlo draws") == 4
+    assert contents(tmp_path / "there" / "runs") == contents(tmp_path / "here" / "runs")
+
+
+@pytest.mark.slow
+def test_an_index_is_rebuilt_as_by_one_process(archive: Path, cluster: Cluster, tmp_path: Path) -> None:
+    shutil.copytree(archive, tmp_path / "runs")
+    damaged = next((tmp_path / "runs").glob("*/run.json"))
+    damaged.write_bytes(damaged.read_bytes()[1:])
+    found = []
+    for number, options in enumerate(((), ("--scheduler", cluster.address), ("--jobs", "2"))):
+        words = (
+            "runs",
+            "runs",
+            "--rebuild",
+            "--json",
+            "--index",
+            f"{number}.sqlite",
+            "--export",
+            f"{number}",
+            "--quiet",
+        )
+        done = planrunner(*words, *options, cwd=tmp_path)
+        tables = {path.name: path.read_bytes() for path in sorted((tmp_path / f"{number}").iterdir())}
+        found.append((done.returncode, done.stdout, tables))
+    assert found[0] == found[1] == found[2]
+    assert found[0][0] == 4 and json.loads(found[0][1])["total"] == _RUNS - 1
 
 
 def test_an_address_of_another_form_is_refused(tmp_path: Path) -> None:

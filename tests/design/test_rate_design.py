@@ -125,7 +125,9 @@ def test_values_of_parameters_are_designed_for(plan: Path, capsys: pytest.Captur
     options, studies = ("--parameter", f"rates={rates}", "--parameter", f"least={least}"), []
     for words in ((str(written),), (str(given), *options), (str(given),)):
         assert main(["design", *words, "--json", "--write", str(plan.with_name("better.yaml"))]) == 0
-        studies.append((json.loads(capsys.readouterr().out)["sets"], check_plan(plan.with_name("better.yaml")).schedule))
+        studies.append(
+            (json.loads(capsys.readouterr().out)["sets"], check_plan(plan.with_name("better.yaml")).schedule)
+        )
     assert studies[0] == studies[1] != studies[2]
     assert main(["design", str(given), "--parameter", "least=1 K"]) == 2
     assert "command line: error[meaning-dimension]" in capsys.readouterr().err

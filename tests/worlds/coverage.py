@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
@@ -17,8 +18,8 @@ from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Segment
 from planrunner.tasks.check import Document, Sound, check_plan
 from planrunner.uncertainty.decision import expanded_uncertainty
-from tests.worlds.campaigns import Campaign
-from tests.worlds.faults import ARCSEC, Recorded, World
+from tests.worlds.campaigns import CAMPAIGNS, Campaign
+from tests.worlds.faults import ARCSEC, WORLDS, Recorded, World
 from tests.worlds.felt import felt
 
 Array = NDArray[np.float64]
@@ -115,6 +116,22 @@ def _segment(segment: Segment, made: Recorded, number: int, campaign: Campaign) 
 
     statistics = statistics_of(blocks(tuple(channels)), tuple(channels), len(time), motion=segment.motion)
     return RecordedSegment(segment, units, statistics, blocks)
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Runs of a campaign in a world, both by name, that a worker simulates together. first: number of the first run."""
+
+    campaign: str
+    world: str
+    runs: int
+    first: int
+
+
+def tally_of(seed: int, batch: Batch) -> Tally:
+    """With one thread of linear algebra, so that the digits do not depend on the processors."""
+    with threadpool_limits(limits=1, user_api="blas"):
+        return tally(CAMPAIGNS[batch.campaign], WORLDS[batch.world], batch.runs, seed, batch.first)
 
 
 def tally(campaign: Campaign, world: World, runs: int, seed: int, first: int = 0) -> Tally:

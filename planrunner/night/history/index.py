@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import TypeVar, cast
@@ -20,8 +20,8 @@ from typing import TypeVar, cast
 from planrunner.archive.finding_runs import find_runs
 from planrunner.archive.schema_check import FIRST_YEAR, LAST_YEAR
 from planrunner.base.findings import InputError, Mark
-from planrunner.base.processes import shared_out
 from planrunner.base.progress import Announce, Pace
+from planrunner.base.workers import Workers, results_in_order
 from planrunner.estimators.interface import CoefficientRole
 from planrunner.night.history.databases import Database, SqlRow, SqlValue, open_database
 from planrunner.night.history.reading import fingerprint, read_run
@@ -145,9 +145,11 @@ class Index:
 
     # -- keeping it up to date ---------------------------------------------------------------------------------------
 
-    def refresh(self, *, rebuild: bool = False, notice: Announce | None = None, jobs: int | None = None) -> Refreshed:
+    def refresh(
+        self, *, rebuild: bool = False, notice: Announce | None = None, workers: Workers | None = None
+    ) -> Refreshed:
         """Reads the runs that are new or changed, and forgets those that no longer exist. rebuild: reads all runs again. notice: receives
-        the progress; jobs: processes that read."""
+        the progress; workers: they read, by default as many processes of this machine as pay."""
         query = self._database.query
         rows = query("SELECT folder, fingerprint FROM runs WHERE archive = ?", (self._name,))
         known = {str(place): mark for place, mark in rows}
@@ -167,9 +169,15 @@ class Index:
             raise InputError.at(Mark(str(self.archive)), "index-no-archive", message, "check its permissions") from None
         self._write(unread)
         pace = Pace("reading runs", len(changed), notice)
-        for first in range(0, len(changed), _BATCH):
-            self._write(shared_out(partial(read_run, self.archive), changed[first : first + _BATCH], jobs))
-            pace.reached(first + _BATCH)
+        batch: list[IndexedRun] = []
+        # Each item has the folder of the archive, so that a worker that does not see it is found.
+        items = [(self.archive, place) for place in changed]
+        for done, read in enumerate(results_in_order(_read, items, workers or Workers()), start=1):
+            batch.append(read)
+            if len(batch) == _BATCH or done == len(items):
+                self._write(batch)
+                batch = []
+                pace.reached(done)
         # Only what was known before the search: another process may have added runs since.
         gone = sorted(place for place in {*known, *faulty} - there if not (self.archive / place).is_dir())
         self._forget(gone)
@@ -360,6 +368,10 @@ class Index:
             terms.append("runs.created < ?")
             values.append((_moment(wanted.until) + whole).isoformat(timespec="microseconds"))
         return " AND ".join(terms), tuple(values)
+
+
+def _read(item: tuple[Path, str]) -> IndexedRun:
+    return read_run(*item)
 
 
 def _pattern(text: str) -> tuple[str, str | None]:

@@ -13,6 +13,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from planrunner.base.documents import JsonObject
+from planrunner.base.workers import ALONE
 from planrunner.cli import main
 from planrunner.night.history.databases import INDEX
 from planrunner.night.history.index import Index
@@ -219,7 +220,7 @@ def history_of(tmp_path: Path, values: list[float], days: list[float] | None = N
     for number, (value, day) in enumerate(zip(values, days, strict=True)):
         make_run(tmp_path / "runs", replace(BASE, days=day, values={"bias": (value, 0.1)}), number)
     with Index.open(tmp_path / "runs", str(tmp_path / "index")) as index:
-        index.refresh(jobs=1)
+        index.refresh(workers=ALONE)
         return trend("FG-7", "drift.bias", index.history("FG-7", "drift.bias"))
 
 

@@ -14,6 +14,7 @@ import pytest
 
 from planrunner.archive.run_folder import RunWriter
 from planrunner.base.findings import InputError
+from planrunner.base.workers import ALONE, Workers
 from planrunner.night.history.databases import INDEX
 from planrunner.night.history.index import Index
 from planrunner.night.history.rows import CircumstanceKind, RunFilter
@@ -53,7 +54,7 @@ def archive(made: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def index(archive: Path, tmp_path: Path) -> Iterator[Index]:
     with Index.open(archive, str(tmp_path / "index.sqlite")) as opened:
-        opened.refresh(jobs=1)
+        opened.refresh(workers=ALONE)
         yield opened
 
 
@@ -132,17 +133,17 @@ def test_a_serial_number_with_wildcards_is_that_device(tmp_path: Path) -> None:
     for number, device in enumerate(["A*", "AB", "A\\*", "A?"]):
         make_run(tmp_path / "runs", MadeRun(device=device), number)
     with Index.open(tmp_path / "runs", str(tmp_path / "i")) as index:
-        index.refresh(jobs=1)
+        index.refresh(workers=ALONE)
         for device in ("A*", "AB", "A\\*", "A?"):
             assert [point.run.device for point in index.history(device, "drift.bias")] == [device]
 
 
 def test_only_new_and_changed_runs_are_read_again(index: Index, archive: Path) -> None:
-    assert index.refresh(jobs=1).read == 0
+    assert index.refresh(workers=ALONE).read == 0
     add_results(archive / "0002-calibration", MadeRun(values={"bias": (9.0, 0.1)}))
     make_run(archive, MadeRun(device="D3"), 6)
     shutil.rmtree(archive / "0000-calibration")
-    done = index.refresh(jobs=1)
+    done = index.refresh(workers=ALONE)
     assert (done.read, done.removed) == (2, 1)
     assert index.coefficients("0002-calibration")[0].value == 9.0 and index.run("0002-calibration").analysis == 2  # type: ignore[union-attr]
     assert index.run("0000-calibration") is None and index.coefficients("0000-calibration") == ()
@@ -155,20 +156,20 @@ def test_a_change_right_after_reading_is_noticed_though_the_clock_of_the_files_i
     run = archive / "0001-calibration"
     times = os.stat(run / "analyses")
     os.utime(run / "analyses")  # now
-    index.refresh(jobs=1)
+    index.refresh(workers=ALONE)
     before = os.stat(run / "analyses").st_mtime_ns
     add_results(run, MadeRun(values={"bias": (7.0, 0.1)}))
     os.utime(run / "analyses", ns=(times.st_atime_ns, before))
-    index.refresh(jobs=1)
+    index.refresh(workers=ALONE)
     assert index.coefficients("0001-calibration")[0].value == 7.0
 
 
 def test_a_rebuild_gives_the_same_index(index: Index, archive: Path, tmp_path: Path) -> None:
     before = content(index)
-    assert index.refresh(rebuild=True, jobs=1).read == 6
+    assert index.refresh(rebuild=True, workers=ALONE).read == 6
     assert content(index) == before
     with Index.open(archive, str(tmp_path / "other.sqlite")) as other:
-        assert other.refresh(jobs=2).read == 6
+        assert other.refresh(workers=Workers(2)).read == 6
         assert content(other) == before
 
 
@@ -177,11 +178,11 @@ def test_a_run_that_is_being_written_is_in_the_index(index: Index, archive: Path
         archive, "growing", b"planrunner: 1\n", b"name: b\n", {"device_serial": "D9"}, "flushed"
     ) as writer:
         writer.note("instruments", instruments={"table": {"model": "T"}})
-        index.refresh(rebuild=True, jobs=1)
+        index.refresh(rebuild=True, workers=ALONE)
         (row,) = index.runs(RunFilter(device="D9"))
         assert (row.state, row.verdict, row.analysis) == ("open", "not analysed", 0)
         writer.finish()
-    index.refresh(jobs=1)
+    index.refresh(workers=ALONE)
     (row,) = index.runs(RunFilter(device="D9"))
     assert row.state == "sealed" and not index.faults()
 
@@ -229,7 +230,7 @@ def test_a_damaged_folder_is_named_and_the_others_are_there(index: Index, archiv
     assert callable(harm)
     harm(archive / "0001-calibration")
     done = index.refresh(
-        rebuild=harm is hostile_results, jobs=1
+        rebuild=harm is hostile_results, workers=ALONE
     )  # no new time: planrunner writes no file in an analysis twice
     assert [fault.folder for fault in done.faults] == ["0001-calibration"] and done.faults[0].message
     assert index.run("0001-calibration") is None and index.count() == 5
@@ -237,14 +238,14 @@ def test_a_damaged_folder_is_named_and_the_others_are_there(index: Index, archiv
     # The fault is a fact of the folder as it is: mended, it is read again.
     shutil.rmtree(archive / "0001-calibration")
     make_run(archive, MadeRun(), 1)
-    assert index.refresh(jobs=1).faults == () and index.count() == 6
+    assert index.refresh(workers=ALONE).faults == () and index.count() == 6
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links")
 def test_links_to_folders_are_not_followed(archive: Path, index: Index, tmp_path: Path) -> None:
     outside = make_run(tmp_path / "outside", MadeRun(device="outside"))
     (archive / "link").symlink_to(outside, target_is_directory=True)
-    assert index.refresh(jobs=1).faults == () and index.count() == 6
+    assert index.refresh(workers=ALONE).faults == () and index.count() == 6
 
 
 def test_texts_of_a_stranger_are_texts(tmp_path: Path) -> None:
@@ -252,7 +253,7 @@ def test_texts_of_a_stranger_are_texts(tmp_path: Path) -> None:
     for number, name in enumerate(names):
         make_run(tmp_path / "runs", MadeRun(device=name), number)
     with Index.open(tmp_path / "runs", str(tmp_path / "i")) as index:
-        assert index.refresh(jobs=1).faults == ()
+        assert index.refresh(workers=ALONE).faults == ()
         found = {run.device for run in index.runs()}
         assert names[0] in found and "a\N{REPLACEMENT CHARACTER}b" in found and max(map(len, found)) == 2001
 
@@ -266,7 +267,7 @@ def test_without_an_option_the_index_is_not_in_the_archive(
     monkeypatch.delenv(INDEX, raising=False)
     before = sorted(archive.iterdir())
     with Index.open(archive) as index:
-        index.refresh(jobs=1)
+        index.refresh(workers=ALONE)
         assert Path(index.database).is_relative_to(os.environ["PLANRUNNER_STATE"])
     assert sorted(archive.iterdir()) == before
     monkeypatch.setenv(INDEX, str(tmp_path / "elsewhere"))
@@ -277,11 +278,11 @@ def test_without_an_option_the_index_is_not_in_the_archive(
 def test_an_own_file_that_is_broken_is_set_aside(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(INDEX, raising=False)
     with Index.open(archive) as index:
-        index.refresh(jobs=1)
+        index.refresh(workers=ALONE)
         file = Path(index.database)
     file.write_bytes(b"this is not a database, but long enough to be looked at" * 100)
     with Index.open(archive) as index:
-        assert index.refresh(jobs=1).read == 6
+        assert index.refresh(workers=ALONE).read == 6
     assert file.with_name(f"{file.name}.unreadable").exists()
 
 
@@ -309,25 +310,26 @@ def test_an_index_of_another_version_is_made_again(archive: Path, tmp_path: Path
 
     file = tmp_path / "index.sqlite"
     with Index.open(archive, str(file)) as index:
-        index.refresh(jobs=1)
+        index.refresh(workers=ALONE)
     connection = sqlite3.connect(file)
     connection.execute("UPDATE formats SET format = 99")
     connection.execute("ALTER TABLE runs RENAME COLUMN device TO serial")
     connection.commit()
     connection.close()
     with Index.open(archive, str(file)) as index:
-        assert index.count() == 0 and index.refresh(jobs=1).read == 6
+        assert index.count() == 0 and index.refresh(workers=ALONE).read == 6
 
 
 REBUILD = """
 import sys
 from pathlib import Path
+from planrunner.base.workers import ALONE
 from planrunner.night.history.index import Index
 with Index.open(Path(sys.argv[1]), sys.argv[2]) as index:
     print("open", flush=True)
     sys.stdin.readline()
     for _ in range(int(sys.argv[3])):
-        index.refresh(rebuild=True, jobs=1)
+        index.refresh(rebuild=True, workers=ALONE)
 """
 
 
@@ -371,16 +373,16 @@ def test_rebuilt_by_several_processes_while_runs_are_written(archive: Path, inde
         processes = rebuilders(archive, str(tmp_path / "index.sqlite"), 2, 2)
         for number in range(6, 8):
             make_run(archive, MadeRun(device="D3"), number)
-            index.refresh(jobs=1)
+            index.refresh(workers=ALONE)
         end_of(processes)
     finally:
         over.set()
         watcher.join(PATIENCE)
     assert seen and set(seen) == {3}
-    index.refresh(jobs=1)
+    index.refresh(workers=ALONE)
     assert index.count() == 8 and not index.faults()
     with Index.open(archive, str(tmp_path / "fresh.sqlite")) as fresh:
-        fresh.refresh(jobs=1)
+        fresh.refresh(workers=ALONE)
         assert content(fresh) == content(index)
 
 
@@ -392,7 +394,7 @@ def test_a_writer_that_is_killed_leaves_an_index_that_goes_on(archive: Path, tmp
             pass
         process.kill()
         process.communicate(timeout=PATIENCE)
-        index.refresh(jobs=1)
+        index.refresh(workers=ALONE)
         assert index.count() == 6
         assert all(index.coefficients(run.folder) for run in index.runs())
 
@@ -405,5 +407,5 @@ def test_another_writer_that_does_not_end_is_reported(
     monkeypatch.setattr(databases, "_WAIT", 0.01)
     with Index.open(archive, str(tmp_path / "index.sqlite")) as other, index._database.transaction():
         with pytest.raises(InputError, match="locked; the run folders are not affected"):
-            other.refresh(rebuild=True, jobs=1)
+            other.refresh(rebuild=True, workers=ALONE)
         assert other.count() == 6

@@ -18,6 +18,7 @@ import pytest
 
 import planrunner.night.history.index as index_module
 from planrunner.base.findings import InputError
+from planrunner.base.workers import ALONE
 from planrunner.cli import main
 from planrunner.night.history.index import Index
 from planrunner.night.history.reading import read_run
@@ -138,7 +139,7 @@ def test_both_databases_have_the_same_content(url: str, archive: Path, tmp_path:
     (archive / "0003-calibration" / "plan.yaml").write_text("changed")
     with Index.open(archive, url) as there, Index.open(archive, str(tmp_path / "here")) as here:
         for index in (there, here):
-            assert len(index.refresh(jobs=1).faults) == 1
+            assert len(index.refresh(workers=ALONE).faults) == 1
         assert content(there) == content(here)
         for wanted in (RunFilter(device="d*"), RunFilter(verdict="fail"), RunFilter(since="2024-01-03", limit=2)):
             assert there.runs(wanted) == here.runs(wanted)
@@ -147,23 +148,23 @@ def test_both_databases_have_the_same_content(url: str, archive: Path, tmp_path:
         add_results(archive / "0001-calibration", MadeRun(values={"bias": (9.0, 0.1)}))
         shutil.rmtree(archive / "0000-calibration")
         for index in (there, here):
-            index.refresh(jobs=1)
+            index.refresh(workers=ALONE)
         assert content(there) == content(here) and there.count() == RUNS - 2
 
 
 @pytest.mark.slow
 def test_rebuilt_by_several_processes_while_runs_are_written(url: str, archive: Path, tmp_path: Path) -> None:
     with Index.open(archive, url) as index:
-        index.refresh(jobs=1)
+        index.refresh(workers=ALONE)
         processes = rebuilders(archive, url, 2, 2)
         for number in range(RUNS, RUNS + 2):
             make_run(archive, MadeRun(device="D9"), number)
-            index.refresh(jobs=1)
+            index.refresh(workers=ALONE)
             assert index.count(RunFilter(device="D0")) == RUNS / 2
         end_of(processes)
-        index.refresh(jobs=1)
+        index.refresh(workers=ALONE)
         with Index.open(archive, str(tmp_path / "here")) as here:
-            here.refresh(jobs=1)
+            here.refresh(workers=ALONE)
             assert content(index) == content(here) and index.count() == RUNS + 2
 
 
@@ -192,7 +193,7 @@ def test_a_server_that_stops_in_the_middle(
             with pytest.raises(
                 InputError, match=r"index cannot be used: .*; the run folders are not affected"
             ) as raised:
-                index.refresh(jobs=1)
+                index.refresh(workers=ALONE)
             assert [finding.code for finding in raised.value.findings] == ["index-unavailable"]
         assert main(["runs", str(archive), "--index", url.replace("lab@", "lab:secret@")]) == 2
         said = capsys.readouterr()
@@ -203,8 +204,8 @@ def test_a_server_that_stops_in_the_middle(
         server.start()
     with Index.open(archive, url) as index:
         assert index.count() == 3
-        assert index.refresh(jobs=1).read == RUNS - 3
+        assert index.refresh(workers=ALONE).read == RUNS - 3
         with Index.open(archive, str(tmp_path / "here")) as here:
-            here.refresh(jobs=1)
+            here.refresh(workers=ALONE)
             assert content(index) == content(here)
     assert before == {path: path.read_bytes() for path in sorted(archive.rglob("*")) if path.is_file()}
