@@ -1,4 +1,10 @@
-"""Reading a run folder: plan and bench, valid segments, their one-pass statistics, and their samples in blocks."""
+"""Reading a run folder: plan and bench, valid segments, their one-pass statistics, and their samples in blocks.
+
+Reading one file ahead: while the samples of a file are being used, the next file is read and its digest is checked in another thread.
+
+Reading and hashing release the interpreter's lock, so both happen at the same time. No more than one file waits, so that memory does not
+grow with the recording.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +13,11 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
+from typing import TypeVar
 
 from planrunner.archive.analyses import Basis, StoredAnalysis, add_analysis
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal_state import Acknowledged, JournalState, Rejected
-from planrunner.archive.reading_ahead import ahead
 from planrunner.archive.reading_progress import RowsRead
 from planrunner.archive.recording import RecordedSegment, WatcherOf
 from planrunner.archive.segment_file import SegmentData
@@ -214,3 +220,20 @@ def _blocks(parts: Iterator[SegmentData], channels: Sequence[str] | None) -> Ite
                 last = float(block.time[-1])
             yield block
         del data  # before the next part is taken
+
+
+T = TypeVar("T")
+
+
+def ahead(items: Iterator[T]) -> Iterator[T]:
+    """The same items in the same order; each is made while the one before it is used. An exception in `items` is raised where its item
+    would be."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    end = object()
+    with ThreadPoolExecutor(1, "reading ahead") as reader:
+        following = reader.submit(next, items, end)
+        while (item := following.result()) is not end:
+            following = reader.submit(next, items, end)
+            yield item  # type: ignore[misc]  # it is not the end
+            item = None

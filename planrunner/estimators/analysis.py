@@ -1,18 +1,21 @@
 """Computes the results of a recording: every estimate of a plan in the order that `uses` requires, then the limits.
 
 A failure of one estimate is kept as a message; the others are still made.
+
+Each estimate gets warnings about its samples: missing samples, and counts that are too coarse for the noise, so that rounding errors do not
+average out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 from planrunner.archive.reading_progress import announced
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.findings import InputError
 from planrunner.base.progress import Announce
-from planrunner.estimators.coarse_counts import coarse_counts
+from planrunner.base.said import Said, said
 from planrunner.estimators.foresight import detection_of, patterns_of
 from planrunner.estimators.interface import (
     Estimate,
@@ -23,12 +26,12 @@ from planrunner.estimators.interface import (
     estimator_of,
 )
 from planrunner.estimators.limits import LimitVerdict, hold
-from planrunner.estimators.lost_samples import lost_samples
 from planrunner.estimators.monte_carlo_validation import Chains, linear_chain, validated
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.estimators.screened_estimate import estimated
 from planrunner.instruments.models import SensorModel
-from planrunner.observation.screening import screened
+from planrunner.observation.observations import dithered
+from planrunner.observation.screening import screened, varies
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
 from planrunner.plan.meaning import channels_of
@@ -171,3 +174,79 @@ def combined(estimate: Estimate) -> Estimate:
         data_covariance=estimate.covariance,
         budgets=sums.budgets,
     )
+
+
+def coarse_counts(
+    segments: Sequence[RecordedSegment], channels: Collection[str], sensor: SensorModel
+) -> tuple[Said, ...]:
+    """A warning for each of these channels (by default each output of the sensor) whose noise does not dither the counts in some segment.
+
+    Equal inputs then have equal rounding errors, so neither the noise within the segments nor the scatter of repeats shows them.
+    """
+    found = []
+    for output in sensor.outputs:
+        if not output.noise.resolution or not varies(output) or (channels and output.name not in channels):
+            continue
+        coarse = [one.label for one in segments if _coarse(one, output.name, sensor)]
+        if coarse:
+            found.append(
+                said(
+                    "{output}: the noise in '{segment}' is too small for counts of {resolution:.4g} {unit}, so rounding errors do "
+                    "not average out. They are the same whenever the sensor senses the same input: repeats do not reduce them, "
+                    "and scatter may not show them. The uncertainties may be too small, and noise coefficients "
+                    "describe the rounding instead of the noise. Record with a finer resolution.",
+                    output=output.name,
+                    segment=coarse[0],
+                    resolution=output.noise.resolution,
+                    unit=output.unit,
+                )
+            )
+    return tuple(found)
+
+
+def _coarse(recorded: RecordedSegment, channel: str, sensor: SensorModel) -> bool:
+    statistics = recorded.statistics
+    if channel not in statistics.channels or statistics.count < 2:
+        return False
+    place = statistics.of(channel)
+    return not dithered(sensor, channel, float(statistics.covariance[place, place]))
+
+
+GAP_INTERVALS = 5.5
+"""Number of sample intervals from which a gap is reported; shorter gaps are jitter or single samples."""
+NAMED = 3
+
+
+def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tuple[Said, ...]:
+    """One sentence about the samples left out of the segments, and another about the gaps in the segments. sample_rate: Hz, for
+    segments without their own."""
+    left_out, gaps = [], []
+    for recorded in segments:
+        statistics = recorded.statistics
+        rate = recorded.segment.sample_rate or sample_rate
+        if statistics.rejected:
+            rows = statistics.count + statistics.rejected
+            left_out.append(f"'{recorded.label}' {statistics.rejected}/{rows}")
+        if statistics.largest_gap * rate > GAP_INTERVALS:
+            gaps.append(f"'{recorded.label}' {statistics.largest_gap:.3g} s")
+    found = []
+    if left_out:
+        found.append(
+            said(
+                "Samples that are missing or not a number were left out: {places}. Check the recording.",
+                places=_named(left_out),
+            )
+        )
+    if gaps:
+        found.append(
+            said(
+                "Samples are missing; the longest gaps: {places}. Check the recording.",
+                places=_named(gaps),
+            )
+        )
+    return tuple(found)
+
+
+def _named(places: Sequence[str]) -> tuple[str, ...]:
+    more = [f"… (+{len(places) - NAMED})"] if len(places) > NAMED else []
+    return (*places[:NAMED], *more)

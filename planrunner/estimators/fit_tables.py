@@ -1,4 +1,4 @@
-"""Tables for a fit of several outputs: means and residuals by segment, uncertainties on either basis."""
+"""Tables and the plot for a fit of several outputs: means and residuals by segment, uncertainties on either basis."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planrunner.estimators.derived import Derived
-from planrunner.estimators.interface import Cell, Role, Table, TableColumn
+from planrunner.estimators.interface import Cell, Plot, Role, Table, TableColumn
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
 from planrunner.observation.observations import Observations
 from planrunner.uncertainty.decision import expanded_uncertainty
@@ -94,3 +94,23 @@ def bases_table(found: Derived, chosen: str, count: int | None = None) -> Table:
             row += [u, dof, expanded_uncertainty(u, dof)]
         rows.append(tuple(row))
     return Table("Uncertainties from the data, on each basis", tuple(columns), tuple(rows))
+
+
+def residual_plot(
+    observations: Observations,
+    fit: OutputsFit,
+    title: str = "Residuals per position",
+    x_title: str = "position",
+    x: tuple[float | str, ...] = (),
+) -> Plot:
+    """One series per output, in the unit of the first output, over the labels of the segments unless `x` is given."""
+    n = len(observations.labels)
+    series = {
+        name: tuple(map(float, one.residuals[:n])) for name, one in zip(observations.channels, fit.fits, strict=True)
+    }
+    spreads = {
+        name: tuple(map(float, noise.sigma[:n]))
+        for name, noise in zip(observations.channels, fit.noises, strict=True)
+        if noise.known
+    }
+    return Plot(title, x_title, f"residual [{observations.units[0]}]", x or observations.labels, series, spreads)

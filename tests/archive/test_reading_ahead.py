@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from planrunner.archive.reading_ahead import ahead
+from planrunner.archive.run_reader import ahead
 
 
 def counted(made: list[int], count: int = 5) -> Iterator[int]:

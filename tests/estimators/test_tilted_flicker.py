@@ -17,7 +17,7 @@ from planrunner.estimators.method import designed
 from planrunner.estimators.tilted.evaluation import Group
 from planrunner.estimators.tilted.parameters import ScaleFactorTiltedParameters
 from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted
-from planrunner.estimators.tilted.zero_drift import half_drift, moved_alike, moved_further
+from planrunner.estimators.tilted.scatter import half_drift, moved_alike, moved_further
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.uncertainty.influences import BudgetLine, InputQuantity, Inputs
 

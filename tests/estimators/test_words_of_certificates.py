@@ -40,14 +40,12 @@ from planrunner.estimators.accelerometer import by_magnitude as accelerometer_by
 from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
 from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.allan import allan_deviation
-from planrunner.estimators.coarse_counts import coarse_counts
+from planrunner.estimators.analysis import coarse_counts, lost_samples
 from planrunner.estimators.declared_axes import AxisResponse, against_nominal, contradictions
-from planrunner.estimators.flexure_gyro.tables import descriptions
+from planrunner.estimators.flexure_gyro.flexure_gyro_static import descriptions
 from planrunner.estimators.imu.coefficients import Response, calibration
 from planrunner.estimators.interface import Estimate, EstimateRequest, Setup
-from planrunner.estimators.lost_samples import lost_samples
-from planrunner.estimators.rocking.plausibility import implausible
-from planrunner.estimators.rocking.statistics import StateDrifts
+from planrunner.estimators.rocking.statistics import StateDrifts, implausible
 from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation
 from planrunner.instruments.models import NoiseModel
 from planrunner.plan.units import unit

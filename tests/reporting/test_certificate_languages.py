@@ -22,7 +22,7 @@ from test_report_page import read
 
 from planrunner.base.said import Said, counted, said
 from planrunner.error_model.flexure_gyro import output_names, physical_names
-from planrunner.estimators.flexure_gyro.tables import descriptions
+from planrunner.estimators.flexure_gyro.flexure_gyro_static import descriptions
 from planrunner.reporting import language as catalogues
 from planrunner.reporting.certificate_names import of_estimator, of_reference, of_room
 from planrunner.reporting.language import filled, languages, spoken, translations

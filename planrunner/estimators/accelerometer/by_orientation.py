@@ -20,7 +20,7 @@ from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.declared_axes import AxisResponse, contradictions
 from planrunner.estimators.derived import Reported, derived
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
-from planrunner.estimators.fit_tables import drift_tables
+from planrunner.estimators.fit_tables import drift_tables, residual_plot
 from planrunner.estimators.interface import (
     Cell,
     EstimateRequest,
@@ -33,7 +33,6 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.method import Quantities, Words
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.estimators.planned import matrix_at_rest
-from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.triad import RowFormula, scale_and_misalignments
 from planrunner.observation.correlated_errors import functionals_of

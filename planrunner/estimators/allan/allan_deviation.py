@@ -24,9 +24,14 @@ from planrunner.estimators.allan.planning import (
     require_averaging_times,
     takes_part,
 )
-from planrunner.estimators.allan.scale import ScaleFactorKind, SensedBy, sensed_by
+from planrunner.estimators.allan.scale import (
+    ScaleFactorKind,
+    SensedBy,
+    coefficient_units,
+    sensed_by,
+    squares_to_coefficients,
+)
 from planrunner.estimators.allan.table import KINDS, Deviation, deviations, octave_factors
-from planrunner.estimators.allan.units import coefficient_units, squares_to_coefficients
 from planrunner.estimators.interface import (
     Coefficient,
     CoefficientRole,

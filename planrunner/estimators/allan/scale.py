@@ -2,6 +2,8 @@
 
 The scale factor is a quantity in the plan, such as `0.2012 (deg/h)/(pulse/s)`, or a coefficient of an estimate in `uses`, such as
 `drift.SF_Y`. Its unit decides whether it is sensed quantity per output or output per sensed quantity.
+
+The units in which the field states its noise coefficients: deg/√h and deg/h for rates, m/s/√h and µg for accelerations.
 """
 
 from __future__ import annotations
@@ -12,12 +14,11 @@ from collections.abc import Mapping
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, closest
-from planrunner.estimators.allan.units import named_units
 from planrunner.estimators.interface import Coefficient, Design, Estimate, EstimationError
 from planrunner.plan import source
 from planrunner.plan.kinds import QuantityOf, Schema
 from planrunner.plan.quantity import Quantity
-from planrunner.plan.units import Unit, UnknownUnitError, unit
+from planrunner.plan.units import DIMENSIONS, Dimension, Unit, UnknownUnitError, unit
 from planrunner.uncertainty.influences import InputQuantity
 
 _COEFFICIENT = r"[A-Za-z][A-Za-z0-9_-]{0,39}\.[A-Za-z][^ \x00-\x1f]{0,59}"
@@ -115,3 +116,37 @@ def _unit(text: str) -> Unit:
         return unit(text)
     except UnknownUnitError as error:
         raise EstimationError(str(error)) from None
+
+
+_NAMED = {
+    DIMENSIONS["angular rate"]: {"Q": "arcsec", "N": "deg/sqrt(h)", "B": "deg/h", "K": "deg/h/sqrt(h)"},
+    DIMENSIONS["acceleration"]: {"Q": "m/s", "N": "m/s/sqrt(h)", "B": "ug", "K": "ug/sqrt(h)"},
+}
+_OTHERWISE = {"Q": "{}*s", "N": "{}*sqrt(s)", "B": "{}", "K": "{}/sqrt(s)"}
+_PULSES = {"Q": "pulse", "N": "pulse/sqrt(s)", "B": "pulse/s", "K": "pulse/s/sqrt(s)"}
+
+
+def named_units(dimension: Dimension) -> Mapping[str, str] | None:
+    """Maps Q, N, B and K to the field's units for a rate or an acceleration; None for any other quantity."""
+    return _NAMED.get(dimension)
+
+
+def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
+    """For each of Q, N, B and K, the text of its unit and the factor to it from the output's unit times s, √s, 1 and 1/√s. Raises
+    `EstimationError`."""
+    try:
+        own = unit(output)
+    except UnknownUnitError as error:
+        raise EstimationError(str(error)) from None
+    named = _PULSES if output == "pulse/s" else named_units(own.dimension)
+    if named is None:
+        whole = output if output.isalpha() else f"({output})"
+        texts = {name: text.format(output if name == "B" else whole) for name, text in _OTHERWISE.items()}
+        return {name: (text, 1.0) for name, text in texts.items()}
+    return {name: (text, own.factor / unit(text).factor) for name, text in named.items()}
+
+
+def squares_to_coefficients(interval: float) -> dict[str, float]:
+    """For each of Q, N, B and K, the factor from the square root of Q²/τ0², N²/τ0, B² or K²·τ0 to the coefficient. interval: τ0 [s]."""
+    root = math.sqrt(interval)
+    return {"Q": interval, "N": root, "B": 1.0, "K": 1 / root}

@@ -40,7 +40,7 @@ from planrunner.estimators.error_model.sampled_outputs import SampledOutputs
 from planrunner.estimators.error_model.shapes import shaped_part, with_shapes
 from planrunner.estimators.error_model.within import Contrasts
 from planrunner.estimators.expected import ASSUMPTIONS, Known, expected_recording
-from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_table
+from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_plot, residual_table
 from planrunner.estimators.full_scale import beyond_full_scale, shares_along
 from planrunner.estimators.interface import (
     Design,
@@ -58,7 +58,6 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.method import Method, Quantities, Words, by_expectation
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
 from planrunner.estimators.planned import planned_blocks
-from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_errors import site_errors, table_errors
 from planrunner.observation.correlated_errors import CorrelatedError, functionals_of

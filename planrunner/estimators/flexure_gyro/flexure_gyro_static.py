@@ -9,7 +9,9 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, said
 from planrunner.error_model import flexure_gyro
+from planrunner.error_model.flexure_gyro import drifts, output_names
 from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
@@ -18,8 +20,7 @@ from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.drift_order import planned_drift
 from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
-from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_table
-from planrunner.estimators.flexure_gyro import tables
+from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_plot, residual_table
 from planrunner.estimators.interface import (
     Design,
     DesignRequest,
@@ -30,7 +31,6 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
 from planrunner.estimators.planned import matrix_at_rest
-from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.observation.correlated_errors import functionals_of
 from planrunner.observation.drift import drift, thermometer
@@ -107,8 +107,8 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
             *planned_basis(request, blocks, parameters.uncertainty),
             *planned_drift(request, blocks),
         )
-        information, note = tables.information(design)
-        return Design(blocks, notes=(note,), extra=information, remarks=remarks)
+        known, note = information(design)
+        return Design(blocks, notes=(note,), extra=known, remarks=remarks)
 
     def known(self, request: DesignRequest[FlexureGyroStaticParameters]) -> Known:
         """The declared U and V of the sensor; for a sensor without declaration, those of a gyro without drift."""
@@ -159,7 +159,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
             for one in found.coefficients
             if one.name in flexure_gyro.SCALE_FACTORS and (nominal := request.sensor.nominal.get(one.name))
         )
-        notes.append(tables.information(found.design)[1])
+        notes.append(information(found.design)[1])
         return Words(
             headline=flexure_gyro.physical_names(request.parameters.terms),
             settings={
@@ -231,8 +231,7 @@ def reported(
     names_u, names_v = flexure_gyro.output_names(products)
     names = (*flexure_gyro.physical_names(products), *names_u, *names_v)
     quantities = tuple(
-        Reported(name, text, words)
-        for name, (text, _), words in zip(names, shown, tables.descriptions(products), strict=True)
+        Reported(name, text, words) for name, (text, _), words in zip(names, shown, descriptions(products), strict=True)
     )
     factors = np.array([factor for _, factor in shown])
     factors.flags.writeable = False
@@ -280,3 +279,63 @@ def _extra(
         "bias_instability": [flicker.get(Aspect.BIAS_INSTABILITY.of(name), 0.0) for name in parameters.outputs],
         "drift_span": parameters.drift_span.value,
     }
+
+
+_GEOMETRY = (
+    said("Torquer scale factor, {axis}", axis="x"),
+    said("Torquer scale factor, {axis}", axis="y"),
+    said("Angle of the torquer's x axis to the case's x axis, ε"),
+    said("Angle of the torquer's y axis to the case's y axis, ξ"),
+)
+
+
+def descriptions(products: tuple[str, ...] = ()) -> tuple[Said, ...]:
+    """Descriptions, in the order of `flexure_gyro.physical_names` and then of `flexure_gyro.output_names`."""
+    of_drifts = (_drift(axis, rate, kind) for axis, rate in (("X", "Y"), ("Y", "X")) for kind in drifts(products))
+    of_outputs = (
+        said("Coefficient {term} in the model of the torquer current i_{axis}", term=number, axis=axis)
+        for axis, names in zip("xy", output_names(products), strict=True)
+        for number in range(len(names))
+    )
+    return (*_GEOMETRY, *of_drifts, *of_outputs)
+
+
+def _drift(axis: str, rate: str, kind: str) -> Said:
+    """Description of a drift coefficient. kind: `F`, or the axes of the accelerations."""
+    if kind == "F":
+        return said(
+            "Part of the drift D({drift}) that is independent of acceleration; D({drift}) adds to the rate ω_{rate}",
+            drift=axis,
+            rate=rate,
+        )
+    first, *second = tuple(kind.lower())
+    if second:
+        return said(
+            "Part of the drift D({drift}) that is proportional to the product of the accelerations along {first} and {second}; "
+            "D({drift}) adds to the rate ω_{rate}",
+            drift=axis,
+            first=first,
+            second=second[0],
+            rate=rate,
+        )
+    return said(
+        "Part of the drift D({drift}) that is proportional to the acceleration along {axis}; D({drift}) adds to the rate ω_{rate}",
+        drift=axis,
+        axis=first,
+        rate=rate,
+    )
+
+
+def information(design: PositionsDesign) -> tuple[dict[str, object], Said]:
+    """The values `determinant` and `condition` for comparing sets of positions, with rates in Earth-rate units and accelerations in g;
+    and the same values in words."""
+    sight = rank.look(design.matrix / design.magnitudes)
+    determinant, condition = sight.determinant, sight.condition
+    note = said(
+        "Information matrix of the {positions} positions (rates in units of the Earth rate, accelerations in g): "
+        "determinant {determinant:.6g}; condition number of the design matrix {condition:.3g}.",
+        positions=len(design.matrix),
+        determinant=determinant,
+        condition=condition,
+    )
+    return {"determinant": determinant, "condition": condition}, note

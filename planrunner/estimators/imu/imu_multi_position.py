@@ -3,6 +3,8 @@
 Each output is fitted by a linear model of named terms at the mean stimulus of every segment, the Earth's rotation included (IEEE Std 1431,
 IEEE Std 1293; Titterton and Weston, Strapdown Inertial Navigation Technology, chapter 8). Gyros use all segments. Accelerometers use only
 segments at rest, because away from the rotation axis they sense the centripetal acceleration of a spin.
+
+Tables give the matrices and their inverses, and how to apply them.
 """
 
 from __future__ import annotations
@@ -22,10 +24,10 @@ from planrunner.estimators.derived import Derived, derived
 from planrunner.estimators.drift_order import planned_drift
 from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
-from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_table
-from planrunner.estimators.imu import tables
-from planrunner.estimators.imu.coefficients import Framed, Response, calibration
+from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_plot, residual_table
+from planrunner.estimators.imu.coefficients import AXES, Framed, Response, calibration
 from planrunner.estimators.interface import (
+    Cell,
     Coefficient,
     Design,
     DesignBlock,
@@ -33,10 +35,12 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     Remark,
+    Role,
+    Table,
+    TableColumn,
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
-from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.stated_errors import mean_poses
 from planrunner.observation.drift import drift, thermometer
 from planrunner.observation.flicker import drift_span
@@ -171,7 +175,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         parameters = request.parameters
         basis = parameters.uncertainty
         triads, frame, found = made.triads, made.frame, made.found
-        notes: list[Said] = [tables.formula(frame)]
+        notes: list[Said] = [formula(frame)]
         warnings: list[Said] = []
         for one in triads:
             judged = judge(one.fit, basis)
@@ -192,7 +196,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
                 "weights": {one.kind: [noise.weighting for noise in one.fit.noises] for one in triads},
             },
             tables=(
-                *(table for one in frame.responses for table in tables.matrices(one)),
+                *(table for one in frame.responses for table in matrices(one)),
                 *(
                     residual_table(f"Residuals of the {one.kind} triad", "segment", one.observations, one.fit)
                     for one in triads
@@ -343,7 +347,7 @@ def _held(planned: set[float | None]) -> float | None:
 
 
 def _inverse(one: Response) -> Array | None:
-    return tables.inverse_matrix(one) if len(one.sensed) == 3 else None
+    return inverse_matrix(one) if len(one.sensed) == 3 else None
 
 
 def by_temperature(found: Sequence[Coefficient], celsius: float, time: float) -> Mapping[str, object]:
@@ -358,3 +362,71 @@ def by_temperature(found: Sequence[Coefficient], celsius: float, time: float) ->
         }
         for one in found
     }
+
+
+_WORDS = {"gyro": ("ω", "deg/s"), "accel": ("f", "g")}
+
+
+def formula(frame: Framed) -> Said:
+    """Explains how to apply the coefficients."""
+    known = {one.kind for one in frame.responses}
+    formulas = {
+        "gyro": said("gyros: ω = (S·M)⁻¹·(output − b − G·f)"),
+        "accel": said("accelerometers: f = (S·M)⁻¹·(output − b)"),
+    }
+    frames = {
+        "gyro": said("in the gyro triad's own frame"),
+        "accel": said("in the accel triad's own frame"),
+        "": said("in the axes of the planned orientations"),
+    }
+    first, *others = (formula for kind, formula in formulas.items() if kind in known)
+    if not others:
+        return said("To calibrate an output, {frame}: {formula}.", frame=frames[frame.reference], formula=first)
+    return said(
+        "To calibrate an output, {frame}: {first}; {second}.",
+        frame=frames[frame.reference],
+        first=first,
+        second=others[0],
+    )
+
+
+def matrices(one: Response) -> tuple[Table, ...]:
+    """Tables of S·M with b (and G), and of the inverse if all three axes were excited."""
+    sensed = one.sensed
+    if len(sensed) < 3:
+        return ()
+    letter, per = _WORDS[one.kind]
+    forces = one.places("accel") if one.kind == "gyro" else {}
+    bias = "bias" in one.model.names
+    columns = [TableColumn("output"), TableColumn("unit")]
+    columns += [TableColumn(f"{letter}_{axis}", Role.VALUE, f"per {per}") for axis in AXES]
+    columns += [TableColumn("b", Role.VALUE)] if bias else []
+    columns += [TableColumn(f"G {AXES[k]}", Role.VALUE, "per g") for k in forces]
+    rows = []
+    for axis in range(3):
+        row: list[Cell] = [AXES[axis], one.units[axis].text]
+        row += [float(one.values[axis, sensed[k]] * unit(per).factor) for k in range(3)]
+        row += [float(one.values[axis, one.model.names.index("bias")])] if bias else []
+        row += [float(one.values[axis, place] * unit("g").factor) for place in forces.values()]
+        rows.append(tuple(row))
+    found = [Table(f"Matrix S·M of the {one.kind} triad", tuple(columns), tuple(rows))]
+    if (inverse := inverse_matrix(one)) is not None:
+        units = [own.text for own in one.units]
+        outputs = (
+            TableColumn(f"output {axis}", Role.VALUE, f"{per} per {text}")
+            for axis, text in zip(AXES, units, strict=True)
+        )
+        cells: tuple[tuple[Cell, ...], ...] = tuple(
+            (axis, *map(float, row)) for axis, row in zip(AXES, inverse, strict=True)
+        )
+        found.append(Table(f"Inverse (S·M)⁻¹ of the {one.kind} triad", (TableColumn(letter), *outputs), cells))
+    return tuple(found)
+
+
+def inverse_matrix(one: Response) -> Array | None:
+    """The matrix (S·M)⁻¹, (3, 3), in deg/s or g per recorded unit; None if the input axes of the outputs are linearly dependent."""
+    matrix = one.values[:, [one.sensed[k] for k in range(3)]] * unit(_WORDS[one.kind][1]).factor
+    lengths = np.linalg.norm(matrix, axis=1, keepdims=True)
+    if (lengths == 0).any() or np.linalg.cond(matrix / lengths) > 1e6:
+        return None
+    return np.asarray(np.linalg.inv(matrix))

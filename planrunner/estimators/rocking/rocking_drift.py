@@ -38,7 +38,6 @@ from planrunner.estimators.rocking.influences import (
     influences_of,
 )
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
-from planrunner.estimators.rocking.plausibility import implausible
 from planrunner.estimators.rocking.report import (
     before_rocking_table,
     comparison,
@@ -51,7 +50,16 @@ from planrunner.estimators.rocking.report import (
 )
 from planrunner.estimators.rocking.runs import Quadruple, Run, by_state, find_runs, quadruples
 from planrunner.estimators.rocking.solution import ReducedRun, expected_run, reduce_run
-from planrunner.estimators.rocking.statistics import AXES, WEIGHTS, CombinedDrifts, Pairings, StateDrifts, combine, pair
+from planrunner.estimators.rocking.statistics import (
+    AXES,
+    WEIGHTS,
+    CombinedDrifts,
+    Pairings,
+    StateDrifts,
+    combine,
+    implausible,
+    pair,
+)
 from planrunner.estimators.rocking.windows import Windows
 from planrunner.plan.schedule import Rock
 

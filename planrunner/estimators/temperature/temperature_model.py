@@ -35,8 +35,7 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.method import Method, Quantities, Words, by_expectation
 from planrunner.estimators.temperature.branches import Difference, difference_of
 from planrunner.estimators.temperature.curve import CurveFit, OverTemperature, curve, fit_curve, groups_of
-from planrunner.estimators.temperature.parameters import TemperatureModelParameters
-from planrunner.estimators.temperature.planning import remarks
+from planrunner.estimators.temperature.parameters import TemperatureModelParameters, remarks
 from planrunner.estimators.temperature.points import Points, from_channels, from_estimates, given_by_temperature
 from planrunner.observation.drift import NONE, ORDERS, DriftCourse, in_time
 from planrunner.plan.units import ZERO_CELSIUS

@@ -21,7 +21,7 @@ from planrunner.base.said import Said, said
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.drift_order import planned_drift
-from planrunner.estimators.fit_tables import drift_tables
+from planrunner.estimators.fit_tables import drift_tables, residual_plot
 from planrunner.estimators.interface import (
     Cell,
     Coefficient,
@@ -38,8 +38,6 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
 from planrunner.estimators.planned import planned_blocks
-from planrunner.estimators.residual_plot import residual_plot
-from planrunner.estimators.slope_units import rate_and_output, slope_unit
 from planrunner.estimators.tilted.fixture_gains import (
     FITTED,
     STATED,
@@ -51,6 +49,7 @@ from planrunner.estimators.tilted.fixture_gains import (
     stated_conditions,
 )
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes
+from planrunner.estimators.tilted.rate_lines import rate_and_output, slope_unit
 from planrunner.estimators.tilted.turning_rates import recorded_seconds
 from planrunner.observation.drift import drift, drift_of, thermometer
 from planrunner.observation.flicker import SPAN, flicker_errors, unstated_flicker

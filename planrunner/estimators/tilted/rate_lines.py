@@ -1,6 +1,8 @@
 """Straight lines through series of rates, many at once: F_j = K·x_j + F_0 + ν_j by ordinary least squares.
 
 Also the two half-lines that meet at zero rate, for asymmetry, and the change of output between the lowest rates.
+
+Units of a scale factor: an output over a rate.
 """
 
 from __future__ import annotations
@@ -9,6 +11,8 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
+from planrunner.estimators.interface import EstimationError
+from planrunner.plan.units import Unit, UnknownUnitError, unit
 
 ENOUGH = 3  # different rates that asymmetry needs beside both signs
 TOLERANCE = 1e-12  # of the condition of normal equations, beyond which rounding takes over
@@ -74,3 +78,24 @@ def _asymmetry(x: Array, f: Array) -> Array:
 def asymmetry(forward: Array, backward: Array) -> Array:
     """The asymmetry 2·(K₊ − K₋)/(K₊ + K₋)."""
     return 2 * (forward - backward) / (forward + backward)
+
+
+def rate_and_output(rate_unit: str, output_unit: str) -> tuple[Unit, Unit]:
+    """The units of the rate and of the output. Raises `EstimationError` for texts that are not units, and for a `rate_unit` that is not
+    a unit of angular rate."""
+    try:
+        rate, own = unit(rate_unit), unit(output_unit)
+    except UnknownUnitError as error:
+        raise EstimationError(str(error)) from None
+    if rate.dimension != unit("rad/s").dimension:
+        raise EstimationError(
+            f"rate_unit is '{rate_unit}', which is not a unit of angular rate; write for example 'deg/s'"
+        )
+    return rate, own
+
+
+def slope_unit(rate: Unit, own: Unit) -> tuple[str, float]:
+    """The unit of K, and the factor to it from (output unit)/(rad/s). For an output that is itself a rate, K is a plain ratio."""
+    if own.dimension == rate.dimension:
+        return "1", own.factor
+    return f"({own.text})/({rate.text})", rate.factor

@@ -11,12 +11,11 @@ from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
 from planrunner.estimators.interface import Cell, Plot, Role, Table, TableColumn
 from planrunner.estimators.method import Words
-from planrunner.estimators.slope_units import slope_unit
 from planrunner.estimators.tilted.evaluation import ASYMMETRY, F0, NONLINEARITY, RESPONSE, Group, K
 from planrunner.estimators.tilted.influences import Situation
 from planrunner.estimators.tilted.mounting_comparison import comparison_table, scheduled_seconds, time_note
 from planrunner.estimators.tilted.parameters import ScaleFactorTiltedParameters
-from planrunner.estimators.tilted.rate_lines import lowest_pair
+from planrunner.estimators.tilted.rate_lines import lowest_pair, slope_unit
 from planrunner.estimators.tilted.scatter import NoiseOfMeans, Scatter
 from planrunner.estimators.tilted.turning_rates import part_turns
 from planrunner.plan.schedule import Spin

@@ -14,9 +14,9 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.estimators.interface import Coefficient, CoefficientRole
-from planrunner.estimators.slope_units import slope_unit
 from planrunner.estimators.tilted.evaluation import QUANTITIES, Group, TiltedResults
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
+from planrunner.estimators.tilted.rate_lines import slope_unit
 from planrunner.plan.units import ZERO_CELSIUS, Unit
 from planrunner.uncertainty.influences import Influence
 

@@ -28,7 +28,6 @@ from planrunner.estimators.interface import (
     UnfitDataError,
 )
 from planrunner.estimators.method import Method, Quantities, Words
-from planrunner.estimators.slope_units import rate_and_output
 from planrunner.estimators.stated_errors import common_rate
 from planrunner.estimators.tilted import planning as tilted_planning
 from planrunner.estimators.tilted.evaluation import (
@@ -44,6 +43,7 @@ from planrunner.estimators.tilted.fixture_calibration import calibrated_axes
 from planrunner.estimators.tilted.influences import Rounding, Situation, influences
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes, rotation_axis, seeing
 from planrunner.estimators.tilted.parameters import THERMOMETER, ScaleFactorTiltedParameters
+from planrunner.estimators.tilted.rate_lines import rate_and_output
 from planrunner.estimators.tilted.rate_series import RateSeries, by_temperature, split_series, temperature_label
 from planrunner.estimators.tilted.report import report
 from planrunner.estimators.tilted.results import (
@@ -59,6 +59,9 @@ from planrunner.estimators.tilted.scatter import (
     NoiseOfMeans,
     Scatter,
     gradient_of,
+    half_drift,
+    moved_alike,
+    moved_further,
     noise_of_means,
     scatter_between_repeats,
     scatter_of_means,
@@ -66,7 +69,6 @@ from planrunner.estimators.tilted.scatter import (
     with_expected_repeatability,
 )
 from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates, part_turns, recorded_seconds
-from planrunner.estimators.tilted.zero_drift import half_drift, moved_alike, moved_further
 from planrunner.observation.correlated_errors import CorrelatedError, explained
 from planrunner.observation.flicker import SPAN, flicker_errors
 from planrunner.observation.observations import Observations, dithered, observe, within_segment_noise

@@ -1,14 +1,14 @@
 """The virtual inertial sensor: gyros and accelerometers that integrate their input, on the table of the virtual world.
 
 A sample is the mean over its sampling interval, and its time is the interval's end. The error model is that of `inertial_axis.py`, and
-shares no formula with the estimators.
-"""
+shares no formula with the estimators."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,14 +20,18 @@ from planrunner.instruments.interfaces import Block, InstrumentError, Surroundin
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.virtual.added import Gives, Moments
 from planrunner.instruments.virtual.averages import interval_means
+from planrunner.instruments.virtual.courses import Rocking, Spinning
 from planrunner.instruments.virtual.imu_keys import VirtualImuParameters
 from planrunner.instruments.virtual.inertial_axis import InertialAxis, axes_of
 from planrunner.instruments.virtual.noise import Flicker, PulseCounter, RandomWalk, Readout, generator
 from planrunner.instruments.virtual.streaming import Sampling
-from planrunner.instruments.virtual.table_angle import mean_angle, turned
 from planrunner.instruments.virtual.world import Components, World
-from planrunner.plan.schedule import Segment
+from planrunner.physics.table_motion import about_one_axis
+from planrunner.plan.schedule import Rock, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS, unit
+
+if TYPE_CHECKING:
+    from planrunner.instruments.virtual.world import World
 
 THERMOMETER = "sensor_temperature"
 VOLTMETER = "supply_voltage"
@@ -319,3 +323,30 @@ def _monitors(parameters: VirtualImuParameters) -> list[OutputModel]:
     if parameters.barometer_noise is not None:
         found.append(OutputModel(BAROMETER, "hPa", noise=NoiseModel(parameters.barometer_noise.value / 100 / root)))
     return found
+
+
+def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
+    """Angle [rad] and rate [rad/s] of the table about the axis of the segment's motion, since the orientation was reached, (n,) each.
+
+    Rocking is included if only the outermost axis rocks.
+    """
+    course, motion = world.course, segment.motion
+    if isinstance(motion, Spin) and isinstance(course, Spinning):
+        joint, sense = course.joint, math.copysign(1.0, motion.rate) * math.copysign(1.0, course.rate)
+    elif isinstance(motion, Rock) and isinstance(course, Rocking):
+        joint, sense = 0, 1.0
+        if not about_one_axis(motion):
+            raise InstrumentError(f"'{segment.label}' rocks several rings, so there is no table angle about one axis")
+    else:
+        return np.zeros(len(times)), np.zeros(len(times))
+    angle, rate = (np.broadcast_to(value, times.shape) for value in course.follow(times)[joint])
+    return sense * (angle - course.angles[joint]), sense * rate
+
+
+def mean_angle(world: World, segment: Segment, times: Array, interval: float) -> Array:
+    """Mean angle [rad] over sampling intervals that end at `times`: like the outputs, which are means too."""
+    places, weights = np.polynomial.legendre.leggauss(3)
+    total = np.zeros(len(times))
+    for place, weight in zip(places, weights, strict=True):
+        total += weight / 2 * turned(world, segment, times + (place - 1) / 2 * interval)[0]
+    return total
