@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
             }
         )
         return exit_codes.DONE if passed else exit_codes.LIMIT_FAILED
-    from planrunner.estimators.interface import Role, TableColumn
+    from planrunner.estimators.tables import Role, TableColumn
     from planrunner.reporting import terminal
     from planrunner.reporting.columns import Shown, table_of
 

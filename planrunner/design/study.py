@@ -16,7 +16,8 @@ from planrunner.base.findings import Findings
 from planrunner.design.cycles import FoundCycle, StudiedCycle
 from planrunner.design.efficiency import Efficiency, Merit
 from planrunner.design.places import Place, Sight
-from planrunner.estimators.interface import Coefficient, Design, Plot, Table
+from planrunner.estimators.interface import Coefficient, Design
+from planrunner.estimators.tables import Plot, Table
 from planrunner.physics.kinematics import TableAxis
 from planrunner.plan.schedule import Schedule, Segment
 

@@ -9,7 +9,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from planrunner.base.documents import Json
-from planrunner.estimators.interface import Cell, Role, Table, TableColumn
+from planrunner.estimators.tables import Cell, Role, Table, TableColumn
 
 TERMINAL_TABLES = "terminal_tables"
 """The setting of an estimate that lists, by their titles, the tables for the terminal."""

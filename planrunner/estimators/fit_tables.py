@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from planrunner.estimators.derived import Derived
-from planrunner.estimators.interface import Cell, Plot, Role, Table, TableColumn
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
+from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn
 from planrunner.observation.observations import Observations
 from planrunner.uncertainty.decision import expanded_uncertainty
 

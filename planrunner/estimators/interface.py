@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import field
-from enum import StrEnum
 from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -28,6 +27,11 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
 from planrunner.base.said import Said
+from planrunner.estimators.tables import Cell as Cell
+from planrunner.estimators.tables import Plot as Plot
+from planrunner.estimators.tables import Role as Role
+from planrunner.estimators.tables import Table as Table
+from planrunner.estimators.tables import TableColumn as TableColumn
 from planrunner.instruments.models import SensorModel, TableModel
 from planrunner.observation.refusals import EstimationError as EstimationError
 from planrunner.observation.refusals import UnfitDataError as UnfitDataError
@@ -62,28 +66,6 @@ class Coefficient:
         return place + math.remainder(self.value - place, self.period) if math.isfinite(self.period) else self.value
 
 
-class Role(StrEnum):
-    """Kind of the cells of a column. Reports use the role, never the title, to round, align and format cells.
-
-    A `VALUE` is rounded by the first uncertainty column to its right, and shown in five digits if there is none; a `NUMBER` is set or
-    stated and has no uncertainty. A number of the role `SHARE` is a fraction of 1, shown in percent. `LABEL` is text.
-    """
-
-    LABEL = "label"
-    NUMBER = "number"
-    VALUE = "value"
-    STANDARD_UNCERTAINTY = "standard uncertainty"
-    EXPANDED_UNCERTAINTY = "expanded uncertainty"
-    DEGREES_OF_FREEDOM = "degrees of freedom"
-    COUNT = "count"
-    SHARE = "share"
-
-    @property
-    def uncertain(self) -> bool:
-        """Whether the column contains uncertainties, which determine the rounding of values to its left."""
-        return self in (Role.STANDARD_UNCERTAINTY, Role.EXPANDED_UNCERTAINTY)
-
-
 @dataclass(frozen=True, slots=True)
 class Unpredicted:
     """A coefficient that a run will give, or may give, whose uncertainty cannot be predicted. why: the reason."""
@@ -93,52 +75,6 @@ class Unpredicted:
     why: str
     description: Said = Said("")
     role: CoefficientRole = CoefficientRole.LOCATION
-
-
-@dataclass(frozen=True, slots=True)
-class TableColumn:
-    """unit: of all cells, shown beside the title; empty if there is none, or if the unit differs between rows."""
-
-    title: str
-    role: Role = Role.LABEL
-    unit: str = ""
-
-    @property
-    def heading(self) -> str:
-        return f"{self.title} [{self.unit}]" if self.unit and self.unit != "1" else self.title
-
-
-Cell = str | float | None
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table for readers. rows: each has one cell per column. terminal: whether the terminal shows the table too."""
-
-    title: str
-    columns: tuple[TableColumn, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-    terminal: bool = False
-
-    @property
-    def headings(self) -> tuple[str, ...]:
-        return tuple(column.heading for column in self.columns)
-
-
-@dataclass(frozen=True, slots=True)
-class Plot:
-    """Points for readers, one per label or over x: series name → values, with optional standard uncertainties. log: both axes are
-    logarithmic; values that are not positive are not shown. lines: values are drawn as lines over x, without points.
-    """
-
-    title: str
-    x_title: str
-    y_title: str
-    x: tuple[float | str, ...]
-    series: Mapping[str, tuple[float, ...]]
-    uncertainties: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    log: bool = False
-    lines: bool = False
 
 
 @dataclass(frozen=True)

@@ -34,10 +34,9 @@ from planrunner.estimators.interface import (
     EstimationError,
     Estimator,
     Foresight,
-    Plot,
-    Table,
     Unpredicted,
 )
+from planrunner.estimators.tables import Plot, Table
 from planrunner.plan.kinds import Record
 from planrunner.plan.meaning import channels_of
 from planrunner.uncertainty.budget import merged

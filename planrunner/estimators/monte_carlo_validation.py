@@ -17,7 +17,8 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from planrunner.base.said import Said, said
-from planrunner.estimators.interface import Cell, Estimate, EstimateRequest, Role, Table, TableColumn
+from planrunner.estimators.interface import Estimate, EstimateRequest
+from planrunner.estimators.tables import Cell, Role, Table, TableColumn
 from planrunner.plan.kinds import Record
 from planrunner.plan.model import MonteCarloSpec
 from planrunner.uncertainty.decision import expanded_uncertainty

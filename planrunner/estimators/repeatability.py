@@ -28,7 +28,6 @@ from planrunner.base.findings import closest
 from planrunner.base.said import Said, said
 from planrunner.estimators.groups_in_time import groupings
 from planrunner.estimators.interface import (
-    Cell,
     Coefficient,
     CoefficientRole,
     Design,
@@ -36,14 +35,11 @@ from planrunner.estimators.interface import (
     Estimate,
     EstimateRequest,
     EstimationError,
-    Plot,
-    Role,
-    Table,
-    TableColumn,
     UnfitDataError,
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.root_of_square import root_of
+from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn
 from planrunner.observation.observations import SIGNIFICANCE, recorded_times, variances_differ
 from planrunner.plan.kinds import CHANNEL, ListOf, MapOf, Record, Text, key
 from planrunner.plan.selection import matches

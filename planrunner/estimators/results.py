@@ -17,8 +17,9 @@ from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.said import Said
 from planrunner.estimators.earlier_tables import TERMINAL_TABLES, earlier_table
-from planrunner.estimators.interface import Coefficient, CoefficientRole, Estimate, Plot, Role, Table, TableColumn
+from planrunner.estimators.interface import Coefficient, CoefficientRole, Estimate
 from planrunner.estimators.limits import LimitVerdict
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn
 from planrunner.instruments.models import DataOrigin
 from planrunner.uncertainty.influences import Budget, BudgetLine
 

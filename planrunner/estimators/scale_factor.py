@@ -22,22 +22,19 @@ from planrunner.estimators.drift_order import planned_drift
 from planrunner.estimators.fit_tables import drift_tables, residual_plot
 from planrunner.estimators.full_scale import beyond_full_scale, not_turned, shares_by_name
 from planrunner.estimators.interface import (
-    Cell,
     Coefficient,
     CoefficientRole,
     Design,
     DesignRequest,
     EstimateRequest,
     EstimationError,
-    Role,
-    Table,
-    TableColumn,
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
 from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_errors import common_rate, rate_errors
+from planrunner.estimators.tables import Cell, Role, Table, TableColumn
 from planrunner.estimators.tilted.rate_lines import asymmetry, line_through, rate_and_output, slope_unit
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.drift import drift, drift_of, thermometer

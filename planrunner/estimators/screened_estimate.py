@@ -12,15 +12,8 @@ from dataclasses import replace
 
 from planrunner.archive.recording import Find, FindKind, RecordedSegment
 from planrunner.base.said import Inserted, Said, said
-from planrunner.estimators.interface import (
-    Cell,
-    Estimate,
-    EstimationError,
-    Role,
-    Table,
-    TableColumn,
-    UnfitDataError,
-)
+from planrunner.estimators.interface import Estimate, EstimationError, UnfitDataError
+from planrunner.estimators.tables import Cell, Role, Table, TableColumn
 from planrunner.observation.left_out import rows_of, without_bad
 
 NAMED = 3  # finds in a sentence

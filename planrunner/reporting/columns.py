@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Generic, TypeVar
 
 from planrunner.base.dataclass import dataclass
-from planrunner.estimators.interface import Cell, Role, Table, TableColumn
+from planrunner.estimators.tables import Cell, Role, Table, TableColumn
 
 Row = TypeVar("Row")
 

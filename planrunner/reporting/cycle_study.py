@@ -8,7 +8,7 @@ import numpy as np
 
 from planrunner.design.cycles import StudiedCycle
 from planrunner.design.study import FoundCycles, Study, Subject
-from planrunner.estimators.interface import Plot, Role, Table, TableColumn
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.reporting import words
 from planrunner.reporting.columns import Shown, alike, table_of

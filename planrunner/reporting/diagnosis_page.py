@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from planrunner.base.documents import Json
-from planrunner.estimators.interface import Role, Table, TableColumn
 from planrunner.estimators.results import DataOrigin
+from planrunner.estimators.tables import Role, Table, TableColumn
 from planrunner.reporting.columns import Shown, alike, table_of
 from planrunner.reporting.diagnosis_pictures import ranked
 from planrunner.reporting.templates import render

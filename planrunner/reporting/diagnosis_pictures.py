@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planrunner.base.documents import Json, JsonObject
-from planrunner.estimators.interface import Plot
+from planrunner.estimators.tables import Plot
 from planrunner.reporting.plots import COLOURS, WIDTH, drawing, plot_svg
 
 if TYPE_CHECKING:

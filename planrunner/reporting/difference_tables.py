@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 
 from planrunner.base.documents import Json, JsonObject, finite
 from planrunner.base.findings import Finding
-from planrunner.estimators.interface import Cell, Role, Table, TableColumn
+from planrunner.estimators.tables import Cell, Role, Table, TableColumn
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.reporting import words
 from planrunner.reporting.budgets import shown_unit, two_digits

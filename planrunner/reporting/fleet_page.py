@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from planrunner.base.documents import Json
-from planrunner.estimators.interface import Plot, Role, Table, TableColumn
 from planrunner.estimators.results import DataOrigin
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn
 from planrunner.reporting.columns import Shown, alike, table_of
 from planrunner.reporting.diagnosis_page import probability
 from planrunner.reporting.rounding import format_pair

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 
-from planrunner.estimators.interface import Role, Table, TableColumn
+from planrunner.estimators.tables import Role, Table, TableColumn
 from planrunner.instruments.models import DataOrigin
 from planrunner.night.history.agreement import ParticipantAgreement
 from planrunner.night.history.check_standard import ControlState, ControlTest

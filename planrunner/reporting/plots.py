@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
-from planrunner.estimators.interface import Plot
+from planrunner.estimators.tables import Plot
 from planrunner.plan.schedule import Schedule
 from planrunner.reporting.words import clock
 

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from planrunner.base.documents import finite
 from planrunner.design.efficiency import Efficiency, Merit
 from planrunner.design.study import FoundPositions, Pose, PositionSet, Study, Subject
-from planrunner.estimators.interface import Coefficient, Role, Table, TableColumn
+from planrunner.estimators.interface import Coefficient
+from planrunner.estimators.tables import Role, Table, TableColumn
 from planrunner.reporting import words
 from planrunner.reporting.columns import alike
 

@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from planrunner.design.study import FoundRates, Study, Subject
-from planrunner.estimators.interface import Coefficient, Plot, Role, Table, TableColumn
+from planrunner.estimators.interface import Coefficient
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn
 from planrunner.reporting import words
 from planrunner.reporting.columns import alike
 

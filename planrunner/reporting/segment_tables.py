@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from planrunner.estimators.interface import Role, Table, TableColumn
+from planrunner.estimators.tables import Role, Table, TableColumn
 from planrunner.reporting import words
 from planrunner.reporting.columns import Shown, table_of
 from planrunner.reporting.context import SegmentSummary

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from planrunner.base.documents import JsonObject, finite
-from planrunner.estimators.interface import Coefficient, Design, Role, Table, TableColumn
+from planrunner.estimators.interface import Coefficient, Design
+from planrunner.estimators.tables import Role, Table, TableColumn
 from planrunner.plan.schedule import Rest, Schedule, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.reporting import words

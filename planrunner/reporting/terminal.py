@@ -11,8 +11,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, TextIO
 
-from planrunner.estimators.interface import Coefficient, Design, Estimate, Table
+from planrunner.estimators.interface import Coefficient, Design, Estimate
 from planrunner.estimators.limits import LimitVerdict
+from planrunner.estimators.tables import Table
 from planrunner.plan.schedule import Schedule
 from planrunner.reporting import words
 from planrunner.reporting.printable import beneath, printable

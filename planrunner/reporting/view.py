@@ -24,7 +24,7 @@ Templates have access to nothing else: they can lay out a report but cannot read
     certificate                       as `certificate.certificate_view` gives it
     warnings, notes                   lists of text; the estimates' own are with the estimates
 
-Cells of a table are rounded and aligned by the roles of its columns (`planrunner.estimators.interface.Role`): an uncertainty is shown with
+Cells of a table are rounded and aligned by the roles of its columns (`planrunner.estimators.tables.Role`): an uncertainty is shown with
 two digits, and values to its left are rounded to its last digit."""
 
 from __future__ import annotations
@@ -37,9 +37,10 @@ from pathlib import Path
 from typing import TypeGuard
 
 from planrunner.base.documents import Json, JsonObject
-from planrunner.estimators.interface import Cell, Coefficient, Estimate, Role, Table
+from planrunner.estimators.interface import Coefficient, Estimate
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.estimators.results import DataOrigin
+from planrunner.estimators.tables import Cell, Role, Table
 from planrunner.reporting import words
 from planrunner.reporting.budgets import budget_views, freedom, shown_unit
 from planrunner.reporting.certificate import certificate_view, guard_band

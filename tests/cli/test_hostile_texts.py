@@ -12,7 +12,7 @@ import pytest
 from planrunner.base.findings import Finding, Mark
 from planrunner.cli import main
 from planrunner.cli.printing import print_findings, print_json
-from planrunner.estimators.interface import Table, TableColumn
+from planrunner.estimators.tables import Table, TableColumn
 from planrunner.reporting import terminal
 from planrunner.reporting.printable import beneath, printable, printable_streams
 

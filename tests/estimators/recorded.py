@@ -12,7 +12,7 @@ import pytest
 
 from planrunner.archive.recording import RecordedSegment, Statistics
 from planrunner.archive.statistics import statistics_of
-from planrunner.estimators.interface import Cell
+from planrunner.estimators.tables import Cell
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.plan.schedule import Motion, Rest, Segment

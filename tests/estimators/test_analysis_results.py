@@ -25,11 +25,11 @@ from planrunner.estimators.interface import (
     Estimate,
     EstimateRequest,
     EstimationError,
-    Role,
     UnfitDataError,
 )
 from planrunner.estimators.limits import hold
 from planrunner.estimators.results import comparable
+from planrunner.estimators.tables import Role
 from planrunner.plan.kinds import Record
 from planrunner.plan.model import EstimateSpec, Limit
 from planrunner.plan.quantity import parse_quantity

@@ -9,8 +9,9 @@ import numpy as np
 
 from planrunner.archive.recording import Statistics
 from planrunner.base.said import Said
-from planrunner.estimators.interface import Coefficient, Design, Estimate, Foresight, Plot, Role, Table, TableColumn
+from planrunner.estimators.interface import Coefficient, Design, Estimate, Foresight
 from planrunner.estimators.limits import LimitVerdict
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn
 from planrunner.physics.earth import Site
 from planrunner.plan.directions import DIRECTIONS
 from planrunner.plan.orientation import in_words

@@ -15,7 +15,7 @@ from test_page_width import BROWSER, OPTIONS, PAGES
 
 from planrunner.base.findings import Findings
 from planrunner.design.study import Pose, Study, Subject
-from planrunner.estimators.interface import Plot, Table, TableColumn
+from planrunner.estimators.tables import Plot, Table, TableColumn
 from planrunner.reporting.plots import plot_svg
 from planrunner.reporting.study_page import render_page
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import reporting_example as example
 
-from planrunner.estimators.interface import Plot
+from planrunner.estimators.tables import Plot
 from planrunner.plan.schedule import Cycle, Motion, Move, Rest, Rock, Schedule, Segment
 from planrunner.reporting import plots
 from planrunner.reporting.timeline import panels_of, spans

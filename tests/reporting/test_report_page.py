@@ -12,7 +12,8 @@ import pytest
 import reporting_example as example
 
 from planrunner.base.said import Said
-from planrunner.estimators.interface import Coefficient, Estimate, Role, Table, TableColumn
+from planrunner.estimators.interface import Coefficient, Estimate
+from planrunner.estimators.tables import Role, Table, TableColumn
 from planrunner.reporting.budgets import budget_views
 from planrunner.reporting.context import ReportContext
 from planrunner.reporting.show_page import ShowContext, render_show

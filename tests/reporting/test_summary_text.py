@@ -10,7 +10,7 @@ import pytest
 import reporting_example as example
 from rich.console import RenderableType
 
-from planrunner.estimators.interface import Role, Table, TableColumn
+from planrunner.estimators.tables import Role, Table, TableColumn
 from planrunner.reporting import terminal
 from planrunner.reporting.sandbox import markdown
 from planrunner.reporting.show_page import timeline_table

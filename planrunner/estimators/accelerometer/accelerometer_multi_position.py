@@ -17,13 +17,7 @@ from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPos
 from planrunner.estimators.basis_judgement import planned_basis
 from planrunner.estimators.drift_order import planned_drift
 from planrunner.estimators.expected import Known
-from planrunner.estimators.interface import (
-    Design,
-    DesignRequest,
-    EstimateRequest,
-    EstimationError,
-    Foresight,
-)
+from planrunner.estimators.interface import Design, DesignRequest, EstimateRequest, EstimationError, Foresight
 from planrunner.estimators.method import Method, Words, by_expectation
 from planrunner.plan.selection import Detection
 

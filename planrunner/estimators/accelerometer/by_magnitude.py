@@ -23,22 +23,18 @@ from planrunner.estimators.basis_judgement import MORE_SEGMENTS, judge, no_resid
 from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.fit_tables import bases_table, drift_tables
 from planrunner.estimators.interface import (
-    Cell,
     Design,
     DesignRequest,
     EstimateRequest,
     EstimationError,
     Foresight,
-    Plot,
     Remark,
-    Role,
-    Table,
-    TableColumn,
     UnfitDataError,
     Unpredicted,
 )
 from planrunner.estimators.method import Quantities, Words
 from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
+from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.drift import DriftCourses, drift_of
 from planrunner.observation.flicker import flicker_errors, unstated_flicker

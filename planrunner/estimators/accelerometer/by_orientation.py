@@ -21,19 +21,12 @@ from planrunner.estimators.declared_axes import AxisResponse, contradictions
 from planrunner.estimators.derived import Reported, derived
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
 from planrunner.estimators.fit_tables import drift_tables, residual_plot
-from planrunner.estimators.interface import (
-    Cell,
-    EstimateRequest,
-    EstimationError,
-    Role,
-    Table,
-    TableColumn,
-    UnfitDataError,
-)
+from planrunner.estimators.interface import EstimateRequest, EstimationError, UnfitDataError
 from planrunner.estimators.method import Quantities, Words
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.estimators.planned import matrix_at_rest
 from planrunner.estimators.resolution_influences import resolution_influences
+from planrunner.estimators.tables import Cell, Role, Table, TableColumn
 from planrunner.estimators.triad import RowFormula, scale_and_misalignments
 from planrunner.observation.correlated_errors import functionals_of
 from planrunner.observation.observations import Observations, observe

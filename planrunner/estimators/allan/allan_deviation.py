@@ -41,14 +41,11 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     Foresight,
-    Plot,
-    Role,
-    Table,
-    TableColumn,
     UnfitDataError,
     Unpredicted,
 )
 from planrunner.estimators.root_of_square import root_of
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Rest

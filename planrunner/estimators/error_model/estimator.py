@@ -50,9 +50,6 @@ from planrunner.estimators.interface import (
     EstimationError,
     Foresight,
     Remark,
-    Role,
-    Table,
-    TableColumn,
     Unpredicted,
 )
 from planrunner.estimators.method import Method, Quantities, Words, by_expectation
@@ -60,6 +57,7 @@ from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by
 from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_errors import site_errors, table_errors
+from planrunner.estimators.tables import Role, Table, TableColumn
 from planrunner.observation.correlated_errors import CorrelatedError, functionals_of
 from planrunner.observation.drift import DriftCourse, DriftCourses, drift_of
 from planrunner.observation.flicker import flicker_errors, unstated_flicker

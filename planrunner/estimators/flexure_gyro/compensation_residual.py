@@ -28,7 +28,6 @@ from planrunner.estimators.flexure_gyro.compensation_prediction import (
 )
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import static_matrix
 from planrunner.estimators.interface import (
-    Cell,
     Coefficient,
     Design,
     DesignBlock,
@@ -37,13 +36,10 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     Foresight,
-    Plot,
-    Role,
-    Table,
-    TableColumn,
     UnfitDataError,
     Unpredicted,
 )
+from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn
 from planrunner.observation.correlated_errors import explained
 from planrunner.observation.flicker import flicker_errors, mean_covariance
 from planrunner.observation.observations import Observations, observe, within_segment_noise

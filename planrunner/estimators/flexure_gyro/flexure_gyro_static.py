@@ -21,13 +21,7 @@ from planrunner.estimators.drift_order import planned_drift
 from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
 from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_plot, residual_table
-from planrunner.estimators.interface import (
-    Design,
-    DesignRequest,
-    Estimate,
-    EstimateRequest,
-    EstimationError,
-)
+from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
 from planrunner.estimators.planned import matrix_at_rest

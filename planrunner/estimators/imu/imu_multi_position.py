@@ -27,7 +27,6 @@ from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, 
 from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_plot, residual_table
 from planrunner.estimators.imu.coefficients import AXES, Framed, Response, calibration
 from planrunner.estimators.interface import (
-    Cell,
     Coefficient,
     Design,
     DesignBlock,
@@ -35,13 +34,11 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     Remark,
-    Role,
-    Table,
-    TableColumn,
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
 from planrunner.estimators.stated_errors import mean_poses
+from planrunner.estimators.tables import Cell, Role, Table, TableColumn
 from planrunner.observation.drift import drift, thermometer
 from planrunner.observation.flicker import drift_span
 from planrunner.observation.observations import Observations, observe, recorded_times

@@ -15,18 +15,13 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
 from planrunner.estimators.interface import (
-    Cell,
     Coefficient,
     Design,
     DesignRequest,
     Estimate,
     EstimateRequest,
     Foresight,
-    Plot,
     Remark,
-    Role,
-    Table,
-    TableColumn,
     UnfitDataError,
     Unpredicted,
 )
@@ -34,6 +29,7 @@ from planrunner.estimators.modulation.fit import PeriodicPart, TooLittleError, p
 from planrunner.estimators.modulation.navigations import Navigation, compared, rotation
 from planrunner.estimators.modulation.prediction import errors_over_time, horizontal, periodic_amplitudes
 from planrunner.estimators.strapdown.navigation_errors import HOUR, NAUTICAL_MILE
+from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn
 from planrunner.plan.kinds import ListOf, QuantityOf, Record, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment

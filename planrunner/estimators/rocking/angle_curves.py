@@ -14,12 +14,12 @@ import numpy as np
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
-from planrunner.estimators.interface import Plot
 from planrunner.estimators.rocking.influences import Runs
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
 from planrunner.estimators.rocking.solution import ReducedRun, RockingConditions, drift_angles
 from planrunner.estimators.rocking.statistics import AXES
 from planrunner.estimators.rocking.windows import scale
+from planrunner.estimators.tables import Plot
 from planrunner.plan.schedule import Rock
 
 POINTS = 200

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from planrunner.base.said import Said, said
-from planrunner.estimators.interface import EstimateRequest, Plot, Role, Table, TableColumn
+from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.rocking.checks import ARCSEC
 from planrunner.estimators.rocking.influences import DEG_PER_HOUR, Runs, azimuth_uncertainty, resolution
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
 from planrunner.estimators.rocking.solution import RockingConditions, accelerometer_drift, drift_before_rocking
 from planrunner.estimators.rocking.statistics import AXES, Pairings, StateDrifts
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn
 from planrunner.plan.units import STANDARD_GRAVITY
 
 CLAIMED = 0.70

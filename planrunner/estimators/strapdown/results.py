@@ -11,7 +11,7 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.said import Said, counted, said
-from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Plot, Role, Table, TableColumn
+from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest
 from planrunner.estimators.strapdown.navigating import Navigated, StrapdownNavigationParameters
 from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, HOUR, NAUTICAL_MILE
 from planrunner.estimators.strapdown.uncertainty import (
@@ -24,6 +24,7 @@ from planrunner.estimators.strapdown.uncertainty import (
     Wander,
     influences,
 )
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import INPUTS, SIZE, ErrorEquations
 from planrunner.plan.schedule import Rest

@@ -26,13 +26,10 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     Foresight,
-    Plot,
-    Role,
-    Table,
-    TableColumn,
     Unpredicted,
 )
 from planrunner.estimators.method import Method, Quantities, Words, by_expectation
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn
 from planrunner.estimators.temperature.branches import Difference, difference_of
 from planrunner.estimators.temperature.curve import CurveFit, OverTemperature, curve, fit_curve, groups_of
 from planrunner.estimators.temperature.parameters import TemperatureModelParameters, remarks

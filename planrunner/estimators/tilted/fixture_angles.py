@@ -23,7 +23,6 @@ from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.drift_order import planned_drift
 from planrunner.estimators.fit_tables import drift_tables, residual_plot
 from planrunner.estimators.interface import (
-    Cell,
     Coefficient,
     Design,
     DesignBlock,
@@ -31,13 +30,11 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     Remark,
-    Role,
-    Table,
-    TableColumn,
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
 from planrunner.estimators.planned import planned_blocks
+from planrunner.estimators.tables import Cell, Role, Table, TableColumn
 from planrunner.estimators.tilted.fixture_gains import (
     FITTED,
     STATED,

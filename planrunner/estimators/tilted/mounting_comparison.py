@@ -13,7 +13,7 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
-from planrunner.estimators.interface import Cell, Role, Table, TableColumn
+from planrunner.estimators.tables import Cell, Role, Table, TableColumn
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.plan.schedule import Segment
 

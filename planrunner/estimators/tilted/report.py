@@ -9,8 +9,8 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
-from planrunner.estimators.interface import Cell, Plot, Role, Table, TableColumn
 from planrunner.estimators.method import Words
+from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn
 from planrunner.estimators.tilted.evaluation import ASYMMETRY, F0, NONLINEARITY, RESPONSE, Group, K
 from planrunner.estimators.tilted.influences import Situation
 from planrunner.estimators.tilted.mounting_comparison import comparison_table, scheduled_seconds, time_note

@@ -20,13 +20,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.error_model.observed import axis_of
 from planrunner.estimators.declared_axes import AxisResponse, against_nominal, contradictions
-from planrunner.estimators.interface import (
-    Design,
-    DesignRequest,
-    EstimateRequest,
-    EstimationError,
-    UnfitDataError,
-)
+from planrunner.estimators.interface import Design, DesignRequest, EstimateRequest, EstimationError, UnfitDataError
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.stated_errors import common_rate
 from planrunner.estimators.tilted import planning as tilted_planning

@@ -1,0 +1,77 @@
+"""Tables and plots that reports show: of estimates, design studies, diagnoses and histories."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import field
+from enum import StrEnum
+
+from planrunner.base.dataclass import dataclass
+
+
+class Role(StrEnum):
+    """Kind of the cells of a column. Reports use the role, never the title, to round, align and format cells.
+
+    A `VALUE` is rounded by the first uncertainty column to its right, and shown in five digits if there is none; a `NUMBER` is set or
+    stated and has no uncertainty. A number of the role `SHARE` is a fraction of 1, shown in percent. `LABEL` is text.
+    """
+
+    LABEL = "label"
+    NUMBER = "number"
+    VALUE = "value"
+    STANDARD_UNCERTAINTY = "standard uncertainty"
+    EXPANDED_UNCERTAINTY = "expanded uncertainty"
+    DEGREES_OF_FREEDOM = "degrees of freedom"
+    COUNT = "count"
+    SHARE = "share"
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether the column contains uncertainties, which determine the rounding of values to its left."""
+        return self in (Role.STANDARD_UNCERTAINTY, Role.EXPANDED_UNCERTAINTY)
+
+
+@dataclass(frozen=True, slots=True)
+class TableColumn:
+    """unit: of all cells, shown beside the title; empty if there is none, or if the unit differs between rows."""
+
+    title: str
+    role: Role = Role.LABEL
+    unit: str = ""
+
+    @property
+    def heading(self) -> str:
+        return f"{self.title} [{self.unit}]" if self.unit and self.unit != "1" else self.title
+
+
+Cell = str | float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table for readers. rows: each has one cell per column. terminal: whether the terminal shows the table too."""
+
+    title: str
+    columns: tuple[TableColumn, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    terminal: bool = False
+
+    @property
+    def headings(self) -> tuple[str, ...]:
+        return tuple(column.heading for column in self.columns)
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """Points for readers, one per label or over x: series name → values, with optional standard uncertainties. log: both axes are
+    logarithmic; values that are not positive are not shown. lines: values are drawn as lines over x, without points.
+    """
+
+    title: str
+    x_title: str
+    y_title: str
+    x: tuple[float | str, ...]
+    series: Mapping[str, tuple[float, ...]]
+    uncertainties: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    log: bool = False
+    lines: bool = False
