@@ -154,7 +154,7 @@ def _value(text: str, parameter: EffectParameter, effect: str, mark: Mark) -> fl
 
 def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
     """Parameters of an effect; empty if it cannot act here."""
-    if isinstance(effect, ActsOnNoise):
+    if isinstance(effect, ActsOnNoise) and effect.noise in NOISE:
         triad = triad_of(effect)
         indices = observed.of_kind(triad)
         if not indices:

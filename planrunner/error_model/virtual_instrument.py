@@ -195,7 +195,7 @@ class AddedEffects:
             segment.label,
             segment.motion,
             segment.attitude,
-            moments.time - moments.power_on,
+            moments.time + step / 2 - moments.power_on,  # as the samples are stamped, at the end of their intervals
             moments.angle,
             moments.rate,
             np.zeros(len(warm)) if steady else np.gradient(moments.rate, step),

@@ -262,7 +262,8 @@ def _loaded(name: str) -> Effect:
 def _on_noise(name: str) -> bool:
     from planrunner.error_model.effects.interface import ActsOnNoise
 
-    return isinstance(_loaded(name), ActsOnNoise)
+    effect = _loaded(name)
+    return isinstance(effect, ActsOnNoise) and effect.noise != "line"
 
 
 def _base(recorded: Recorded, simulation: str | None) -> Sound:

@@ -38,6 +38,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "mounting": ("mount_shift",),
     "axes late": ("gyro_axis_delay", "time_latency"),
     "thermal lag": ("gyro_bias_temperature_lagged", "gyro_thermal_gradient"),
+    "interference": ("gyro_line_interference", "accel_line_interference"),
 }
 """Effects that are easily taken for each other."""
 SETUPS = {
@@ -53,6 +54,7 @@ SETUPS = {
     "mounting": (("tumble", "mems"), ("rates", "mems"), ("rocking", "mems")),
     "axes late": (("rocking", "mems"), ("rocking", "fog")),
     "thermal lag": (("thermal", "mems"), ("thermal", "fog")),
+    "interference": (("tumble", "mems"), ("rates", "mems"), ("thermal", "mems")),
 }
 """Plans and sensors that show the effects of a group."""
 

@@ -117,7 +117,15 @@ def _catalogue_rate(s: Stimulus, faults: Faults) -> Array:
                 added += k * np.heaviside(s.time - fault.shape[0], 1.0)[:, None]
             case "magnetic_sensitivity":
                 added += s.field @ k.reshape(3, 3).T
+            case "gyro_line_interference":
+                added += k * _hum(s.time, *fault.shape)[:, None]
     return added
+
+
+def _hum(time: Array, frequency: float, phase: float) -> Array:
+    """A rotating phasor of unit length, seen from the side at the times of the samples."""
+    turns = np.mod(frequency * time, 1.0)
+    return np.imag(np.exp(1j * (2 * np.pi * turns + phase)))
 
 
 def _foreign_rate(s: Stimulus, faults: Faults, number: Array) -> Array:
@@ -168,6 +176,8 @@ def _accel(s: Stimulus, device: Device, faults: Faults, gravity: float) -> Array
                 felt = felt + fault.theta * np.exp(-s.time / fault.shape[0])[:, None]
             case "accel_bias_step":
                 felt = felt + fault.theta * np.heaviside(s.time - fault.shape[0], 1.0)[:, None]
+            case "accel_line_interference":
+                felt = felt + fault.theta * _hum(s.time, *fault.shape)[:, None]
             case "vibration_rectification":
                 felt = felt + fault.theta * np.linalg.norm(s.table_rate, axis=1)[:, None]
     return felt

@@ -18,6 +18,9 @@ import numpy as np
 UNKNOWN = "unknown"
 BANDS = {"20-65 (36)": (20.0, 65.0), "80-260 (144)": (80.0, 260.0), ">= 900": (900.0, np.inf), ">= 36": (36.0, np.inf)}
 STRONG, WEAK = 144.0, 36.0
+NAMED_SINCE = {"vibration_tone": ("gyro_line_interference",)}
+"""Effects of the generator that were off the catalogue when the campaign was laid down, with the names that they have in it now. Labels of
+earlier campaigns stay valid: either answer is right."""
 _BANDS = ("36-144", "144-900", ">= 900")  # of closures
 BINS = 15  # of confidence, equally wide
 SEED = 5
@@ -79,7 +82,11 @@ class Scored:
     @cached_property
     def classes(self) -> list[set[str]]:
         """Per true effect the names that count as it."""
-        return [{*entry["class"], entry["effect"]} for entry in self.label["entries"] if not entry["absorbed"]]
+        return [
+            {*entry["class"], entry["effect"], *NAMED_SINCE.get(entry["effect"], ())}
+            for entry in self.label["entries"]
+            if not entry["absorbed"]
+        ]
 
     @property
     def lookalikes(self) -> set[str]:

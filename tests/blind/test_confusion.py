@@ -103,6 +103,26 @@ def test_lost_samples_are_no_delay_from_the_beginning(number: int, energy: float
     assert abs(lost.value * 1e-3 - case.faults[0].theta[0]) < 4e-3 * lost.standard_uncertainty
 
 
+@pytest.mark.parametrize(("number", "energy"), [(0, 9e3), (1, 9e3)])
+def test_a_line_appears_at_its_folded_frequency(number: int, energy: float) -> None:
+    """49.7 and 99.1 Hz, sampled at 50 Hz."""
+    one = one_of("interference", "gyro_line_interference", number, energy)
+    assert one.named == ("gyro_line_interference",) and one.in_set
+    true, _ = one.shape
+    frequency, u = one.parameters["gyro_line_interference.frequency"]
+    assert abs(frequency - abs(true - 50.0 * round(true / 50.0))) < 4 * u
+    for axis, amplitude in zip("xyz", one.theta, strict=True):
+        cosine, sine = (one.parameters[f"gyro_line_interference.{wave}_{axis}"] for wave in ("cos", "sin"))
+        assert abs(np.hypot(cosine[0], sine[0]) - abs(amplitude)) < 4 * np.hypot(cosine[1], sine[1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "energy"), [(0, 3e4), (1, 3e4)])
+def test_a_line_of_the_accelerometers_is_named(number: int, energy: float) -> None:
+    one = one_of("interference", "accel_line_interference", number, energy)
+    assert one.named == ("accel_line_interference",) and one.in_set
+
+
 def test_an_axis_that_is_late_is_no_delay_of_all() -> None:
     one = one_of("axes late", "gyro_axis_delay", 0, 250.0)
     assert one.named == ("gyro_axis_delay",) and one.in_set

@@ -57,6 +57,8 @@ IDS = [
     "gyro_axis_delay",
     "accel_noise_excess",
     "accel_quantization",
+    "gyro_line_interference",
+    "accel_line_interference",
     "gyro_soft_saturation",
     "mount_shift",
     "gyro_bias",

@@ -108,11 +108,29 @@ def test_parameters_beside_a_random_walk_have_its_uncertainty() -> None:
     assert chi2.sf(np.square(away).sum(), len(away)) > 1e-3
 
 
-@pytest.mark.parametrize(("fault", "kind"), [(_tone, "a tone"), (_offsets, "offset per segment")])
-def test_what_is_not_in_the_catalogue_is_said_to_be(fault: Fault, kind: str) -> None:
-    found = diagnose(record(seed=14, fault=fault))
+def test_what_is_not_in_the_catalogue_is_said_to_be() -> None:
+    found = diagnose(record(seed=14, fault=_offsets))
     assert found.verdict.kind == "unknown"
-    assert max(found.posterior.kinds, key=lambda pattern: found.posterior.kinds[pattern]).name == kind
+    kinds = found.posterior.kinds
+    assert max(kinds, key=lambda pattern: kinds[pattern]).name == "offset per segment"
+
+
+def test_a_tone_is_a_line_of_its_frequency_and_amplitude() -> None:
+    found = diagnose(record(seed=14, fault=_tone))
+    assert found.verdict.effects == ("gyro_line_interference",)
+    estimates = {p.name: p for p in found.parameters}
+    true = {"frequency": 3.3, "sin_x": 2e-3, "cos_x": 0.0, "sin_y": 0.0, "cos_y": 0.0}
+    for name, value in true.items():
+        assert abs(estimates[name].value - value) < 4 * estimates[name].standard_uncertainty, name
+
+
+def test_a_tone_beside_an_effect_leaves_both_with_their_names() -> None:
+    def both(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, Array | float]:
+        return _tone(observed, omega, force, draw)[0] + _unbalance(observed, omega, force, draw)[0], 0.0
+
+    found = diagnose(record(seed=14, fault=both))
+    assert found.verdict.effects == ("gyro_g_sensitivity", "gyro_line_interference")
+    assert next(p.value for p in found.parameters if p.name == "frequency") == pytest.approx(3.3, abs=1e-4)
 
 
 @pytest.mark.slow

@@ -107,7 +107,7 @@ def without(sound: Sound, tmp_path_factory: pytest.TempPathFactory) -> Observed:
 
 def _stated(effect: Effect, observed: Observed) -> dict[str, tuple[float, str]]:
     """Parameters by the names that a diagnosis gives them, none of natural size: value and unit."""
-    if isinstance(effect, ActsOnNoise):
+    if isinstance(effect, ActsOnNoise) and effect.noise in NOISE:
         unit = OF_TRIAD[triad_of(effect)] + NOISE[effect.noise][1]
         names = {"white": "white_{}", "resolution": "count_{}"}.get(effect.noise)
         if names is None:
@@ -125,6 +125,8 @@ def _stated(effect: Effect, observed: Observed) -> dict[str, tuple[float, str]]:
         found["n"] = (2.0, "per turn")
     elif effect.id == "gyro_dead_zone":
         found["d"] = (1.0, "deg/s")
+    elif isinstance(effect, ActsOnNoise):
+        found[shape] = (113.0, "Hz")  # appears at 13 Hz
     elif effect.id == "gyro_saturation":
         found["limit"] = (70.0, "deg/s")
     elif effect.id == "gyro_saturation_asymmetric":
@@ -164,7 +166,7 @@ def _check(name: str, sound: Sound, without: Observed, folder: Path) -> None:
     assert {key: listed[0].values[key] for key in stated} == pytest.approx({key: v for key, (v, _) in stated.items()})
     bench = with_effects(source.decode(sound.bench_bytes, BENCH), listed)
     seen = _simulated(bench.encode(), folder)
-    if isinstance(effect, ActsOnNoise):
+    if isinstance(effect, ActsOnNoise) and effect.noise in NOISE:
         return _check_noise(effect, seen, without, {key: value for key, (value, _) in stated.items()})
     predicted = _predicted(effect, _with_levels(without), stated)
     change = seen.values - without.values

@@ -11,9 +11,10 @@ have a shape, or change the noise. An estimate fits effects without a shape, and
         about = About(…)                      # plain name, physics, who acts and what to do: see `about.py`
         def variants(self, observed) -> list[Variant]
 
-A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect of stage
-covariance has no columns: its `noise` names its kind, 'random walk', 'white' or 'resolution'. `each = "orientation"`: its amplitudes are
-independent for every orientation; its columns are then those of each orientation in turn, in the order of first use.
+A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect that
+acts on the noise states the kind in `noise`, such as 'random walk', 'white' or 'resolution'; of stage covariance, it has no columns.
+`each = "orientation"`: its amplitudes are independent for every orientation; its columns are then those of each orientation in turn, in the
+order of first use.
 
 An effect that becomes nonlinear when large also has a method `around` (see `Curved`). `hypothesis = False`: the diagnosis evaluates the
 effect only if it is named. Additional hypotheses change the probability of all others, so an effect becomes a hypothesis only after
@@ -156,12 +157,13 @@ class WrongDeclarationOf(Effect, Protocol):
     of_declaration: Literal[True]
 
 
-NoiseKind = Literal["white", "resolution", "random walk"]
+NoiseKind = Literal["white", "resolution", "random walk", "line"]
 
 
 @runtime_checkable
 class ActsOnNoise(Effect, Protocol):
-    """An effect of stage covariance: it changes the noise of the gyros, and has no columns."""
+    """An effect that changes the noise of the gyros: a diagnosis finds it outside the coefficients on which other effects act. Of stage
+    covariance, it has no columns; a line has columns, which a simulation adds."""
 
     noise: NoiseKind
 

@@ -25,6 +25,7 @@ from planrunner.error_model.effects.interface import (
 )
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer import parameters as estimates
+from planrunner.gap.answer.apart import Apart, found_apart
 from planrunner.gap.answer.closure import NOT_RESOLVABLE, Closure, FoldChoice, closure
 from planrunner.gap.answer.noise_found import NoiseFound, noise_found
 from planrunner.gap.answer.parameters import ParameterEstimate
@@ -161,6 +162,9 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         [name for name in options.given if name not in {e.id for e in effects} | set(options.nominal)]
     )
     weighing = Weighing(observed, options.nominal)
+    apart = found_apart(weighing, effects)
+    if apart.removed is not None:
+        weighing = Weighing(observed, options.nominal, apart.removed)
     with_signatures = [effect for effect in effects if not isinstance(effect, ActsOnNoise)]
     candidates = candidates_of(weighing, with_signatures)
     plain, given = weighing, _given(candidates, options.given)
@@ -168,7 +172,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         weighing = weighing.beside(together(weighing, given))
         effects = [effect for effect in effects if effect.id not in options.given]
         candidates = candidates_of(weighing, [effect for effect in with_signatures if effect.id not in options.given])
-    found = posterior(weighing, effects, candidates)
+    found = posterior(weighing, effects, candidates, apart)
     said = verdict(weighing, found, candidates)
     by_id = {candidate.id: candidate for candidate in candidates}
     named = [name for name in said.effects if name in by_id]
@@ -194,7 +198,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         said,
         tuple(ambiguity_set(found.probability, said)),
         absorbed,
-        tuple(_parameters(weighing, said, found, by_id, effects, exact)),
+        tuple(_parameters(weighing, said, found, by_id, effects, exact, apart)),
         closure(weighing, choices, max(beyond, 0.0)) if said.kind != "none" else NOT_RESOLVABLE,
         unknown_form(weighing, found) if "unknown" in (said.kind, said.residue, *said.members) else None,
         rest,
@@ -298,6 +302,7 @@ def _parameters(
     by_id: Mapping[str, Candidate],
     effects: list[Effect],
     exact: Mapping[str, Forms],
+    apart: Apart,
 ) -> list[ParameterEstimate]:
     """Estimates for the likeliest effects. The effects of a set are fitted together."""
     listed: list[ParameterEstimate] = []
@@ -305,9 +310,8 @@ def _parameters(
     together = found.sets.get(key_of(name for name in said.effects if name in by_id))
     for name in said.effects:
         if name not in by_id:
-            listed += estimates.of_noise(
-                weighing, next(one for one in effects if one.id == name and isinstance(one, ActsOnNoise))
-            )
+            on_noise = next(one for one in effects if one.id == name and isinstance(one, ActsOnNoise))
+            listed += apart.parameters.get(name) or estimates.of_noise(weighing, on_noise)
             continue
         shaped = shape_alone(by_id[name])
         if shaped is not None and name in exact:

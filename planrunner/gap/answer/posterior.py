@@ -11,11 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from math import comb
+from typing import get_args
 
 import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import ActsOnNoise, Effect, triad_of
+from planrunner.gap.answer.apart import Apart
 from planrunner.gap.answer.sets import EffectSet, key_of, sets_of
 from planrunner.gap.evidence.dispersion import dispersion
 from planrunner.gap.evidence.noise_levels import Level, log_densities
@@ -68,11 +70,13 @@ def without_unknown(name: str) -> str:
 @dataclass(frozen=True)
 class _NoiseOnly:
     """Effects on the noise. walk: a random walk of the gyros, or ''; others: effect by what the noise of a triad, gyro or accel, is;
-    levels: log densities."""
+    levels: log densities. apart: log BF of the effects that the recording shows outside the coefficients, such as a line; each acts or
+    does not, whatever the others do."""
 
     walk: str
     others: Mapping[tuple[str, Level], str]
     levels: Mapping[tuple[Level, Level], float]
+    apart: Mapping[str, float]
 
     @property
     def declared(self) -> float:
@@ -81,29 +85,40 @@ class _NoiseOnly:
 
     @property
     def states(self) -> dict[tuple[str, ...], float]:
-        """Log density of the white noise without and with other effects on it, at most one of each triad; only where it is possible."""
-        found = {}
+        """Log density of the white noise without and with other effects on it, at most one of each triad, and of the effects `apart`; only
+        where it is possible."""
+        found: dict[tuple[str, ...], float] = {}
         for (gyro, accel), value in self.levels.items():
             acting = [(kind, level) for kind, level in (("gyro", gyro), ("accel", accel)) if level != "declared"]
             if np.isfinite(value) and all(one in self.others for one in acting):
                 found[tuple(self.others[one] for one in acting)] = value
+        for name, more in self.apart.items():
+            found |= {(*acting_too, name): value + more for acting_too, value in found.items()}
         return found
 
 
-def posterior(weighing: Weighing, effects: Sequence[Effect], candidates: Sequence[Candidate]) -> Posterior:
-    """Weigh all hypotheses. effects: all that are installed; candidates: those of them with signatures, weighed."""
+def posterior(
+    weighing: Weighing, effects: Sequence[Effect], candidates: Sequence[Candidate], apart: Apart | None = None
+) -> Posterior:
+    """Weigh all hypotheses. effects: all that are installed; candidates: those of them with signatures, weighed; apart: effects that were
+    found outside the coefficients."""
+    apart = apart or Apart()
     nothing = np.zeros(len(weighing.base))
     on_noise = [effect for effect in effects if isinstance(effect, ActsOnNoise)]
     walk = next((effect.id for effect in on_noise if effect.noise == "random walk"), "")
     acting: dict[tuple[str, Level], str] = {
-        (triad_of(effect), effect.noise): effect.id for effect in on_noise if effect.noise != "random walk"
+        (triad_of(effect), level): effect.id
+        for effect in on_noise
+        for level in get_args(Level)
+        if effect.noise == level
     }
     densities = log_densities(weighing.declared, weighing.white, weighing.white_degrees, weighing.steps)
-    noise = _NoiseOnly(walk, acting, densities)
+    noise = _NoiseOnly(walk, acting, densities, apart.log_bayes)
     start = weighing.evidence(nothing) + noise.declared
     found, sets = _of_effects(weighing, candidates, noise)
-    kinds = competitors(weighing)
+    kinds = competitors(weighing, apart.outside)
     found[UNKNOWN] = weighing.evidence(unknown(kinds)) + noise.declared - start
+    found |= {key_of([name, UNKNOWN]): found[UNKNOWN] + value for name, value in noise.apart.items()}
     plainly = {what: weighing.evidence(value) + noise.declared - start for what, value in kinds.log_bayes.items()}
     count = _acting(found)
     logs = {
@@ -130,8 +145,8 @@ def posterior(weighing: Weighing, effects: Sequence[Effect], candidates: Sequenc
         {key: one.weighed for key, one in sets.items()},
         plainly,
         kinds.by_channel,
-        frozenset(acting.values()),
-        kinds.lines,
+        frozenset(acting.values()) | noise.apart.keys(),
+        kinds.lines + apart.lines,
         beside,
         sets,
     )

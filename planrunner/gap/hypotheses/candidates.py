@@ -138,11 +138,12 @@ class Candidate:
 class Weighing:
     """The recording with its noise and its nominal model, prepared for the evaluation of effects.
 
+    removed: (N, K), SI, what is subtracted from the samples before they are weighed, such as a line.
     coarse: (K,), channels whose count the noise does not dither; their samples show rounding, not noise.
     Settings of both triads are combined: index = gyro setting × accelerometer settings + accelerometer setting.
     """
 
-    def __init__(self, observed: Observed, nominal: Sequence[str] = FULL):
+    def __init__(self, observed: Observed, nominal: Sequence[str] = FULL, removed: Array | None = None):
         self.steps = counts(observed)
         channels = zip(observed.channels, self.steps, strict=True)
         self.declared = observed
@@ -151,7 +152,8 @@ class Weighing:
         )
         self.nominal_columns = nominal_columns(observed, nominal)
         self._reference = simulated(observed, nominal)
-        self.spectrum: Spectrum = spectrum(observed, self._reference)
+        reference = self._reference if removed is None else self._reference + removed
+        self.spectrum: Spectrum = spectrum(observed, reference)
         level, self.white_degrees = white_level(observed, self.spectrum)
         self.white: Array = np.maximum(level, self.steps / np.sqrt(12))
         self.coarse: NDArray[np.bool_] = is_coarse(self.white, self.steps)

@@ -32,6 +32,8 @@ BLOCK = 1024  # frequencies over which the local level of a periodogram is taken
 MATERIAL = float(np.expm1(2 * HOLDS))
 """Power of a tone, relative to the variance of the noise, from which on it is not part of a noise that is declared correctly."""
 _TUNINGS = 4  # corrections of the frequency of a fitted tone
+_NEAR = 8  # spacings of a periodogram about its highest frequency, between which finer values are tried
+_BLOCKS = 1024  # of time, over which shifted samples are summed
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,16 +60,16 @@ class Kinds:
     lines: tuple[Line, ...]
 
 
-def competitors(weighing: Weighing) -> Kinds:
-    """All competitors weighed."""
+def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
+    """All competitors weighed. outside_: those outside the basis, where they are known."""
     settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
     whole = {id(weight): Left.whole(weight) for each in weighing.weights for weight in each}
-    patterns, (outside, lines) = _Patterns(weighing), _outside(weighing)
+    patterns, beyond = _Patterns(weighing), outside_ or outside(weighing)
     several = np.full(len(weighing.base), -np.inf)
     each = {}
     for g in settings:
         channels = [whole[id(weight)] for weight in _weights(weighing, int(g))]
-        each[g] = patterns.weighed(channels) | outside
+        each[g] = patterns.weighed(channels) | beyond.log_bayes
         several[g] = _several(patterns, channels, each[g])
     found = {pattern: np.full(len(weighing.base), -np.inf) for pattern in each[settings[0]]}
     for g, values in each.items():
@@ -79,8 +81,8 @@ def competitors(weighing: Weighing) -> Kinds:
     for pattern, per_channel in factors(weighing):
         spectra = [eigen(left, design) for left, design in zip(first, per_channel, strict=True)]
         alone[pattern] = np.array(_by_scope(spectra, [[index] for index in range(count)]))
-    beside = float(log_mean_exp(np.array([log_mean_exp(value, 0) for value in outside.values()]), 0))
-    return Kinds(found, several, alone, beside, lines)
+    beside = float(log_mean_exp(np.array([log_mean_exp(value, 0) for value in beyond.log_bayes.values()]), 0))
+    return Kinds(found, several, alone, beside, beyond.lines)
 
 
 def something_else(weighing: Weighing) -> float:
@@ -135,7 +137,7 @@ def _maybe(log_bayes: float) -> float:
     return float(np.logaddexp(log_bayes, 0.0) - np.log(2.0))
 
 
-def _scopes(weighing: Weighing) -> list[list[int]]:
+def scopes_of(weighing: Weighing) -> list[list[int]]:
     """Scopes: every channel alone, then triads."""
     triads = [members for kind in ("gyro", "accel") if len(members := weighing.observed.of_kind(kind)) > 1]
     return [[index] for index in range(len(weighing.observed.channels))] + triads
@@ -146,7 +148,7 @@ class _Patterns:
 
     def __init__(self, weighing: Weighing):
         self.designs, self.repeating, self.sorts = list(designs(weighing)), Repeating(weighing), sorts(weighing)
-        self.means, self.scopes = weighing.spectrum.means, _scopes(weighing)
+        self.means, self.scopes = weighing.spectrum.means, scopes_of(weighing)
         self._known: dict[tuple[Pattern, Left], Eigen] = {}
 
     def weighed(self, channels: list[Left], among: Container[Sort] | None = None) -> dict[Pattern, Array]:
@@ -185,28 +187,38 @@ def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list
     return [float(value) for value in found]
 
 
-def _outside(weighing: Weighing) -> tuple[dict[Pattern, Array], tuple[Line, ...]]:
-    """log BF by scope of patterns outside the basis, and the lines.
+@dataclass(frozen=True)
+class Outside:
+    """Patterns outside the basis. log_bayes: by scope. lines: the strongest tone of each channel that has one. causes: those of them that
+    are causes of their own."""
+
+    log_bayes: dict[Pattern, Array]
+    lines: tuple[Line, ...]
+    causes: tuple[Line, ...]
+
+
+def outside(weighing: Weighing) -> Outside:
+    """Patterns outside the basis.
 
     Real noise often contains lines (supply, dither, resonances). A line is a cause of its own only if it is a single tone that makes the
     noise visibly larger; other lines belong to the noise and are only reported.
     """
-    scopes, scans = _scopes(weighing), [_scan(weighing, index) for index in range(len(weighing.observed.channels))]
+    scopes, scans = scopes_of(weighing), [_scan(weighing, index) for index in range(len(weighing.observed.channels))]
     periodograms = [_Periodogram.of(scan, scan.samples) for scan in scans]
     tones = np.array([_tone([periodograms[index].power for index in scope]) for scope in scopes])
-    lines, causes = [], set()
+    lines, causes = [], dict[int, Line]()
     for index, (scan, periodogram, evidence) in enumerate(zip(scans, periodograms, tones, strict=False)):
         if evidence > PLAIN:
             top = int(np.argmax(periodogram.power))
             amplitude, channel = float(periodogram.amplitude[top]), weighing.observed.channels[index]
             frequency = float(periodogram.frequency[top])
+            rest, frequency = _without_tone(weighing, scan, frequency, float(periodogram.frequency[0]))
             lines.append(Line(channel.name, frequency, amplitude / channel.factor, float(evidence)))
-            rest = _without_tone(weighing, scan, frequency)
             material = scan.energy(scan.samples) >= (1 + MATERIAL) * scan.energy(rest)
             if material and _tone([_Periodogram.of(scan, rest).power]) <= PLAIN:
-                causes.add(index)
-    tones = np.where([bool(causes & set(scope)) for scope in scopes], tones, np.minimum(tones, 0.0))
-    return {TONE: tones, BURSTS: bursts(weighing, scopes)}, tuple(lines)
+                causes[index] = lines[-1]
+    tones = np.where([bool(causes.keys() & set(scope)) for scope in scopes], tones, np.minimum(tones, 0.0))
+    return Outside({TONE: tones, BURSTS: bursts(weighing, scopes)}, tuple(lines), tuple(causes.values()))
 
 
 @dataclass(frozen=True)
@@ -292,13 +304,15 @@ def _scan(weighing: Weighing, index: int) -> _Scan:
     )
 
 
-def _without_tone(weighing: Weighing, scan: _Scan, frequency: float) -> Array:
+def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: float) -> tuple[Array, float]:
     """The samples (n,) of a scan without a sine of about this frequency [Hz], which is fitted with its amplitude and phase, as far as it
-    lies outside the basis (Gauss–Newton in the frequency)."""
+    lies outside the basis (Gauss–Newton in the frequency); and the frequency. spacing: Hz, of the periodogram. The search begins at the
+    highest of finer values about the frequency, because gaps between segments raise its neighbours almost as high."""
     observed, spectrum = weighing.observed, weighing.spectrum
     time = observed.time - observed.time.mean()
     root = np.sqrt(scan.weight)
     found = scan.samples
+    frequency += _highest(time[scan.chosen], scan.samples * scan.weight, frequency, spacing)
     for _ in range(_TUNINGS):
         phase = 2 * np.pi * frequency * time
         waves = np.column_stack([np.cos(phase), np.sin(phase)])
@@ -309,9 +323,20 @@ def _without_tone(weighing: Weighing, scan: _Scan, frequency: float) -> Array:
         fitted = np.linalg.lstsq(columns, scan.samples * root, rcond=None)[0]
         found = scan.samples - columns @ fitted / root
         cosine, sine, cosine_drift, sine_drift = fitted
-        turned = (cosine * sine_drift - sine * cosine_drift) / (cosine**2 + sine**2)
+        turned = (sine * cosine_drift - cosine * sine_drift) / (cosine**2 + sine**2)
         frequency += float(turned / time[-1] / (2 * np.pi))
-    return np.asarray(found)
+    return np.asarray(found), frequency
+
+
+def _highest(time: Array, samples: Array, frequency: float, spacing: float) -> float:
+    """The distance [Hz] from a frequency to the highest power among finer values about it. Samples (n,) that are shifted to frequency zero
+    change little within a block of time, so that their sums over blocks are enough."""
+    place = ((time - time[0]) * (_BLOCKS / (time[-1] - time[0]) * (1 - 1e-9))).astype(np.int64)
+    shifted = samples * np.exp(-2j * np.pi * frequency * time)
+    sums = np.bincount(place, shifted.real, _BLOCKS) + 1j * np.bincount(place, shifted.imag, _BLOCKS)
+    middles = time[0] + (np.arange(_BLOCKS) + 0.5) / _BLOCKS * (time[-1] - time[0])
+    about = spacing * np.linspace(-_NEAR, _NEAR, 20 * _NEAR + 1)
+    return float(about[int(np.argmax(np.abs(np.exp(-2j * np.pi * np.outer(about, middles)) @ sums)))])
 
 
 def _local_level(power: Array) -> Array:

@@ -1,0 +1,60 @@
+"""Line interference: a sine of one frequency in the outputs of a triad, from the electric supply or a vibration.
+
+Interference and aliasing are one effect. The sine is taken at the times of the samples, so that a line above half of the sampling rate f_s
+appears at its folded frequency |f − n·f_s| (Oppenheim and Schafer, Discrete-Time Signal Processing, sampling theorem). The samples alone do
+not show which of these frequencies is the true one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planrunner.error_model.effects.about import About, Actor
+from planrunner.error_model.effects.interface import Array, Shaped, Variant, per_axis
+from planrunner.error_model.observed import Observed
+
+_SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2), "accel": ("mg", 9.80665e-3, 1.0)}
+"""By kind of triad: the unit of the amplitude, its SI value, and its natural size in this unit."""
+_LINE = 60.0  # Hz, of an electric supply, in a simulation that states no frequency
+
+
+def _about(triad: str) -> About:
+    return About(
+        f"{triad} output contains a line",
+        f"A sine of one frequency, from the electric supply or a vibration, is added to the outputs of the {triad}s; a line above half of "
+        "the sampling rate appears at a lower, aliased frequency.",
+        Actor.BENCH,
+        "Look for a supply, a motor or a resonance of this frequency, or of a multiple of the sampling rate plus or minus this frequency; "
+        "shield the cables, or filter the output before it is sampled: {found}.",
+    )
+
+
+class _LineInterference(Shaped):
+    """Output + a·cos 2πft + b·sin 2πft per axis, t since power-on, at the times of the samples."""
+
+    stage, noise, shape_name, shape_unit = "output", "line", "frequency", "Hz"
+    kind: str
+
+    def grid(self, observed: Observed) -> Array:
+        return np.array([_LINE]) if observed.of_kind(self.kind) and observed.along is None else np.empty(0)
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        unit, factor, natural = _SCALES[self.kind]
+        phase = 2 * np.pi * value * observed.time
+        cosine, sine = (
+            per_axis(observed, self.kind, name, unit, factor, natural * factor, wave(phase))
+            for name, wave in (("cos", np.cos), ("sin", np.sin))
+        )
+        return Variant((*cosine, *sine), value)
+
+
+class GyroLineInterference(_LineInterference):
+    """Output of each gyro + a·cos 2πft + b·sin 2πft, f one frequency for all."""
+
+    id, kind, about = "gyro_line_interference", "gyro", _about("gyro")
+
+
+class AccelLineInterference(_LineInterference):
+    """Output of each accelerometer + a·cos 2πft + b·sin 2πft, f one frequency for all."""
+
+    id, of_accelerometers, kind, about = "accel_line_interference", True, "accel", _about("accelerometer")

@@ -1,0 +1,110 @@
+"""Effects that a recording shows outside the coefficients on which other effects act, such as a line of one frequency.
+
+They are found first and removed from the samples, so that the other effects are weighed without them. Each acts or does not act, whatever
+the others do: its evidence adds to theirs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.effects.interface import ActsOnNoise, Column, Effect, Shaped, triad_of
+from planrunner.gap.answer.parameters import ParameterEstimate
+from planrunner.gap.evidence.bayes_factors import log_mean_exp
+from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.open_set import TONE, Line, Outside, outside, scopes_of
+from planrunner.plan.schedule import Rest, Spin
+
+Array = NDArray[np.float64]
+_ROUNDS = 5  # corrections of the frequency
+_STEP = 1e-3  # of the resolution 1/T of the recording, for the derivative with respect to the frequency
+
+
+@dataclass(frozen=True)
+class Apart:
+    """log_bayes: of the effects that were found. parameters: theirs. lines: those of them that are tones. removed: (N, K), SI, what they
+    add to the samples; None if nothing was found. outside: the patterns outside the basis, None if they change by the removal."""
+
+    log_bayes: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, list[ParameterEstimate]] = field(default_factory=dict)
+    lines: tuple[Line, ...] = ()
+    removed: Array | None = field(default=None, repr=False)
+    outside: Outside | None = field(default=None, repr=False)
+
+
+def found_apart(weighing: Weighing, effects: Sequence[Effect]) -> Apart:
+    """The effects of this kind that act. A line has a name if it is a cause of its own, and not a part of the noise (`open_set`)."""
+    seen, observed = outside(weighing), weighing.observed
+    log_bayes, parameters, lines = {}, {}, list[Line]()
+    removed = np.zeros_like(observed.values)
+    for effect in effects:
+        if not (isinstance(effect, ActsOnNoise) and effect.noise == "line" and isinstance(effect, Shaped)):
+            continue
+        members = observed.of_kind(triad_of(effect))
+        names = {observed.channels[index].name for index in members}
+        causes = [line for line in seen.causes if line.channel in names]
+        if not causes:
+            continue
+        own = np.array([set(scope) <= set(members) for scope in scopes_of(weighing)])
+        log_bayes[effect.id] = float(log_mean_exp(seen.log_bayes[TONE][own], 0))
+        lines += causes
+        strongest = max(causes, key=lambda line: line.evidence)
+        frequency, u, columns, values = fitted_line(weighing, effect, strongest.frequency)
+        parameters[effect.id] = [ParameterEstimate(effect.id, effect.shape_name, frequency, effect.shape_unit, u)]
+        for column, (value, spread) in zip(columns, values.tolist(), strict=True):
+            size, sigma = value / column.factor, spread / column.factor
+            parameters[effect.id].append(ParameterEstimate(effect.id, column.name, size, column.unit, sigma))
+            for channel, part in column.parts.items():
+                removed[:, channel] += value * part
+    if not log_bayes:
+        return Apart(outside=seen)
+    return Apart(log_bayes, parameters, tuple(lines), removed)
+
+
+def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[float, float, Sequence[Column], Array]:
+    """Frequency and its standard uncertainty, Hz; the columns of the effect there; their amplitudes and standard uncertainties (P, 2), SI.
+
+    frequency: where the search begins, within the resolution of the recording. Gauss–Newton in the frequency, which all channels share;
+    basis vectors of the segments are projected out of every column, because the samples are those that the basis leaves."""
+    observed = weighing.observed
+    used = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])[observed.owner]
+    root = np.sqrt(observed.bin_size)[observed.owner]
+    step = _STEP / float(np.ptp(observed.time))
+    found = frequency
+    for _ in range(_ROUNDS):
+        columns = effect.at(observed, found).columns
+        beside = [effect.at(observed, found + way * step).columns for way in (1, -1)]
+        size = len(columns) + 1
+        normal, right = np.zeros((size, size)), np.zeros(size)
+        for channel in sorted({index for column in columns for index in column.parts}):
+            own = [k for k, column in enumerate(columns) if channel in column.parts]
+            level = weighing.white[channel] * np.sqrt(weighing.noise.level[observed.owner, channel])[used]
+            remainder = weighing.spectrum.remainder[used, channel] / level
+            waves = [
+                _outside(weighing, np.column_stack([one[k].parts[channel] * root for k in own]))
+                for one in (columns, *beside)
+            ]
+            waves = [wave[used] / level[:, None] for wave in waves]
+            amplitudes = np.linalg.lstsq(waves[0], remainder, rcond=None)[0]
+            slope = (waves[1] - waves[2]) @ amplitudes / (2 * step)
+            design = np.column_stack([waves[0], slope])
+            at = [*own, size - 1]
+            normal[np.ix_(at, at)] += design.T @ design
+            right[at] += design.T @ remainder
+        scale = np.sqrt(np.diag(normal)) + 1e-300
+        covariance = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+        solved, spread = covariance @ right, np.sqrt(np.diag(covariance))
+        found += float(solved[-1])
+    return found, float(spread[-1]), columns, np.column_stack([solved, spread])[:-1]
+
+
+def _outside(weighing: Weighing, columns: Array) -> Array:
+    """Columns of samples (N, P) without their components in the basis of each segment."""
+    out = columns.copy()
+    for basis, part in zip(weighing.spectrum.bases, weighing.observed.segments(), strict=True):
+        out[part] -= basis.vectors @ (basis.vectors.T @ out[part])
+    return out
