@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Array, Shaped, Variant, per_axis
+from planrunner.error_model.effects.interface import Shaped, Variant, per_axis
 from planrunner.error_model.observed import Observed
 
 _SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2), "accel": ("mg", 9.80665e-3, 1.0)}

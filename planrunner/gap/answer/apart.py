@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import ActsOnNoise, Column, Effect, Shaped, triad_of
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.evidence.bayes_factors import log_mean_exp
@@ -19,7 +19,6 @@ from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.open_set import TONE, Line, Outside, outside, scopes_of
 from planrunner.plan.schedule import Rest, Spin
 
-Array = NDArray[np.float64]
 _ROUNDS = 5  # corrections of the frequency
 _STEP = 1e-3  # of the resolution 1/T of the recording, for the derivative with respect to the frequency
 
