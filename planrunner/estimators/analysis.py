@@ -27,6 +27,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.limits import LimitVerdict, hold
 from planrunner.estimators.monte_carlo_validation import Chains, linear_chain, validated
+from planrunner.estimators.open_flicker import with_flicker_words
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.estimators.screened_estimate import estimated
 from planrunner.instruments.models import SensorModel
@@ -136,6 +137,7 @@ def _estimate(
     estimate, counted = estimated(
         chosen, spec.outliers, lambda segments: combined(estimator.estimate(requested(segments)))
     )
+    estimate = with_flicker_words(estimate)
     request = requested(counted)
     if spec.validate is not None:
         chained = isinstance(estimator, Chains)

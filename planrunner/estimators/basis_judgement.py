@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,9 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, counted, said
 from planrunner.estimators.drift_fit import SuspectedDrift
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark, UnfitDataError
+from planrunner.estimators.open_flicker import no_flicker_declared
 from planrunner.estimators.outlying_segments import LEAST_REDUNDANCY, Outlier, agreement
 from planrunner.estimators.outputs_fit import OutputsFit
-from planrunner.estimators.unstated_flicker import CREDIBLE, OpenFlicker, open_flicker
 from planrunner.observation.drift import DriftCourse
 from planrunner.observation.observations import SIGNIFICANCE
 from planrunner.plan.schedule import Segment
@@ -176,11 +176,8 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
             "segment to segment are not included."
         )
         notes.append(FitNote(within))
-    seen = {one.quantity: one for one in open_flicker(fit, basis)}
-    named = {name: Aspect.BIAS_INSTABILITY.of(name) for name in channels or fit.outputs}
-    unstated = {name: seen[quantity] for name, quantity in named.items() if quantity in seen}
-    notes += map(FitNote, _weights(fit, [name for name in named if name not in unstated]))
-    warnings += [_open(fit, unstated)] if unstated else []
+    unstated = {error.channel for error in fit.unstated}
+    notes += map(FitNote, _weights(fit, [name for name in channels or fit.outputs if name not in unstated]))
     for found in compare(fit):
         if found.exceeds:
             warnings.append(_exceeding(found, basis))
@@ -402,28 +399,6 @@ def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> Said:
     )
 
 
-def _open(fit: OutputsFit, found: Mapping[str, OpenFlicker]) -> Said:
-    """A warning that these channels may have flicker. The bench file does not declare it, and the data do not exclude it."""
-    bounds = [
-        said("{bound:.2g} {unit} ({output})", bound=one.bound, unit=one.unit, output=name)
-        for name, one in found.items()
-    ]
-    worst = max(found.values(), key=lambda one: one.widening)
-    return said(
-        "The bench file gives no bias instability for {outputs}, and the data (segments: {count}) do not exclude flicker noise with a "
-        "coefficient B of up to {bounds}, each with a probability of {share:.0f} %. The uncertainties do not include this flicker. With "
-        "flicker of this size, the 95 % interval of {coefficient} of {output} would have to be {widening:.2g} times as wide. Write "
-        "`bias_instability` in the bench file, from the data sheet or an Allan deviation; write 0 if the noise is known to be white.",
-        outputs=tuple(found),
-        count=len(fit.labels) - fit.within,
-        bounds=tuple(bounds),
-        share=100 * CREDIBLE,
-        coefficient=fit.names[worst.term],
-        output=fit.outputs[worst.output],
-        widening=worst.widening,
-    )
-
-
 def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[Said]:
     """The effects that the weights include in addition to the noise, and the outputs without declared flicker."""
     notes = []
@@ -440,12 +415,3 @@ def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[Said]:
     if silent:
         notes.append(no_flicker_declared(silent))
     return notes
-
-
-def no_flicker_declared(channels: Sequence[str]) -> Said:
-    """A note about channels without a declared bias instability."""
-    return said(
-        "No bias instability is declared for {outputs}: the intervals are valid only if the noise of different "
-        "segments is independent (no flicker).",
-        outputs=tuple(channels),
-    )

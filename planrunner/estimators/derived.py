@@ -18,6 +18,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said
 from planrunner.estimators.interface import Coefficient
 from planrunner.estimators.outputs_fit import OutputsFit
+from planrunner.estimators.unstated_flicker import UnstatedFlicker
 from planrunner.uncertainty.derivatives import Formula, value_and_jacobian
 from planrunner.uncertainty.influences import Influence
 from planrunner.uncertainty.monte_carlo import Draws, influence_draws, t_draws
@@ -83,6 +84,12 @@ class Derived:
         one input."""
         by_fit = zip(acting, self._by_fit(), strict=True)
         return tuple(one.through(gradient) for influences, gradient in by_fit for one in influences)
+
+    @property
+    def unstated(self) -> tuple[UnstatedFlicker, ...]:
+        """The flicker about which nothing is stated, as it acts on the quantities."""
+        by_fit = zip(self.fits, self._by_fit(), strict=True)
+        return tuple(one.through(gradient) for fit, gradient in by_fit for one in fit.unstated_flicker())
 
     def draws(self, basis: str, acting: Sequence[Sequence[Influence]]) -> Draws:
         """Monte Carlo draws of the quantities, computed with the formula. Only the influences are approximated to first order.

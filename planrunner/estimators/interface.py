@@ -32,6 +32,7 @@ from planrunner.estimators.tables import Plot as Plot
 from planrunner.estimators.tables import Role as Role
 from planrunner.estimators.tables import Table as Table
 from planrunner.estimators.tables import TableColumn as TableColumn
+from planrunner.estimators.unstated_flicker import UnstatedFlicker
 from planrunner.instruments.models import SensorModel, TableModel
 from planrunner.observation.refusals import EstimationError as EstimationError
 from planrunner.observation.refusals import UnfitDataError as UnfitDataError
@@ -91,7 +92,8 @@ class Estimate:
 
     data_covariance: the type A part alone. The analysis keeps it when it adds the influences. An estimate that uses this one starts
     from `data_covariance` and propagates the influences (`Influence.through`). An input that acts on both estimates therefore counts
-    once and with its sign. expected: whether the estimate comes from a schedule instead of a recording.
+    once and with its sign. expected: whether the estimate comes from a schedule instead of a recording. unstated: flicker for which the
+    bench file gives no size, as it acts on the coefficients; the analysis warns of it.
     """
 
     name: str
@@ -110,6 +112,7 @@ class Estimate:
     budgets: tuple[Budget, ...] = ()
     data_covariance: Array | None = None
     expected: bool = False
+    unstated: tuple[UnstatedFlicker, ...] = ()
 
     def __getitem__(self, name: str) -> Coefficient:
         for item in self.coefficients:

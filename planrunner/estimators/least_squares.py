@@ -14,7 +14,7 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import rank
-from planrunner.estimators.interface import EstimationError, UnfitDataError
+from planrunner.observation.refusals import EstimationError, UnfitDataError
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,6 +37,7 @@ from planrunner.estimators.interface import (
     Unpredicted,
 )
 from planrunner.estimators.tables import Plot, Table
+from planrunner.estimators.unstated_flicker import UnstatedFlicker
 from planrunner.plan.kinds import Record
 from planrunner.plan.meaning import channels_of
 from planrunner.uncertainty.budget import merged
@@ -48,11 +49,13 @@ _ALIKE = 1e-6  # relative: what two assumptions give alike does not rest on what
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quantities:
     """Result of a formula. covariance: (m, m), contribution of the data, in the products of the coefficients' units; influences:
-    contributions that the data do not show. extra: plain data for estimates that use this one; see `interface.Estimate`."""
+    contributions that the data do not show; unstated: flicker about which the bench file says nothing. extra: plain data for estimates that
+    use this one; see `interface.Estimate`."""
 
     coefficients: tuple[Coefficient, ...]
     covariance: Array
     influences: tuple[Influence, ...] = ()
+    unstated: tuple[UnstatedFlicker, ...] = ()
     extra: Mapping[str, Json] = field(default_factory=dict)
 
 
@@ -113,6 +116,7 @@ class Method(ABC, Generic[P, Q]):
             words.segments,
             found.extra,
             found.influences,
+            unstated=found.unstated,
         )
 
 

@@ -25,6 +25,7 @@ from planrunner.base.kept import kept
 from planrunner.estimators import least_squares
 from planrunner.estimators.drift_fit import NOTHING_FITTED, FittedDrift, fitted_drift, joined, sizes
 from planrunner.estimators.least_squares import LinearFit
+from planrunner.estimators.unstated_flicker import FlickerEvidence, UnstatedFlicker
 from planrunner.observation.correlated_errors import CorrelatedError, explained, functionals_of, mixed, stacked_roots
 from planrunner.observation.drift import NO_DRIFT, DriftCourses
 from planrunner.observation.observations import SIGNIFICANCE, Observations, WithinSegmentNoise, within_segment_noise
@@ -139,6 +140,33 @@ class OutputsFit:
         acting = functionals_of(self.gains) if functionals is None else functionals
         weighted = tuple(one.through(acting, basis == "residual") for one in self.effects)
         return (*weighted, *(one.through(acting) for one in self.unweighted))
+
+    def unstated_flicker(self, functionals: Array | None = None) -> tuple[UnstatedFlicker, ...]:
+        """The flicker about which nothing is stated, as it acts on the coefficients, output after output, or on other linear functions of
+        the observations, given by functionals (q, m, n)."""
+        if not self.unstated:
+            return ()
+        acting = functionals_of(self.gains) if functionals is None else functionals
+        return tuple(
+            UnstatedFlicker(error.channel, error.through(acting), self._evidence(output, error))
+            for error in self.unstated
+            for output in error.changes
+        )
+
+    def _evidence(self, output: int, error: CorrelatedError) -> FlickerEvidence | None:
+        """What the observations of an output show of the flicker."""
+        noise = self.noises[output]
+        if not all(one.known for one in self.noises):
+            return None
+        return FlickerEvidence(
+            self.columns,
+            self.fits[output].residuals,
+            noise.sigma,
+            noise.degrees_of_freedom,
+            error.changes[output],
+            error.within.get(output, np.zeros(len(noise.sigma))),
+            stacked_roots(self.effects, len(self.outputs), len(self.labels))[output],
+        )
 
     def degrees_of_freedom(self, gradients: Array, basis: str) -> Array:
         """Effective degrees of freedom (q,) of q quantities with the given gradients (q, m·p).

@@ -265,6 +265,7 @@ def _found(
         coefficients=tuple(coefficients),
         covariance=full,
         influences=(*stated, *recorded, *fit.influences(basis, functionals)),
+        unstated=fit.unstated_flicker(functionals),
         observations=observations,
         rates=rates,
         fit=fit,

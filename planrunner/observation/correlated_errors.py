@@ -24,12 +24,13 @@ _RESOLVED = (
 class CorrelatedError:
     """A correlated error. changes: (n, r) by index of the affected output: change of each observation per unit of each input. parts:
     names of the r inputs, as for `Influence`. within: for each output, (n,), its contribution to the variance within the segments, per
-    unit² of the input."""
+    unit² of the input. channel: the channel whose noise it is; empty for other errors."""
 
     quantity: InputQuantity
     changes: Mapping[int, Array]
     parts: tuple[str, ...] = ()
     within: Mapping[int, Array] = field(default_factory=dict)
+    channel: str = ""
 
     def covariance(self, one: int, other: int) -> Array | float:
         """Contribution to the covariance between the observations of two outputs, (n, n); 0.0 if the error acts on only one of them."""

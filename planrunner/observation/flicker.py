@@ -53,19 +53,23 @@ def _effects(
         return ()
     root = square_root(mean_covariance(observations.start, observations.end, span))
     seen = scatter_within(observations.batches, observations.courses or ())
-    return tuple(CorrelatedError(quantity, {k: root}, within={k: seen}) for k, quantity in stated.items())
+    return tuple(
+        CorrelatedError(quantity, {k: root}, within={k: seen}, channel=observations.channels[k])
+        for k, quantity in stated.items()
+    )
 
 
 def unstated_flicker(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
     """Flicker with B = 1, in the output's unit, for each output whose bias instability the bench file does not give. None for expected
     observations, which contain only declared effects. span: s."""
     outputs = [] if observations.expected else [*enumerate(observations.channels)]
-    silent = {
-        k: InputQuantity(Aspect.BIAS_INSTABILITY.of(name), 0.0, observations.units[k], 1.0)
-        for k, name in outputs
-        if name in inputs.without_flicker
-    }
+    silent = {k: of_unit_size(name, observations.units[k]) for k, name in outputs if name in inputs.without_flicker}
     return _effects(observations, silent, span)
+
+
+def of_unit_size(channel: str, unit: str) -> InputQuantity:
+    """The coefficient B of a channel for which none is stated: one unit, so that its influences are per unit."""
+    return InputQuantity(Aspect.BIAS_INSTABILITY.of(channel), 0.0, unit, 1.0)
 
 
 def mean_covariance(start: Array, end: Array, span: float) -> Array:

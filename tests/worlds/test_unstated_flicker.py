@@ -2,36 +2,135 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from planrunner.base.said import said
+from planrunner.estimators.derived import Reported, derived
+from planrunner.estimators.interface import Estimate
+from planrunner.estimators.open_flicker import open_flicker
 from planrunner.estimators.outputs_fit import fit_outputs
-from planrunner.estimators.unstated_flicker import open_flicker
-from planrunner.observation.flicker import unstated_flicker
+from planrunner.estimators.unstated_flicker import FlickerEvidence
+from planrunner.observation.flicker import mean_covariance, unstated_flicker
 from planrunner.observation.observations import Observations
 from planrunner.uncertainty.influences import Inputs
 from tests.worlds.campaigns import CAMPAIGNS
 from tests.worlds.coverage import estimated, known, recorded
 from tests.worlds.faults import WORLDS
+from tests.worlds.temperature_cycles import campaign, cycle_worlds
 
 Array = NDArray[np.float64]
 CAUSE = "bias_instability"
 SPAN = 86_400.0
 
 
-@pytest.mark.parametrize("estimator", ["flexure_gyro_static", "scale_factor", "accelerometer_multi_position"])
+@pytest.mark.parametrize(
+    "estimator",
+    [
+        "flexure_gyro_static",
+        "scale_factor",
+        "accelerometer_multi_position",
+        "scale_factor_tilted",
+        "scale_factor_tilted, within segments",
+        "strapdown_navigation at rest",
+    ],
+)
 @pytest.mark.parametrize(("world", "warned"), [("flicker, not declared", True), ("white noise", False)])
 def test_a_bench_that_says_nothing_of_flicker_is_warned_of(estimator: str, world: str, warned: bool) -> None:
     """`white noise` states that the flicker is zero."""
-    campaign, sound = CAMPAIGNS[estimator], known(CAMPAIGNS[estimator], WORLDS[world])
-    _, made = recorded(campaign, WORLDS[world], np.random.default_rng(11))
-    one = estimated(campaign, sound, made)
+    asked, sound = CAMPAIGNS[estimator], known(CAMPAIGNS[estimator], WORLDS[world])
+    _, made = recorded(asked, WORLDS[world], np.random.default_rng(11))
+    one = estimated(asked, sound, made)
     assert not isinstance(one, str), one
     naming = [text for text in one.warnings if CAUSE in text]
     assert len(naming) == warned
     noted = [text for text in one.notes if "No bias instability is declared" in text]
-    assert not (naming and noted)
+    for channel in asked.channels:
+        assert not any(channel in text.partition(",")[0] for text in naming) or not any(
+            channel in text for text in noted
+        )
+
+
+@pytest.mark.parametrize("order", ["", ", order: 1", ", uncertainty: propagated"])
+def test_a_curve_over_temperature_is_warned_of(order: str) -> None:
+    """The white noise of a bench that says nothing, and of one that says that there is no flicker."""
+    asked, world = campaign(1, order), replace(cycle_worlds(1)["white noise"], silent=True)
+    _, made = recorded(asked, world, np.random.default_rng(2))
+    silent, stated = (estimated(asked, known(asked, one), made) for one in (world, replace(world, silent=False)))
+    assert not isinstance(silent, str) and not isinstance(stated, str)
+    assert [text for text in silent.warnings if CAUSE in text and "gyro_z_T" in text]
+    assert not [text for text in stated.warnings if CAUSE in text]
+    assert any("No bias instability is declared" in text for text in stated.notes)
+    for one, other in zip(silent.coefficients, stated.coefficients, strict=True):
+        assert (one.value, one.standard_uncertainty) == (other.value, other.standard_uncertainty)
+
+
+@pytest.mark.slow
+def test_averages_of_many_segments_limit_flicker_with_the_same_probability() -> None:
+    """B from the half-Cauchy prior up to its quantile of 90 %: the bound is above it in 95 % of the draws, within four standard errors, and
+    on average no more than a tenth above that of all contrasts. The bound of a part of the draws is computed from all contrasts, too."""
+    n, draws, seconds = 300, 80, 60.0
+    start: Array = np.arange(float(n)) * (seconds + 20.0)
+    white = np.random.default_rng(8)
+    root: Array = np.asarray(np.linalg.cholesky(mean_covariance(start, start + seconds, SPAN)), dtype=np.float64)
+    columns = np.stack([np.ones(n), white.standard_normal(n)], axis=1)
+    scale = 1 / np.sqrt(np.mean(np.sum((root - root.mean(axis=0)) ** 2, axis=1)))
+    within: Array = np.full(n, math.log(32) / math.pi / 31)
+    above, sizes = 0, []
+    for draw in range(draws):
+        size = scale * np.tan(np.pi / 2 * 0.9 * white.random())
+        values = white.standard_normal(n) + size * (root @ white.standard_normal(n))
+        seen = FlickerEvidence(columns, values, np.ones(n), 31.0 * n, root, within, np.zeros((n, 0)))
+        bound = seen.bound()
+        above += bound >= size
+        if draw < 12:
+            sizes.append(np.log(bound / exact_bound(seen)))
+    assert above / draws >= 0.95 - 4 * np.sqrt(0.95 * 0.05 / draws)
+    assert abs(np.mean(sizes)) < 0.1
+
+
+def exact_bound(seen: FlickerEvidence) -> float:
+    """The bound by the likelihood of all observations, their coefficients integrated out, from determinants and solutions of linear
+    equations for each B (Harville 1977, equation 2)."""
+    values, columns = seen.values, seen.columns
+    flicker = seen.flicker @ seen.flicker.T - np.diag(seen.within)
+    grid = np.geomspace(1e-3, 1e2, 120)
+    logs = []
+    for size in grid:
+        covariance = np.diag(seen.sigma**2) + size**2 * flicker
+        solved = np.linalg.solve(covariance, np.column_stack([columns, values]))
+        inner = columns.T @ solved[:, :-1]
+        left = values @ solved[:, -1] - (values @ solved[:, :-1]) @ np.linalg.solve(inner, columns.T @ solved[:, -1])
+        determinants = np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(inner)[1]
+        logs.append(
+            -determinants / 2 - (seen.freedom + len(values) - columns.shape[1]) / 2 * np.log1p(left / seen.freedom)
+        )
+    about = seen.flicker - seen.flicker.mean(axis=0)
+    scale = 1 / np.sqrt(np.sum(about**2) / (len(values) - 1))
+    prior = 1 / (1 + (grid / scale) ** 2) * grid  # on a logarithmic grid
+    weights = np.cumsum(prior * np.exp(np.array(logs) - np.max(logs)))
+    return float(np.interp(0.95 * weights[-1], weights, grid))
+
+
+@pytest.mark.parametrize("quadruples", [2, 3, 6])
+def test_repeated_rocking_tests_show_flicker_themselves(quadruples: int) -> None:
+    """Means of the accelerometers over two windows of each run, and the drift of the element between them. Flicker gives the mean rocking
+    drift a variance, and the scatter of the quadruples is expected to show it: a coverage of 95 % falls below 94 % only from a ratio of
+    1.1."""
+    weights, begin = np.array([-0.5, 0.5, 0.5, -0.5]), np.arange(4.0 * quadruples) * 640.0
+    windows = np.sort(np.concatenate([begin + 30.0, begin + 560.0]))
+    by_windows = np.kron(np.eye(quadruples), np.kron(weights, [-1.0, 1.0]))
+    by_runs = np.kron(np.eye(quadruples), weights)
+    accelerometers = by_windows @ mean_covariance(windows, windows + 20.0, SPAN) @ by_windows.T
+    element = by_runs @ mean_covariance(begin + 30.0, begin + 560.0, SPAN) @ by_runs.T
+    for covariance in (accelerometers, element):
+        of_mean = covariance.sum() / quadruples**2
+        shown = (np.trace(covariance) - covariance.sum() / quadruples) / (quadruples - 1) / quadruples
+        assert 0.9 < of_mean / shown < 1.1
 
 
 def observations(means: Array, seconds: float, gap: float, sigma: float) -> Observations:
@@ -55,7 +154,11 @@ def bound_of(seen: Observations, span: float) -> tuple[float, ...]:
     silent = unstated_flicker(seen, Inputs(without_flicker=frozenset({"gyro"})), span)
     n = len(seen.labels)
     fit = fit_outputs(np.ones((n, 1)), seen, np.ones(1), ("bias",), unstated=silent)
-    return tuple(one.bound for one in open_flicker(fit, "within_segment"))
+    named = Reported("bias", "deg/h", said("bias"))
+    found = derived([named], lambda flat: flat, fit)
+    basis = "within_segment"
+    made = Estimate("", "", found.coefficients(basis), found.covariance(basis), unstated=found.unstated)
+    return tuple(one.bound for one in open_flicker(made))
 
 
 def test_plentiful_data_over_the_whole_span_need_no_declaration() -> None:
@@ -74,14 +177,14 @@ def test_more_scatter_allows_more_flicker() -> None:
 @pytest.mark.slow
 def test_the_bound_contains_the_coefficient() -> None:
     """For flicker as large as the noise of a mean: the bound is above it in at least 95 % of the runs, within four standard errors."""
-    campaign, world = CAMPAIGNS["scale_factor"], WORLDS["flicker, not declared"]
-    sound, above, runs = known(campaign, world), 0, 60
+    asked, world = CAMPAIGNS["scale_factor"], WORLDS["flicker, not declared"]
+    sound, above, runs = known(asked, world), 0, 60
     for run in range(runs):
-        _, made = recorded(campaign, world, np.random.default_rng([41, run]))
-        one = estimated(campaign, sound, made)
+        _, made = recorded(asked, world, np.random.default_rng([41, run]))
+        one = estimated(asked, sound, made)
         assert not isinstance(one, str), one
         (text,) = (text for text in one.warnings if CAUSE in text)
-        above += float(text.partition("up to ")[2].split()[0]) >= campaign.mean[0]
+        above += float(text.partition("up to ")[2].split()[0]) >= asked.mean[0]
     assert above / runs >= 0.95 - 4 * np.sqrt(0.95 * 0.05 / runs)
 
 

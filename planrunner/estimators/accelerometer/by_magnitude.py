@@ -122,6 +122,7 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
         coefficients=shown.coefficients(basis),
         covariance=shown.covariance(basis),
         influences=shown.influences([(*_gravity(request, fit), *fit.influences(basis))]),
+        unstated=shown.unstated,
         extra={"root_mean_square": _size(fit, residuals), "poses": len(poses.labels), "condition": found.condition},
         poses=poses,
         sphere=found,

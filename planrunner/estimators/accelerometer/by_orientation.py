@@ -81,6 +81,7 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
         coefficients=found.coefficients(basis),
         covariance=found.covariance(basis),
         influences=found.influences([stated]),
+        unstated=found.unstated,
         extra={"root_mean_square": scatter},
         observations=observations,
         units=tuple(units),

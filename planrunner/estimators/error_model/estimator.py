@@ -196,6 +196,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
             coefficients=found.coefficients(basis),
             covariance=found.covariance(basis),
             influences=found.influences([_stated(request, one) for one in outputs]),
+            unstated=found.unstated,
             extra={"effects": _as_added(outputs, common, found)},
             outputs=outputs,
             found=found,

@@ -135,6 +135,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
             coefficients=found.coefficients(basis),
             covariance=found.covariance(basis),
             influences=found.influences([stated]),
+            unstated=found.unstated,
             extra=_extra(observations, design, fit, parameters),
             observations=observations,
             design=design,

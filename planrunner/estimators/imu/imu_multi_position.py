@@ -161,6 +161,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
             coefficients=coefficients,
             covariance=found.covariance(basis),
             influences=found.influences([_stated(request, one) for one in triads]),
+            unstated=found.unstated,
             extra=_extra(request, made.frame, coefficients),
             triads=triads,
             frame=made.frame,

@@ -31,6 +31,7 @@ SHORTEST = 60.0  # s
 HIGHEST_LATITUDE = math.radians(85)
 STILL = 0.05  # m/s; a reference that moves faster is not at rest
 _COARSE = 300.0  # s at most that the coarse attitude is taken from, and the noise
+_SPANS = 64  # of the first stop, at most, whose means show flicker
 _GRAVITY_TOLERANCE = 0.01
 # Of the Earth's rate: that much gyro error is 6 deg of heading at the equator, the end of small angles.
 _EARTH_TOLERANCE = 0.1
@@ -44,7 +45,7 @@ class Aligned:
     """Result of an alignment. alignment: the fine alignment, with the covariance used. last: (6,), the last increments. density: (6,
     6), variance per second of the integrated sensors in navigation axes, from the scatter at rest. white: (6,), square roots of these
     densities in body axes. seconds: duration, s. turned: whether the unit was turned from stop to stop during alignment, so that its
-    constant errors were estimated too."""
+    constant errors were estimated too. rest: the readings at the first stop."""
 
     alignment: Alignment
     last: Array
@@ -53,6 +54,18 @@ class Aligned:
     seconds: float
     turned: bool
     warnings: tuple[Said, ...]
+    rest: AtRest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AtRest:
+    """Readings of the sensors at rest. means: (6, b), over consecutive spans of `length` [s], rad/s and m/s². white: (6,), rad/√s and
+    m/s/√s, with its degrees of freedom."""
+
+    means: Array
+    length: float
+    white: Array
+    freedom: float
 
 
 def align(
@@ -71,7 +84,8 @@ def align(
     _check_stop(recorded, seconds, still, site)
     pieces = reader.blocks(recorded)
     begin = _first(pieces, still)
-    mean, white = _at_rest(begin, still)
+    mean, rest = _at_rest(begin, still)
+    white = rest.white
     _check_at_rest(recorded.label, mean, site)
     start = coarse(mean[:3], mean[3:])
     turned = not isinstance(recorded.segment.motion, Rest)
@@ -113,7 +127,7 @@ def align(
     if lost:
         warnings += (_quiet(recorded.label, mean, site),)
     density = to_navigation(found.rotation, white**2)
-    return Aligned(found, navigator.last, density, white, seconds, turned, warnings)
+    return Aligned(found, navigator.last, density, white, seconds, turned, warnings, rest)
 
 
 def stillness(segment: Segment, seconds: float) -> float:
@@ -153,21 +167,25 @@ def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
     return found
 
 
-def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, Array]:
-    """Mean (6,), rad/s and m/s², over the first `seconds`, and white noise (6,), rad/√s and m/s/√s: the Allan deviation of means over
-    one second, which slow motion does not enlarge."""
+def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, AtRest]:
+    """Mean (6,), rad/s and m/s², over the first `seconds`, and the readings. The white noise is the Allan deviation of means over one
+    second, which slow motion does not enlarge; its degrees of freedom are those of overlapping differences of white noise."""
     values = np.hstack([piece.values for piece in pieces] or [np.zeros((6, 0))])
     interval = np.concatenate([piece.interval for piece in pieces] or [np.zeros(0)])
     within = int(np.searchsorted(np.cumsum(interval), seconds * (1 - 1e-9)))
     batches = int(seconds)
     size = within // batches
     if size == 0:
-        return np.full(6, math.nan), np.zeros(6)
+        return np.full(6, math.nan), AtRest(np.zeros((6, 0)), 0.0, np.zeros(6), 0.0)
     used = size * batches
     times = interval[:used].reshape(batches, size).sum(axis=1)
     means = values[:, :used].reshape(6, batches, size).sum(axis=2) / times
     white = np.sqrt(np.mean(np.diff(means) ** 2, axis=1) / 2 * times.mean())
-    return values[:, :used].sum(axis=1) / times.sum(), white
+    together = max(1, batches // _SPANS)
+    spans = batches // together
+    joined = means[:, : spans * together].reshape(6, spans, together).mean(axis=2)
+    rest = AtRest(joined, float(together * times.mean()), white, 2 / 3 * (batches - 1))
+    return values[:, :used].sum(axis=1) / times.sum(), rest
 
 
 def to_navigation(rotation: Array, variances: Array) -> Array:

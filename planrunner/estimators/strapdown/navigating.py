@@ -138,7 +138,7 @@ class StrapdownNavigationParameters(Record):
 class Navigated:
     """Result of a navigation. site: the place of the start. final: (4,), errors at the end [m, m, m/s, m/s]. seconds: duration, s.
     start: time at which it began, s. gap: time without samples after the alignment, s. wandering: response to biases that wander; None
-    if no bias instability is stated."""
+    if the bench file states for each sensor that it has no bias instability."""
 
     site: Site
     aligned: Aligned
@@ -226,7 +226,8 @@ def navigate(request: EstimateRequest[StrapdownNavigationParameters]) -> Navigat
     )
     site = start_place(request, stop, factor)
     step = None
-    if wandering_sensors(request.setup.inputs, parameters):
+    inputs = request.setup.inputs
+    if wandering_sensors(inputs, parameters) or inputs.without_flicker & set(parameters.channels):
         step = interval(sum(item.statistics.duration for item in (stop, *moving)), _INTERVALS)
     aligned = align(stop, reader, site, factor, parameters.constant_errors, step)
     gap = _gap(request, stop, moving, reader)

@@ -12,7 +12,7 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.base.said import Said, counted, said
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest
-from planrunner.estimators.strapdown.navigating import Navigated, StrapdownNavigationParameters
+from planrunner.estimators.strapdown.navigating import Navigated, StrapdownNavigationParameters, wandering_sensors
 from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, HOUR, NAUTICAL_MILE
 from planrunner.estimators.strapdown.uncertainty import (
     DEGREE,
@@ -60,6 +60,7 @@ def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Nav
             "duration_s": found.seconds,
         },
         (*influences(request, equations, found, points), *wander.influences),
+        unstated=wander.unstated,
     )
 
 
@@ -171,7 +172,7 @@ def _plots(points: Array) -> tuple[Plot, ...]:
 
 def _source(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> Said:
     """Source of the uncertainties of the errors, in words."""
-    if found.wandering is None:
+    if not wandering_sensors(request.setup.inputs, request.parameters):
         return said(
             "The uncertainties of the errors come from the white noise observed during alignment, propagated through the linear "
             "error equations; constant sensor errors are part of the measured errors. For the largest error, the root mean "

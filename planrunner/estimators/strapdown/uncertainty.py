@@ -18,14 +18,17 @@ from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.strapdown.alignment import levelled_out
 from planrunner.estimators.strapdown.navigating import Navigated, StrapdownNavigationParameters, wandering_sensors
 from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, CEP_SPREAD, HOUR, NAUTICAL_MILE
+from planrunner.estimators.unstated_flicker import FlickerEvidence, UnstatedFlicker
 from planrunner.instruments.models import SensorModel
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
 from planrunner.navigation.wgs84 import radii
+from planrunner.observation.flicker import mean_covariance, of_unit_size
 from planrunner.physics.earth import Site
 from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.uncertainty.derivatives import jacobian, length
 from planrunner.uncertainty.influences import Influence, InputQuantity
+from planrunner.uncertainty.monte_carlo import square_root
 
 SCHULER_PERIOD = 5064.0  # s, 84.4 min
 PERIODS = {"heading": 360.0, "roll": 360.0}
@@ -77,24 +80,55 @@ class Spread:
 
 
 class Wander:
-    """Uncertainty from biases that wander. influences: one for each sensor with a stated bias instability. radial: (n,), standard
-    uncertainty of the radial error at the points of the course [m]."""
+    """Uncertainty from biases that wander. influences: of each sensor with a stated bias instability. radial: (n,), standard uncertainty
+    of the radial error at the points of the course [m], from the same sensors. unstated: of the sensors for which the bench file gives
+    none."""
 
     def __init__(self, request: EstimateRequest[StrapdownNavigationParameters], found: Navigated, points: Array):
         self.influences: tuple[Influence, ...] = ()
+        self.unstated: tuple[UnstatedFlicker, ...] = ()
         self.radial = np.zeros(points.shape[1])
         if found.wandering is None:
             return
+        channels, inputs = request.parameters.channels, request.setup.inputs
+        stated = wandering_sensors(inputs, request.parameters)
+        units = request.segments[0].units
+        silent = {
+            k: of_unit_size(name, units[name]) for k, name in enumerate(channels) if name in inputs.without_flicker
+        }
         moments = np.unique([*np.linspace(points[0, -1] / _MOMENTS, points[0, -1], _MOMENTS), found.seconds])
         covariances = found.wandering.covariances(moments)
-        for k, quantity in wandering_sensors(request.setup.inputs, request.parameters).items():
+        for k, quantity in (stated | silent).items():
             own = rate_of(quantity, request.sensor) ** 2 * covariances[:, k]
             over_time = interpolated(points[0], moments, own[:, 3:, 3:])
             radial, speed = _lengths(points, over_time)
-            self.radial = np.hypot(self.radial, quantity.standard_uncertainty * radial)
             values, vectors = np.linalg.eigh(joined(found, points, own[-1], radial, speed))
             kept = values > 0
-            self.influences += (Influence(quantity, vectors[:, kept] * np.sqrt(values[kept])),)
+            influence = Influence(quantity, vectors[:, kept] * np.sqrt(values[kept]))
+            if k in stated:
+                self.radial = np.hypot(self.radial, quantity.standard_uncertainty * radial)
+                self.influences += (influence,)
+            else:
+                evidence = _evidence(found, k, rate_of(quantity, request.sensor), request.parameters.drift_span.value)
+                self.unstated += (UnstatedFlicker(channels[k], influence, evidence),)
+
+
+def _evidence(found: Navigated, sensor: int, rate: float, span: float) -> FlickerEvidence | None:
+    """What the first stop of the alignment shows of the flicker of a sensor. rate: rad/s or m/s² per unit of its channel."""
+    rest = found.aligned.rest
+    n = rest.means.shape[1]
+    if not (n > 1 and rest.white[sensor] > 0):
+        return None
+    start = rest.length * np.arange(n, dtype=np.float64)
+    return FlickerEvidence(
+        np.ones((n, 1)),
+        rest.means[sensor] / rate,
+        np.full(n, rest.white[sensor] / math.sqrt(rest.length) / rate),
+        rest.freedom,
+        square_root(mean_covariance(start, start + rest.length, span)),
+        np.zeros(n),
+        np.zeros((n, 0)),
+    )
 
 
 def rate_of(quantity: InputQuantity, sensor: SensorModel) -> float:

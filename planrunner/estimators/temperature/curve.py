@@ -218,7 +218,7 @@ class CurveFit:
     """A fitted curve. spread: uncertainty of its coefficients (p,). correlation: factor by which the variance of noise was increased
     because consecutive residuals are correlated. beside, beside_spread: coefficients (q,) of the columns fitted with it. ramps: how the
     offsets and slopes of ramps differ; empty if there are too few ramps to determine it. fullest: for a chosen curve, the curve of the
-    highest order tried, if it is a different one."""
+    highest order tried, if it is a different one. gains: (p, n), the coefficients from the values."""
 
     curve: Curve
     coefficients: Array
@@ -229,6 +229,7 @@ class CurveFit:
     beside_spread: SummedCovariance | None = None
     ramps: tuple[RampScatter, ...] = ()
     fullest: CurveFit | None = None
+    gains: Array = field(default_factory=partial(np.zeros, (0, 0)))
 
     @property
     def covariance(self) -> Array:
@@ -279,9 +280,11 @@ class OverTemperature:
         """The matrix W (n, n) that makes correlated values uncorrelated with variance one; None if the values are not correlated."""
         return None if self.covariance is None else least_squares.whitener(self.covariance)
 
-    def white(self, columns: Array) -> Array:
-        """Columns (n, …) after this whitening, or after division by sigma if the values are not correlated."""
-        return _white(columns, self.sigma, self.whitening)
+    def white(self, columns: Array, transposed: bool = False) -> Array:
+        """Columns (n, …) after this whitening, or after division by sigma if the values are not correlated. transposed: whether to
+        multiply by Wᵀ instead of W."""
+        whitening = self.whitening
+        return _white(columns, self.sigma, whitening.T if transposed and whitening is not None else whitening)
 
 
 def _white(columns: Array, sigma: Array, whitening: Array | None) -> Array:
@@ -336,9 +339,10 @@ def _fitted(made: Curve, values: OverTemperature, scatter: bool) -> CurveFit:
     """A curve through all values. Raises `EstimationError` if there is no basis for its uncertainty."""
     columns = np.column_stack([made.columns(values.temperature), values.beside])
     fit = least_squares.fit(columns, values.value, values.sigma, covariance=values.covariance)
+    gains = values.white((fit.cofactor @ values.white(columns).T).T, transposed=True).T
     p = made.order + 1
     if not scatter:
-        return _parted(CurveFit(made, fit.coefficients, SummedCovariance(((fit.cofactor, np.inf),))), p)
+        return _parted(CurveFit(made, fit.coefficients, SummedCovariance(((fit.cofactor, np.inf),)), gains=gains), p)
     if not fit.degrees_of_freedom:
         raise EstimationError(
             f"{len(values.value)} values for {columns.shape[1]} coefficients leave no residuals from which an uncertainty could be "
@@ -350,7 +354,8 @@ def _fitted(made: Curve, values: OverTemperature, scatter: bool) -> CurveFit:
     time = _correlation(values.white(fit.residuals), values.series)
     freedom = max(1.0, len(values.value) / time - columns.shape[1]) if time > 1 else float(fit.degrees_of_freedom)
     covariance = fit.cofactor * (fit.chi_squared / fit.degrees_of_freedom * time)
-    return _parted(CurveFit(made, fit.coefficients, SummedCovariance(((covariance, freedom),)), correlation=time), p)
+    spread = SummedCovariance(((covariance, freedom),))
+    return _parted(CurveFit(made, fit.coefficients, spread, correlation=time, gains=gains), p)
 
 
 def _correlation(weighted: Array, series: Integers) -> float:
@@ -369,6 +374,7 @@ def _parted(whole: CurveFit, p: int) -> CurveFit:
         spread=whole.spread.through(pick[:p]),
         beside=whole.coefficients[p:],
         beside_spread=whole.spread.through(pick[p:]),
+        gains=whole.gains[:p],
     )
 
 
@@ -457,7 +463,9 @@ def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequ
             noise = noise - phi * common
             parts.append((s * common, float(k)))
         seen.append(RampScatter(float(np.sqrt(variance)), k, s / phi, float(fdtrc(k, freedom, s / phi))))
-    return CurveFit(made, gain @ y, SummedCovariance(((noise, freedom), *parts)), correlation=time, ramps=tuple(seen))
+    gains = values.white(gain.T, transposed=True).T
+    spread = SummedCovariance(((noise, freedom), *parts))
+    return CurveFit(made, gain @ y, spread, correlation=time, ramps=tuple(seen), gains=gains)
 
 
 def _as_chosen(simple: CurveFit, full: CurveFit) -> CurveFit:

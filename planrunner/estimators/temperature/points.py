@@ -51,6 +51,8 @@ class Points:
     expected: bool = False
     covariance: Array | None = None
     time: Array = field(default_factory=partial(np.zeros, 0))
+    freedom: float = math.inf
+    unstated: Array | None = None
 
     @property
     def series(self) -> Integers:
@@ -139,10 +141,15 @@ def from_channels(
         points, intervals, shares = _channel(segments, channel, thermometer, width)
         points = replace(points, time=shares @ (intervals[0] + intervals[1]) / 2)
         declared = inputs.of_output(Aspect.BIAS_INSTABILITY, channel)
-        if declared is not None and declared.standard_uncertainty and points.known:
+        flickers = declared is not None and declared.standard_uncertainty > 0
+        silent = channel in inputs.without_flicker and not expected
+        if (flickers or silent) and points.known:
             kernel = mean_covariance(*intervals, span) if kernel is None else kernel
-            root = declared.standard_uncertainty * square_root(shares @ kernel @ shares.T)
-            points = replace(points, covariance=mixed(points.uncertainty, root))
+            root = square_root(shares @ kernel @ shares.T)
+            if declared is not None and flickers:
+                points = replace(points, covariance=mixed(points.uncertainty, declared.standard_uncertainty * root))
+            else:
+                points = replace(points, unstated=root)
         found.append(replace(points, expected=expected))
     return found
 
@@ -190,6 +197,7 @@ def _channel(
         np.repeat(_numbers(ramps, width), sizes),
         tuple(held[place].label for (_, place), size in zip(labelled, sizes, strict=True) for _ in range(size)),
         along=True,
+        freedom=freedom,
     )
     return points, (edges[:, :-1].ravel(), edges[:, 1:].ravel()), shares.reshape(len(count), -1)
 
@@ -201,7 +209,8 @@ def _at_held(segments: Sequence[RecordedSegment], channel: str, text: str, width
     direction, sweep = np.empty(len(order), dtype=np.int64), np.empty(len(order), dtype=np.int64)
     direction[order], sweep[order] = approached(found[order, 0].tolist(), width)
     labels = tuple(recorded.label for recorded in segments)
-    return Points(channel, text, found[:, 0], found[:, 1], found[:, 2], direction, sweep, labels)
+    freedom = sum(recorded.statistics.freedom for recorded in segments)
+    return Points(channel, text, found[:, 0], found[:, 1], found[:, 2], direction, sweep, labels, freedom=freedom)
 
 
 def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, float]:

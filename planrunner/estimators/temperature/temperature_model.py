@@ -15,7 +15,6 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, counted, said
 from planrunner.estimators import least_squares, rank
-from planrunner.estimators.basis_judgement import no_flicker_declared
 from planrunner.estimators.derived import independent
 from planrunner.estimators.drift_order import COUPLED
 from planrunner.estimators.interface import (
@@ -29,12 +28,15 @@ from planrunner.estimators.interface import (
     Unpredicted,
 )
 from planrunner.estimators.method import Method, Quantities, Words, by_expectation
+from planrunner.estimators.open_flicker import no_flicker_declared
 from planrunner.estimators.tables import Plot, Role, Table, TableColumn
 from planrunner.estimators.temperature.branches import Difference, difference_of
 from planrunner.estimators.temperature.curve import CurveFit, OverTemperature, curve, fit_curve, groups_of
 from planrunner.estimators.temperature.parameters import TemperatureModelParameters, remarks
 from planrunner.estimators.temperature.points import Points, from_channels, from_estimates, given_by_temperature
+from planrunner.estimators.unstated_flicker import FlickerEvidence, UnstatedFlicker
 from planrunner.observation.drift import NONE, ORDERS, DriftCourse, in_time
+from planrunner.observation.flicker import of_unit_size
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.uncertainty.conditions import StatedCondition, influences_on
 from planrunner.uncertainty.decision import expanded_uncertainty
@@ -177,6 +179,7 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
             coefficients=coefficients,
             covariance=covariance,
             influences=_influences(request, models),
+            unstated=_unstated(models),
             extra={"curves": {one.points.name: _plain(one) for one in models}},
             models=models,
         )
@@ -400,6 +403,31 @@ def _influences(
     return influences_on(coefficients, [StatedCondition.single(stated, lambda by: by)])
 
 
+def _unstated(models: Sequence[Modelled]) -> tuple[UnstatedFlicker, ...]:
+    """The flicker of the channels for which the bench file gives none. It moves the curves; the difference between ramps is a largest
+    value."""
+    counts = [len(one.fit.coefficients) + (one.widest is not None) for one in models]
+    found, first = [], 0
+    for one, count in zip(models, counts, strict=True):
+        points, root = one.points, one.points.unstated
+        if root is not None:
+            moved = np.zeros((sum(counts), root.shape[1]))
+            moved[first : first + len(one.fit.coefficients)] = one.fit.gains @ root
+            evidence = FlickerEvidence(
+                np.hstack([one.fit.curve.columns(points.temperature), one.beside]),
+                points.value,
+                points.uncertainty,
+                points.freedom,
+                root,
+                np.zeros(len(points.value)),
+                np.zeros((len(points.value), 0)),
+            )
+            influence = Influence(of_unit_size(points.name, points.unit), moved)
+            found.append(UnstatedFlicker(points.name, influence, evidence))
+        first += count
+    return tuple(found)
+
+
 def _label(form: str, name: str, text: str, k: int) -> tuple[str, str]:
     """Name and unit of the k-th coefficient of a curve. text: the unit of its values."""
     return (f"{name}_knot_{k + 1}", text) if form == "spline" else (f"{name}_T{k}", _per_kelvin(text, k))
@@ -586,9 +614,7 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[Said]:
                 "uncertainties of the estimates used, but not in those of this curve."
             )
         )
-    elif one.points.covariance is None:
-        found.append(no_flicker_declared([name]))
-    else:
+    elif one.points.covariance is not None:
         found.append(
             said(
                 "{name}: because of the declared bias instability, values at neighbouring times are correlated; "
@@ -596,6 +622,8 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[Said]:
                 name=name,
             )
         )
+    elif one.points.unstated is None:
+        found.append(no_flicker_declared([name]))
     if parameters.uncertainty == "residual":
         freedom = float(fit.uncertainties()[1].min())
         found.append(

@@ -160,6 +160,20 @@ def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign
     return np.stack([line.slope, line.offset, sign * at / full_scale, line.asymmetry, line.response], axis=-1)
 
 
+def columns_of_repeats(groups: Sequence[Group], conditions: TiltedConditions, axis: int) -> Array:
+    """The linear model of one output's means, (N, 3·R) for R repeats: each has a zero, an offset at the rates and a scale factor of its
+    own, as `fit_lines` determines them."""
+    columns = []
+    for group in groups:
+        inputs = conditions.inputs(group)[..., axis]
+        for spins, rest, x in zip(group.spins, group.rest, inputs, strict=True):
+            zero, offset, slope = np.zeros((3, len(rest)))
+            zero[rest != 0], zero[spins], offset[spins] = 1.0, 1.0, 1.0
+            slope[spins] = x / np.abs(x).max()
+            columns += [zero, offset, slope]
+    return np.column_stack(columns)
+
+
 def worst_of(groups: Sequence[Group], found: TiltedResults, reference: int) -> Worst:
     kelvin = np.array([group.kelvin for group in groups])
     return _worst(found.residuals, _decisive(found.means[..., K], kelvin, reference))

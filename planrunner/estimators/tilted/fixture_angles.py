@@ -157,6 +157,7 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
             coefficients=found.coefficients(parameters.uncertainty),
             covariance=found.covariance(parameters.uncertainty),
             influences=found.influences(acting),
+            unstated=found.unstated,
             axes=axes,
             fits=tuple(fits),
         )

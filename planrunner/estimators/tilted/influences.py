@@ -27,6 +27,7 @@ from planrunner.estimators.tilted.evaluation import (
     evaluate,
 )
 from planrunner.estimators.tilted.fixture_gains import tilt_part
+from planrunner.estimators.tilted.scatter import in_common
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import rotation_about
@@ -178,6 +179,20 @@ def _flicker(situation: Situation, flicker: Sequence[CorrelatedError], basis: st
     functionals = np.concatenate([one.reshape(-1, *one.shape[2:]) for one in each])
     for effect in flicker:
         yield effect.through(functionals, basis == "residual").through(situation.gradient)
+
+
+def unstated_influences(
+    situation: Situation, silent: Sequence[CorrelatedError], basis: str
+) -> Iterator[tuple[CorrelatedError, Influence]]:
+    """Flicker of unknown size as it acts on `TiltedResults.vector`. On the basis `repeats`, this is only the part that is common to all
+    repeats: their scatter shows the rest."""
+    for error in silent:
+        if basis == "repeats":
+            pairs = zip(situation.groups, situation.answers, strict=True)
+            common = np.concatenate([in_common(group, answers, [error]) for group, answers in pairs])
+            yield error, Influence(error.quantity, situation.gradient * np.sqrt(common))
+        else:
+            yield from ((error, one) for one in _flicker(situation, [error], "within_segment"))
 
 
 def _zero_drift(situation: Situation, basis: str, drifts: Mapping[int, float]) -> Iterator[Influence]:

@@ -29,12 +29,13 @@ from planrunner.estimators.tilted.evaluation import (
     K,
     TiltedConditions,
     answers_of,
+    columns_of_repeats,
     evaluate,
     make_group,
     worst_of,
 )
 from planrunner.estimators.tilted.fixture_calibration import calibrated_axes
-from planrunner.estimators.tilted.influences import Rounding, Situation, influences
+from planrunner.estimators.tilted.influences import Rounding, Situation, influences, unstated_influences
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes, rotation_axis, seeing
 from planrunner.estimators.tilted.parameters import THERMOMETER, ScaleFactorTiltedParameters
 from planrunner.estimators.tilted.rate_lines import rate_and_output
@@ -63,8 +64,9 @@ from planrunner.estimators.tilted.scatter import (
     with_expected_repeatability,
 )
 from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates, part_turns, recorded_seconds
+from planrunner.estimators.unstated_flicker import FlickerEvidence, UnstatedFlicker
 from planrunner.observation.correlated_errors import CorrelatedError, explained
-from planrunner.observation.flicker import SPAN, flicker_errors
+from planrunner.observation.flicker import SPAN, flicker_errors, unstated_flicker
 from planrunner.observation.observations import Observations, dithered, observe, within_segment_noise
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import DIMENSIONS, Unit, unit
@@ -153,6 +155,7 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
             coefficients=learnt,
             covariance=shown_covariance(shown, covariance),
             influences=shown_influences(shown, acting),
+            unstated=_unstated(request, situation, observations, sigma, freedom_of_sigma, shown),
             extra={"by_temperature": held} if held else {},
             situation=situation,
             kept=tuple(one.label for one in kept),
@@ -185,6 +188,35 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
             warnings=(*found.doubts, *_against_declared(request, found), *told.warnings),
             segments=found.kept,
         )
+
+
+def _unstated(
+    request: EstimateRequest[ScaleFactorTiltedParameters],
+    situation: Situation,
+    observations: Observations,
+    sigma: Array,
+    freedom: Array,
+    shown: Sequence[Item],
+) -> tuple[UnstatedFlicker, ...]:
+    """The flicker of the outputs for which the bench file gives none. sigma: (N, m), freedom: (m,), as in `_sigma`."""
+    silent = unstated_flicker(observations, request.setup.inputs, SPAN.value)
+    found = []
+    for error, influence in unstated_influences(situation, silent, request.parameters.uncertainty):
+        axis = observations.channels.index(error.channel)
+        evidence = None
+        if freedom[axis]:
+            evidence = FlickerEvidence(
+                columns_of_repeats(situation.groups, situation.conditions, axis),
+                observations.mean[:, axis],
+                sigma[:, axis],
+                float(freedom[axis]),
+                error.changes[axis],
+                error.within[axis],
+                np.zeros((len(sigma), 0)),
+            )
+        (acting,) = shown_influences(shown, [influence])
+        found.append(UnstatedFlicker(error.channel, acting, evidence))
+    return tuple(found)
 
 
 def _against_declared(request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> list[Said]:

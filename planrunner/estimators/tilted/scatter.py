@@ -90,14 +90,14 @@ def scatter_between_repeats(
     correlation = _correlation(deviations.T @ deviations)
     covariance = np.array([correlation * np.outer(own, own) / len(one) for own, one in zip(size, repeats, strict=True)])
     freedom = np.where(same, degrees.sum(), degrees[:, None]).astype(float)
-    shared = np.array([_in_common(group, own, flicker) for group, own in zip(groups, answers, strict=True)])
+    shared = np.array([in_common(group, own, flicker) for group, own in zip(groups, answers, strict=True)])
     seen = np.diagonal(covariance, axis1=1, axis2=2)
     larger = 1 + np.divide(shared, seen, out=np.zeros_like(seen), where=seen > 0)
     covariance = covariance * np.sqrt(larger[:, :, None] * larger[:, None, :])
     return Scatter(covariance, freedom * larger**2, same)
 
 
-def _in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) -> Array:
+def in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) -> Array:
     """Variances (5·m,) of the means over the repeats from the part of flicker that is common to different repeats: the mean of fᵣᵀCfₛ over
     r ≠ s, where f is the sensitivity of a repeat's quantities to the segments; zero if this mean is negative."""
     gains, q = answers_to_averages(answers), len(group.spins)

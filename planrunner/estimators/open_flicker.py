@@ -1,0 +1,94 @@
+"""The warning about flicker that neither the bench file nor the data limit enough for the intervals of an estimate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, said
+from planrunner.estimators.interface import CoefficientRole, Estimate
+from planrunner.estimators.unstated_flicker import CREDIBLE
+from planrunner.uncertainty.decision import coverage_factor
+
+SUFFICIENT = 0.90
+"""Coverage to which flicker at its bound may reduce a 95 % interval without a remark."""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenFlicker:
+    """bound: of B, in `unit`. coefficient: name of the one whose interval is the most affected; widening: factor by which its interval
+    would have to be wider with B at the bound."""
+
+    channel: str
+    unit: str
+    bound: float
+    coefficient: str
+    widening: float
+
+
+def open_flicker(estimate: Estimate) -> tuple[OpenFlicker, ...]:
+    """The flicker that may make an interval of an estimate too narrow, one entry for each channel. The estimate has the standard
+    uncertainties and the degrees of freedom of the whole budget. Spreads and largest values are left out, because they contain the
+    flicker."""
+    found = []
+    spreads = np.array([item.standard_uncertainty for item in estimate.coefficients])
+    located = np.array([item.role is CoefficientRole.LOCATION for item in estimate.coefficients], dtype=bool)
+    judged = located & np.isfinite(spreads) & (spreads > 0)
+    factors = np.array([coverage_factor(item.degrees_of_freedom) for item in estimate.coefficients])
+    for one in estimate.unstated:
+        slow = np.where(judged, np.sum(one.influence.sensitivities**2, axis=1), 0.0)
+        if one.evidence is None or not slow.any():
+            continue
+        bound = one.evidence.bound()
+        wider = np.sqrt(1 + bound**2 * slow / np.where(judged, spreads, 1.0) ** 2)
+        narrow = np.where(judged, wider / factors, 0.0)
+        worst = int(np.argmax(narrow))
+        if narrow[worst] * coverage_factor(math.inf, SUFFICIENT) > 1:
+            widening = float(narrow[worst] * coverage_factor(math.inf))
+            name = estimate.coefficients[worst].name
+            found.append(OpenFlicker(one.channel, one.influence.quantity.unit, bound, name, widening))
+    return tuple(found)
+
+
+def with_flicker_words(estimate: Estimate) -> Estimate:
+    """The estimate with a warning about the flicker that may make its intervals too narrow, and a note about the other channels for which
+    the bench file gives none."""
+    if not estimate.unstated:
+        return estimate
+    found = open_flicker(estimate)
+    named = {one.channel for one in found}
+    silent = tuple(dict.fromkeys(one.channel for one in estimate.unstated if one.channel not in named))
+    notes = (no_flicker_declared(silent),) if silent else ()
+    warnings = (_warning(found),) if found else ()
+    return replace(estimate, notes=(*estimate.notes, *notes), warnings=(*estimate.warnings, *warnings))
+
+
+def _warning(found: Sequence[OpenFlicker]) -> Said:
+    bounds = tuple(
+        said("{bound:.2g} {unit} ({output})", bound=one.bound, unit=one.unit, output=one.channel) for one in found
+    )
+    worst = max(found, key=lambda one: one.widening)
+    return said(
+        "The bench file gives no bias instability for {outputs}, and the data do not exclude flicker noise with a coefficient B of up "
+        "to {bounds}, each with a probability of {share:.0f} %. The uncertainties do not include this flicker. With flicker of this "
+        "size, the 95 % interval of {coefficient} would have to be {widening:.2g} times as wide. Write `bias_instability` in the bench "
+        "file, from the data sheet or an Allan deviation; write 0 if the noise is known to be white.",
+        outputs=tuple(one.channel for one in found),
+        bounds=bounds,
+        share=100 * CREDIBLE,
+        coefficient=worst.coefficient,
+        widening=worst.widening,
+    )
+
+
+def no_flicker_declared(channels: Sequence[str]) -> Said:
+    """A note about channels without a declared bias instability."""
+    return said(
+        "No bias instability is declared for {outputs}: the intervals are valid only if the noise of different "
+        "segments is independent (no flicker).",
+        outputs=tuple(channels),
+    )
