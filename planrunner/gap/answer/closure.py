@@ -1,12 +1,13 @@
 """Closure: reduction of the gap on segments that were not used to choose or fit the effect.
 
 Segments are held out in groups, each with segments of every kind of motion, and the effect is chosen again without each group. The
-difference d of the predictions with and without the effect is then known exactly. The unknown is the size of the gap g itself: |g| before,
-|g − d| after. Two cases are averaged, weighted by their probability in the diagnosis.
+difference d between the predictions with and without the effect is then known exactly. The unknown is the gap g itself: its size is
+|g| before and |g − d| after. Two cases are averaged, weighted by their probability in the diagnosis.
 
 - An effect or pair of the catalogue is the whole cause: g is its signature with amplitudes estimated from all segments, normal with
-  their covariance. - Something else acts, additionally or alone. With r the held-out residual of the nominal simulation, whitened with the
-  uncertainty of its fitted parameters (r = g + noise), the part of g along d is measured with unit noise, and the size of the rest follows
+  their covariance.
+- Something else acts, additionally or alone. Let r be the held-out residual of the nominal simulation, whitened with the uncertainty
+  of its fitted parameters (r = g + noise). The part of g along d is then measured with unit noise. The size of the other part follows
   from a non-central χ² (its confidence distribution: Schweder and Hjort, Confidence, Likelihood, Probability, 2016).
 """
 
@@ -36,9 +37,9 @@ WORTH = 4.0  # log BF in a fold at and above which an effect is selected
 
 @dataclass(frozen=True, slots=True)
 class ChannelClosure:
-    """The closure of one channel. before, after: size of the held-out gap in standard deviations of the noise, root mean square over the
-    coefficients; before_value, after_value: the same in `unit`, root mean square over the samples. shrinks_by, interval_90: as for all
-    channels."""
+    """The closure of one channel. before, after: size of the held-out gap in standard deviations of the noise, root mean square
+    over the coefficients; before_value, after_value: the same in `unit`, root mean square over the samples. shrinks_by,
+    interval_90: as in `Closure`."""
 
     channel: str
     unit: str
@@ -69,14 +70,15 @@ NOT_RESOLVABLE = Closure(np.nan, np.nan, np.nan, (np.nan, np.nan), False)
 
 @dataclass(frozen=True, slots=True)
 class FoldChoice:
-    """An effect or pair that a fold may choose. probability: probability that it is the whole cause. whole: the amplitude is fixed at 1."""
+    """An effect or pair that a fold may choose. probability: probability that it is the whole cause. whole: whether the amplitude
+    is fixed at 1."""
 
     weighed: Weighed
     probability: float
     whole: bool = False
 
     def amplitudes(self, gram: Array, score: Array) -> tuple[Array, Array]:
-        """Mean (p,) and covariance (p, p), from information (p, p) and score (p,)."""
+        """Mean (p,) and covariance (p, p) of the amplitudes, from information (p, p) and score (p,)."""
         return (np.ones(1), _EXACT) if self.whole else best_amplitudes(gram, score, self.weighed.variant.widths)
 
     def log_bayes(self, gram: Array, score: Array) -> float:
@@ -87,8 +89,8 @@ class FoldChoice:
 
 @dataclass(frozen=True)
 class KnownCause:
-    """A cause from the catalogue. gram (p, p) and along (p,): inner products of its held-out signatures with each other and with d; mean
-    and covariance of its amplitudes."""
+    """A cause from the catalogue. gram (p, p) and along (p,): inner products of its held-out signatures with each other and with d;
+    mean and covariance: of its amplitudes."""
 
     probability: float
     gram: Array = field(repr=False)
@@ -99,8 +101,8 @@ class KnownCause:
 
 @dataclass(frozen=True)
 class _Fold:
-    """channel: (m,), index of every row. residual, difference: (m,), whitened; signatures: of every choice, (m, p); told: information
-    (p, p) from the other segments about it."""
+    """channel: (m,), index of every row. residual, difference: (m,), whitened; signatures: of every choice, (m, p); told: the
+    information (p, p) about each choice from the other segments."""
 
     channel: NDArray[np.int64]
     residual: Array
@@ -110,8 +112,8 @@ class _Fold:
 
 
 def closure(weighing: Weighing, choices: Sequence[FoldChoice], beyond: float) -> Closure:
-    """The closure for the effects and pairs among which each fold chooses again. beyond: probability that no effect or pair among them is
-    the whole cause."""
+    """Computes the closure. The effects and pairs are those among which each fold chooses again. beyond: probability that no effect
+    or pair among them is the whole cause."""
     if len(weighing.observed) < FEWEST or not choices:
         return NOT_RESOLVABLE
     folds = [_fold(weighing, choices, held) for held in held_out(weighing)]
@@ -134,7 +136,7 @@ def closure(weighing: Weighing, choices: Sequence[FoldChoice], beyond: float) ->
 def _measured_rows(
     choices: Sequence[FoldChoice], folds: Sequence[_Fold], rows: Sequence[NDArray[np.bool_]], beyond: float
 ) -> Closure:
-    """The closure on some rows of every fold."""
+    """The closure of some rows of every fold."""
     chosen = list(zip(folds, rows, strict=True))
     difference = np.concatenate([fold.difference[at] for fold, at in chosen])
     known = []
@@ -147,7 +149,8 @@ def _measured_rows(
 
 
 def _in_unit(weighing: Weighing, index: int, own: Closure, residual: Array) -> ChannelClosure:
-    """The closure of a channel, also in its unit: coefficients count with the mean square of their noise."""
+    """The closure of a channel, with its sizes also in the channel's unit. Coefficients count in proportion to the mean square of
+    their noise."""
     channel, weight = weighing.observed.channels[index], weighing.weights[index][0]
     every = np.ones(len(weight.scale), dtype=bool)
     sigma = float(np.sqrt(np.mean(np.diag(weight.covariance(every)))))
@@ -167,8 +170,8 @@ def _in_unit(weighing: Weighing, index: int, own: Closure, residual: Array) -> C
 def predictions(
     weighing: Weighing, choices: Sequence[FoldChoice], change: Array, worth: float = WORTH
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """The effect g (m,) of a known change of the outputs, coefficients (M, K), in held-out segments, its prediction d (m,), and the
-    channel of every row. For tests with a known truth. worth: log BF from which a fold selects one of the choices."""
+    """For a known change of the outputs, coefficients (M, K): its effect g (m,) in held-out segments, the prediction d (m,), and
+    the channel of every row. It is used by tests with a known truth. worth: log BF from which a fold selects one of the choices."""
     gap, difference, channels = [], [], []
     for held in held_out(weighing):
         rows = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
@@ -187,8 +190,9 @@ def held_out(weighing: Weighing) -> list[NDArray[np.bool_]]:
 
 
 def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
-    """The fold (S,) of each segment. Segments of one kind of motion are distributed in turn, and each round begins with the next fold,
-    because plans are periodic: every fourth segment might contain all segments of one orientation."""
+    """The fold (S,) of each segment. Segments of one kind of motion are distributed in turn over the folds, and each round begins
+    with the next fold. Plans are often periodic, so without this shift every fourth segment might contain all segments of one
+    orientation."""
     order = np.argsort(np.unique(kinds, return_inverse=True)[1], kind="stable")
     place = np.arange(len(kinds))
     dealt = np.empty(len(kinds), dtype=np.int64)
@@ -197,8 +201,8 @@ def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
 
 
 def _told(weighed: Weighed, number: int, folds: Sequence[_Fold]) -> float:
-    """The share of an effect's energy in held-out segments that the other segments determine, for amplitudes of the estimated size. 0 if
-    only one segment shows the effect."""
+    """The fraction of an effect's energy in held-out segments that the other segments determine, for amplitudes of the estimated
+    size. 0 if only one segment shows the effect."""
     size = best_scales(weighed.gram[0], weighed.score[0], weighed.variant.widths)
     shown = left = 0.0
     for fold in folds:
@@ -234,7 +238,7 @@ def measured(residual: Array, difference: Array, known: Sequence[KnownCause] = (
 
 
 def _unknown(residual: Array, difference: Array, count: int, draw: np.random.Generator) -> Array:
-    """Squares of the gap before and after, (count, 2), for any composition of the gap."""
+    """Squares of the gap before and after, (count, 2), for an unknown composition of the gap."""
     from scipy.special import chndtr
 
     m, size = len(residual), float(np.linalg.norm(difference))
@@ -249,7 +253,7 @@ def _unknown(residual: Array, difference: Array, count: int, draw: np.random.Gen
 
 
 def _explained(cause: KnownCause, squared: float, count: int, draw: np.random.Generator) -> Array:
-    """The same if a known cause is the whole gap. squared: |d|²."""
+    """Squares of the gap before and after, (count, 2), if a known cause is the whole gap. squared: |d|²."""
     root = np.linalg.cholesky(cause.covariance)
     amplitudes = cause.mean + draw.standard_normal((count, len(cause.mean))) @ root.T
     before = np.einsum("ni,ij,nj->n", amplitudes, cause.gram, amplitudes)
@@ -257,7 +261,7 @@ def _explained(cause: KnownCause, squared: float, count: int, draw: np.random.Ge
 
 
 def _fold(weighing: Weighing, choices: Sequence[FoldChoice], held: NDArray[np.bool_], worth: float = WORTH) -> _Fold:
-    """Held-out rows of all channels, with the effect chosen from the other rows."""
+    """The held-out rows of all channels. The effect is chosen from the other rows."""
     used = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
     bounds = np.concatenate(([0], np.cumsum([len(choice.weighed.gram[0]) for choice in choices])))
     parts = [slice(low, high) for low, high in pairwise(bounds)]
@@ -280,7 +284,7 @@ def _fold(weighing: Weighing, choices: Sequence[FoldChoice], held: NDArray[np.bo
 
 
 class _Rows:
-    """One channel's chosen coefficients, whitened and freed of the nominal parameters."""
+    """The chosen coefficients of one channel, whitened and without the part that the nominal parameters explain."""
 
     def __init__(self, weighing: Weighing, channel: int, chosen: NDArray[np.bool_]):
         self.weight = weighing.weights[channel][0]

@@ -1,8 +1,9 @@
 """Comparison of a recording with two simulations of its plan: one without, and one with the effects that a diagnosis found.
 
-All three are reduced to the coefficients of `evidence.spectrum`: the means of segments, their slow changes, and the harmonics of turns and
-of rocking. Each is first freed of its own nominal motion, so that times and table angles need not agree to the sample. The nominal
-parameters of the simulated sensor are not those of the recorded one; therefore the nominal columns are fitted to the difference.
+All three are reduced to the coefficients of `evidence.spectrum`: the means of segments, their slow changes, and the harmonics of
+turns and of rocking. The nominal motion of each is subtracted first, so that times and table angles need not agree exactly. The
+nominal parameters of the simulated sensor are not those of the recorded one; therefore the nominal columns are fitted to the
+difference.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class ChannelComparison:
-    """One channel, in its `unit`. before, after: difference between recording and simulation without and with the effects: root mean square
-    over the segments, of which each contributes its mean, slow changes and harmonics. noise: what noise alone leaves. before_sigma,
-    after_sigma: the same in standard deviations of the noise, 1 for noise alone. sample_noise: standard deviation of a sample of the
-    recording, and of both simulations. means: offset of each common segment (S,), in the recording and both simulations, after the fit
-    of the nominal parameters; sigma: (S,), of the recording."""
+    """One channel, in its `unit`. before, after: difference between recording and simulation without and with the effects: root
+    mean square over the segments, of which each contributes its mean, slow changes and harmonics. noise: the difference that noise
+    alone causes. before_sigma, after_sigma: the same in standard deviations of the noise, 1 for noise alone. sample_noise: standard
+    deviation of a sample of the recording, and of both simulations. means: offset of each common segment (S,), in the recording and
+    both simulations, after the fit of the nominal parameters; sigma: (S,), of the recording."""
 
     unit: str
     before: float
@@ -45,14 +46,14 @@ class ChannelComparison:
 
 @dataclass(frozen=True)
 class GapComparison:
-    """labels: of the common segments."""
+    """The comparison of all channels. labels: of the common segments."""
 
     labels: tuple[str, ...]
     channels: dict[str, ChannelComparison]
 
     @property
     def before_sigma(self) -> float:
-        """Over all channels, root mean square."""
+        """The value of all channels together, as root mean square."""
         return float(np.sqrt(np.mean([one.before_sigma**2 for one in self.channels.values()])))
 
     @property
@@ -60,7 +61,7 @@ class GapComparison:
         return float(np.sqrt(np.mean([one.after_sigma**2 for one in self.channels.values()])))
 
     def to_json(self) -> JsonObject:
-        """According to `comparison` of `schemas/diagnosis.schema.json`."""
+        """JSON data according to `comparison` of `schemas/diagnosis.schema.json`."""
         channels: JsonObject = {}
         for name, one in self.channels.items():
             recorded, before, after = one.means
@@ -83,8 +84,8 @@ class GapComparison:
 
 
 def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after: Observed) -> GapComparison:
-    """Compare a recording with two simulations. nominal: terms that are fitted to the differences. Raises `ObservationError` if recording
-    and simulations have too few segments or no channels in common."""
+    """Compares a recording with two simulations. nominal: terms that are fitted to the differences. Raises `ObservationError` if
+    recording and simulations have too few segments or no channels in common."""
     recorded = _Reduced.of(weighing.observed, weighing.spectrum, weighing.white)
     first, second = (_Reduced.simulated(one, nominal) for one in (before, after))
     labels = [name for name in recorded.observed.labels if name in first.rows and name in second.rows]
@@ -99,8 +100,9 @@ def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after:
 
 @dataclass(frozen=True)
 class _Reduced:
-    """A recording or simulation. values: coefficients (M, K), SI, as root mean squares over their segments; counts: samples (M,) of their
-    segments. rows: segment → its rows, the mean first. columns: channel → its column. white: (K,), of a sample."""
+    """A recording or simulation. values: coefficients (M, K), SI, as root mean squares over their segments; counts: samples (M,) of
+    their segments. rows: segment → its rows, first that of the mean. columns: channel → its column. white: (K,), standard deviation
+    of the white noise of a sample."""
 
     observed: Observed
     values: Array
@@ -133,7 +135,7 @@ class _Common:
 
 
 def _common(labels: Sequence[str], *three: _Reduced) -> _Common:
-    """All coefficients of segments that have the same basis in all three; of the others the means."""
+    """Common rows: all coefficients of segments that have the same basis in all three, and the means of the other segments."""
     found: list[list[NDArray[np.int64]]] = [[], [], []]
     means = []
     for label in labels:
@@ -194,7 +196,7 @@ def _slow(weighing: Weighing, index: int, at: _Common) -> Array:
 
 
 def _left(values: Array, nominal: Array, variance: Array) -> Array:
-    """Values (m,) after a weighted fit of the nominal columns (m, q)."""
+    """Residuals (m,) of a weighted fit of the nominal columns (m, q)."""
     if not nominal.shape[1]:
         return values
     weight = 1 / np.sqrt(variance)

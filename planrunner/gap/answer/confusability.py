@@ -1,4 +1,4 @@
-"""Confusability: which effects this plan can distinguish, before and after data.
+"""Confusability: which effects this plan can distinguish, before and after it is recorded.
 
 ρ(A|B) is the share of A's projected, whitened signature energy that B reproduces with its own amplitudes. For an effect fitted with the
 energy λ, λ(1 − ρ) is the non-centrality of the test between A and B.
@@ -30,7 +30,7 @@ def energy(signature: Sequence[Array]) -> float:
 
 
 def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
-    """The share of a signature's energy that the best of several variants reproduces."""
+    """The largest fraction of a signature's energy that one of several variants reproduces."""
     total = energy(signature)
     if total <= 0:
         return 0.0
@@ -43,8 +43,8 @@ def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
 
 
 def beside(together: EffectSet, name: str) -> float:
-    """The share of the fitted energy of one effect of a set in channels on which the others do not act. This energy cannot be form
-    residue of the others."""
+    """The fraction of the fitted energy of one effect of a set in channels on which the other effects do not act. This energy
+    cannot be a form residue of the others."""
     weighed, own = together.weighed, together.columns(name)
     amplitudes, _ = weighed.amplitudes
     others = np.ones(len(amplitudes), dtype=bool)
@@ -55,7 +55,8 @@ def beside(together: EffectSet, name: str) -> float:
 
 
 def shared(best: Sequence[Weighed]) -> Array:
-    """ρ(A|B), rows A, before data: over amplitudes from A's prior, tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa)."""
+    """The confusability ρ(A|B), rows A, before data are recorded. It is an average over amplitudes from A's prior,
+    tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa)."""
     bounds = np.concatenate(([0], np.cumsum([len(item.gram[0]) for item in best]))).astype(int)
     parts = [slice(low, high) for low, high in pairwise(bounds)]
     blocks = [np.hstack(channel) for channel in zip(*(item.by_channel for item in best), strict=True)]
@@ -69,6 +70,6 @@ def shared(best: Sequence[Weighed]) -> Array:
 
 
 def matrix(candidates: Sequence[Candidate]) -> tuple[list[str], Array]:
-    """Names and ρ(A|B), rows A, of all candidates that leave a signature, each at its likeliest shape."""
+    """Names and ρ(A|B), rows A, of all candidates with a signature, each at its most probable shape."""
     present = [candidate for candidate in candidates if np.isfinite(candidate.log_bayes).any()]
     return [c.id for c in present], shared([candidate.best for candidate in present])

@@ -51,8 +51,8 @@ _ABSORBED_SHARE = 0.05  # remaining share of a signature's energy below which an
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisOptions:
-    """nominal: terms that the nominal simulation fits, from `candidates.FULL`; effects: candidates, by default all that are installed.
-    given: effects that are known to act; they are fitted, and the remaining gap is diagnosed."""
+    """nominal: terms that the nominal simulation fits, from `candidates.FULL`; effects: candidates, by default all that are
+    installed. given: effects that are known to act. They are fitted, and the remaining gap is diagnosed."""
 
     nominal: tuple[str, ...] = FULL
     effects: tuple[str, ...] | None = None
@@ -72,10 +72,11 @@ class Grounds:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """gap: by channel, in its unit. noise: of every channel. posterior: of all hypotheses. absorbed: effect → share of its energy that
-    remains after the nominal parameters. unknown: form of what the catalogue does not contain, if the verdict says so. rest: what the named
-    effects do not explain; None if none is named, or if a random walk is among them. pictures: data for plots. given: parameters of the
-    effects that are known to act, fitted together with the named ones."""
+    """gap: by channel, in its unit. noise: of every channel. posterior: of all hypotheses. absorbed: effect → share of its energy
+    that remains after the nominal parameters. unknown: form of a gap that the catalogue does not contain, if the verdict is
+    unknown. rest: the part that the named effects do not explain; None if no effect is named, or if a random walk is among the
+    named effects. pictures: data for plots. given: parameters of the effects that are known to act, fitted together with the named
+    ones."""
 
     gap: Mapping[str, Mapping[str, Json]]
     noise: tuple[NoiseFound, ...]
@@ -149,7 +150,7 @@ class Diagnosis:
 
 
 def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions()) -> Diagnosis:
-    """Diagnose a recording. Raises `ObservationError` if it cannot be diagnosed."""
+    """Diagnoses a recording. Raises `ObservationError` if it cannot be diagnosed."""
     if len(observed) < FEWEST_SEGMENTS:
         few = f"the recording has {len(observed)} segments; distinguishing an effect from fitted parameters needs {FEWEST_SEGMENTS} or more"
         hint = (
@@ -252,8 +253,8 @@ def _parameters_of_given(
 
 
 def hypotheses(names: Sequence[str] | None, observed: Observed | None = None) -> list[Effect]:
-    """The effects of these names; without names, all installed ones that are meant for a diagnosis, and those that say that this recording
-    can show them."""
+    """The effects with these names. Without names, all installed effects that are meant for a diagnosis, and those that state that
+    this recording can show them."""
     if names is not None:
         return [plugins.load(plugins.EFFECTS, name)() for name in names]
     installed: list[Effect] = [plugins.load(plugins.EFFECTS, name)() for name in plugins.names(plugins.EFFECTS)]
@@ -267,7 +268,7 @@ def _weighed(effect: Effect, observed: Observed | None) -> bool:
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
-    """The forms of an effect that is fully determined by its shape, if the shape can be found exactly."""
+    """The forms of an effect that is fully determined by its shape, if the search finds the shape exactly."""
     effect = shape_alone(candidate)
     found = whole_forms(weighing, effect) if effect is not None else []
     return {candidate.id: found} if found else {}
@@ -276,8 +277,8 @@ def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
 def _choices(
     found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
 ) -> list[FoldChoice]:
-    """Choices of the folds of the closure: likely effects and sets of them, regardless of their settings of the noise. Together with a
-    random walk of the bias, or with something else, no effect is the whole cause."""
+    """The choices for the folds of the closure: probable effects and sets of them, whatever their settings of the noise. If a
+    random walk of the bias or something else acts too, no effect is the whole cause."""
     likely: dict[str, float] = {}
     for name, p in found.probability.items():
         parts = name.split("+")
@@ -304,7 +305,7 @@ def _parameters(
     exact: Mapping[str, Forms],
     apart: Apart,
 ) -> list[ParameterEstimate]:
-    """Estimates for the likeliest effects. The effects of a set are fitted together."""
+    """Estimates for the most probable effects. The effects of a set are fitted together."""
     listed: list[ParameterEstimate] = []
     walking = any(isinstance(e, ActsOnNoise) and e.noise == "random walk" and e.id in said.effects for e in effects)
     together = found.sets.get(key_of(name for name in said.effects if name in by_id))

@@ -23,7 +23,7 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
 
 @dataclass(frozen=True)
 class Rival:
-    """An explanation after a recording. columns: indices of its columns, (p,); mean (p,) and precision (p, p) of their amplitudes."""
+    """An explanation after a recording. columns: indices of its columns, (p,); mean (p,) and precision (p, p): of their amplitudes."""
 
     name: str
     probability: float
@@ -35,8 +35,8 @@ class Rival:
     def learnt(
         cls, name: str, probability: float, columns: NDArray[np.int64], prior: Array, information: Array, score: Array
     ) -> Rival:
-        """prior: precision (p,) of its amplitudes about zero, 0 for a nominal parameter. information (P, P) and score (P,) of the
-        recording over all columns, in units of the noise."""
+        """The explanation after a recording. prior: precision (p,) of its amplitudes about zero, 0 for a nominal parameter.
+        information (P, P) and score (P,): from the recording, over all columns, in units of the noise."""
         own = information[np.ix_(columns, columns)]
         precision = own + np.diag(prior + _FLAT * np.maximum(np.diag(own), 1.0))
         mean = np.asarray(np.linalg.solve(precision, score[columns]))
@@ -44,8 +44,8 @@ class Rival:
 
 
 def expected_evidence(rivals: Sequence[Rival], information: Array) -> Array:
-    """(…, R, R): the log evidence for rival i against rival j that measurements of some information (…, P, P) bring on average, if i is
-    true."""
+    """The expected log evidence (…, R, R) for rival i against rival j from measurements with the given information (…, P, P), if i
+    is true."""
     size = information.shape[-1]
     covariance = [np.linalg.inv(rival.precision) for rival in rivals]
     found = np.zeros((*information.shape[:-2], len(rivals), len(rivals)))
@@ -72,8 +72,8 @@ def expected_evidence(rivals: Sequence[Rival], information: Array) -> Array:
 
 
 def expected_loss(rivals: Sequence[Rival], information: Array) -> Array:
-    """(…): expected −log of the probability of the true rival after measurements with that information (…, P, P). A choice of
-    measurements should make it small."""
+    """The expected loss (…), which is −log of the probability of the true rival after measurements with the given information (…,
+    P, P). Measurements should be chosen so that it is small."""
     many = information.reshape(-1, *information.shape[-2:])
     at_once = max(1, _AT_ONCE // (len(rivals) * many[0].size)) if len(many) else 1
     parts = [
@@ -84,7 +84,7 @@ def expected_loss(rivals: Sequence[Rival], information: Array) -> Array:
 
 
 def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
-    """Expected probability of the true rival among all, after measurements of that information (P, P).
+    """Expected probability of the true rival among all, after measurements with the given information (P, P).
 
     The log evidence is assumed to be normal with expectation D and variance 2D, as for two known signals.
     """
@@ -92,7 +92,7 @@ def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
 
 
 def _averaged(rivals: Sequence[Rival], evidence: Array, measure: Callable[[Array], Array]) -> Array:
-    """evidence: (…, R, R); returns (…)."""
+    """The loss averaged over the rivals. evidence: (…, R, R); returns (…)."""
     share = np.array([rival.probability for rival in rivals])
     share = share / share.sum()
     total = np.zeros(evidence.shape[:-2])

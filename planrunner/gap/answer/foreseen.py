@@ -1,6 +1,7 @@
-"""The information that segments which are not yet measured would give about stated columns.
+"""The information about given columns that segments would provide which are not yet measured.
 
-A segment is sampled like the recording, but only for a few seconds of whole turns and periods; the rest of its length is a repetition.
+A segment is sampled like the recording, but only for a few seconds of whole turns and periods. The rest of its length counts as a
+repetition.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ _CHANGED = 1.0  # K
 
 @dataclass(frozen=True)
 class Foreseen:
-    """Information from a segment, in units of the noise. within: (P, P), per second; means: (K, P), from its mean, per channel."""
+    """Information from a segment, in units of the noise. within: (P, P), per second; means: (K, P), from the mean of the segment,
+    per channel."""
 
     segment: Segment
     within: Array
@@ -41,11 +43,11 @@ class Foreseen:
 
     @cached_property
     def whole(self) -> Array:
-        """(P, P), for the dwell of the segment."""
+        """The information (P, P) for the planned dwell of the segment."""
         return self.information(self.segment.dwell or 0.0)
 
     def information(self, seconds: float) -> Array:
-        """(P, P), for a dwell of some seconds. Slow noise limits the information of the mean."""
+        """The information (P, P) for a dwell of the given length [s]. Slow noise limits the information of the mean."""
         slow = slow_noise.flicker(np.zeros(1), np.full(1, seconds))[0, 0]
         variance = self.noise**2 / seconds + self.flicker**2 * slow
         products: Array = seconds * self.within + (self.means / variance[:, None]).T @ self.means
@@ -55,10 +57,10 @@ class Foreseen:
 def foresee(
     observed: Observed, white: Array, segments: Sequence[Segment], columns: Columns, widths: Sequence[int]
 ) -> Iterator[Foreseen]:
-    """Information of each segment if it followed the recording. white: (K,), standard deviation of a sample.
+    """Information of each segment if it were measured after the recording. white: (K,), standard deviation of a sample.
 
-    columns: for a recording, groups of columns; widths: of the groups, whose columns are distinguished by their order. Columns that do not
-    affect a channel are zero there.
+    columns: computes groups of columns for a recording; widths: number of columns in each group, which are identified by their
+    order. Columns that do not affect a channel are zero there.
     """
     noise = white / math.sqrt(observed.sample_rate)
     flicker = np.array([channel.flicker for channel in observed.channels])
@@ -86,10 +88,10 @@ def foresee(
 def following(
     observed: Observed, segments: Sequence[Segment], near: Sequence[int] | range
 ) -> tuple[Observed, list[slice]]:
-    """The recording with segments without values appended, and the samples of each of them.
+    """The recording with additional segments without values, and the samples of each additional segment.
 
-    All segments except those in `near` are stubs of a few samples. Properties of the set of all segments, such as its orientations,
-    therefore do not depend on the number of segments that are evaluated in full.
+    Segments that are not in `near` are reduced to a few samples. Thus properties of the whole set of segments, such as its
+    orientations, do not depend on how many segments are evaluated in full.
     """
     stubs = np.concatenate([np.arange(p.start, min(p.start + _STUB, p.stop)) for p in observed.segments()])
     counts = [min(_STUB, p.stop - p.start) for p in observed.segments()]

@@ -1,4 +1,4 @@
-"""What to measure next: the segments that a bench can execute and that separate the remaining explanations soonest.
+"""What to measure next: the segments that a bench can execute and that separate the remaining explanations in the shortest time.
 
 The choice is greedy: the next segment is the one with the most expected evidence per second of test time, including moves and temperature
 changes. It ends when the true explanation is expected to be identified, or when nothing helps. For comparison, repeating the recorded
@@ -40,8 +40,8 @@ _HELPS = 0.005  # smallest reduction of the expected loss that justifies a segme
 @dataclass(frozen=True)
 class SegmentProposal:
     """segments: in order; empty if nothing on the bench helps. rivals: names and present probabilities. now, probability: expected
-    probability of the true rival, at present and after `seconds` of test time. repeating: seconds and expected probability for repeating
-    the recorded segments. sensor: an instrument that could separate them if the bench cannot."""
+    probability of the true rival, at present and after `seconds` of test time. repeating: time [s] and expected probability if the
+    recorded segments are repeated. sensor: an instrument that could separate them if the segments of the bench cannot."""
 
     segments: tuple[Segment, ...]
     rivals: tuple[tuple[str, float], ...]
@@ -63,8 +63,8 @@ def propose(
 ) -> SegmentProposal | None:
     """The segments to measure next; None if one explanation is clear.
 
-    options: segments that the bench can execute; seconds: test time of a segment after another one (or as the first), including moves,
-    settling and dwell; lasted: test time of the recording.
+    options: segments that the bench can execute; seconds: computes the test time of a segment after another one (or as the first),
+    including moves, settling and dwell; lasted: test time of the recording.
     """
     listed = explanations(found, candidates)
     if not options or not _open(listed):
@@ -87,7 +87,7 @@ def propose(
 
 
 def _open(listed: Sequence[Explanation]) -> bool:
-    """Whether there is a question that a measurement can answer."""
+    """Whether a measurement can still change the answer."""
     if len(listed) < 2:
         return False
     least = FAINT if listed[0].name in SILENT else 0.0
@@ -110,8 +110,8 @@ def _lasting(segments: Sequence[Segment], seconds: Seconds) -> float:
 
 
 def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Seconds) -> list[Foreseen]:
-    """Greedy choice, then without segments that are not needed, and grouped by temperature. The time that every first segment needs before
-    it begins, such as a soak of the sensor, does not favour any of them."""
+    """The greedy choice, without unnecessary segments and grouped by temperature. The time before the first segment, such as a soak
+    of the sensor, is the same for all and does not influence the choice."""
     size = len(options[0].within)
     held = [item.segment for item in options if item.segment.ramp_to is None] or [item.segment for item in options]
     ahead = min(seconds(None, segment) - (segment.dwell or 0.0) for segment in held)
@@ -146,7 +146,7 @@ def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Secon
 
 
 def _gains(rivals: Sequence[Rival], total: Array, loss: float, moves: Sequence[Sequence[Foreseen]]) -> list[float]:
-    """Reduction by each move of the loss after the information `total` (P, P)."""
+    """Reduction of the loss by each move, after the information `total` (P, P)."""
     after = np.array([total + _sum(move, len(total)) for move in moves])
     gains: list[float] = (loss - expected_loss(rivals, after)).tolist()
     return gains
@@ -169,7 +169,7 @@ def _shortened(
     last: Segment | None,
     seconds: Seconds,
 ) -> tuple[list[list[Foreseen]], list[float], list[float]]:
-    """The best moves by gain and by gain per second, and bundles of the best at each temperature."""
+    """A short list: the best moves by gain and by gain per second, and bundles of the best moves at each temperature."""
     by_gain, by_rate = np.argsort(-np.array(gains)), np.argsort(-np.array(gains) / np.array(costs))
     temperatures: dict[float | None, list[int]] = {}
     for index in by_gain:
@@ -193,7 +193,7 @@ def _warmth(segment: Segment) -> float | None:
 
 
 def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[Foreseen]:
-    """The chosen segments without those that are not needed to reach the aim, or the best value reached."""
+    """The chosen segments without those that are not needed to reach the target, or the best value that can be reached."""
     aim = min(AIM, expected_probability(rivals, _sum(chosen, size)) - 1e-4)
     index = 0
     while index < len(chosen) and len(chosen) > FEWEST:
@@ -212,8 +212,8 @@ def _by_temperature(chosen: Sequence[Foreseen]) -> list[Foreseen]:
 
 
 def _repeating(rivals: Sequence[Rival], recorded: Array, lasting: float, aim: float) -> tuple[float, float]:
-    """Time [s] of repeating the recorded segments until the true explanation has the expected probability `aim`, and the probability
-    reached; if this is not enough, the longest repetition considered."""
+    """Time [s] of repeating the recorded segments until the true explanation has the expected probability `aim`, and the
+    probability reached. If no repetition is enough, both are those of the longest repetition considered."""
     for times in _REPEATS:
         reached = expected_probability(rivals, recorded * times)
         if reached >= aim:

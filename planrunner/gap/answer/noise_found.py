@@ -1,4 +1,4 @@
-"""The noise of each channel as the recording shows it, and as it is declared. Noise is reported, but does not compete with the
+"""The noise of each channel in the recording, compared with its declaration. Noise is reported, but does not compete with the
 effects as an explanation.
 """
 
@@ -15,10 +15,10 @@ from planrunner.gap.hypotheses.open_set import Line
 
 @dataclass(frozen=True, slots=True)
 class NoiseFound:
-    """Noise of a channel, in its unit. white, declared: standard deviation of a sample, `declared` with the rounding to its count; 0 if
-    none is declared. count, declared_count: 0 if there is none. slow: amplitude density at the lowest measured frequency, relative to
-    the white level, 1 for white noise. quietest, loudest: standard deviation in the segments, relative to the white level. line: the
-    strongest tone, None if there is none."""
+    """Noise of a channel, in its unit. white, declared: standard deviation of a sample; `declared` includes the rounding to its
+    count and is 0 if none is declared. count, declared_count: 0 if the channel has none. slow: amplitude density at the lowest
+    measured frequency, relative to the white level, 1 for white noise. quietest, loudest: standard deviation in the segments,
+    relative to the white level. line: the strongest tone, None if there is none."""
 
     channel: str
     unit: str

@@ -1,4 +1,4 @@
-"""Values of the terms that the nominal simulation fits, for comparison with the specification of the sensor."""
+"""Estimates of the terms that the nominal simulation fits, for comparison with the specification of the sensor."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ _UNDETERMINED = 1e-6
 
 
 def nominal_values(weighing: Weighing, nominal: tuple[str, ...]) -> list[ParameterEstimate]:
-    """Bias, scale factor and misalignment of every channel by weighted least squares, without those that the plan does not determine.
-    effect: the term, such as `accel_bias`. The values contain the influence of effects that are not in the simulation."""
+    """Bias, scale factor and misalignment of every channel by weighted least squares. Terms that the plan does not determine are
+    omitted. effect: the term, such as `accel_bias`. The values contain the influence of effects that are not in the simulation."""
     terms = [
         f"{kind}_{part}"
         for kind in ("gyro", "accel")

@@ -1,8 +1,9 @@
-"""Instruments that a bench lacks, and that could separate explanations which the segments of the bench cannot separate.
+"""Instruments that a bench lacks and that could separate explanations when its own segments cannot.
 
 They are evaluated like segments.
 
-Effects of the table and the site act on every instrument on the table, effects of the sensor and of its data only on the sensor.
+Effects of the table and the site act on every instrument on the table. Effects of the sensor and of its data act only on the
+sensor.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class _Instrument:
 
 
 def helpful(weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]) -> str:
-    """The first instrument that would identify the true explanation, in words; empty if none of them would."""
+    """Description of the first instrument that would identify the true explanation; empty if no instrument would."""
     few = [options[i] for i in np.unique(np.linspace(0, len(options) - 1, _LOOKED_AT).astype(int))]
     for instrument in _instruments(weighing):
         extended, information = _with(instrument, weighing, rivals, layout, few)
@@ -63,7 +64,7 @@ def _instruments(weighing: Weighing) -> list[_Instrument]:
 def _with(
     instrument: _Instrument, weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]
 ) -> tuple[list[Rival], Array]:
-    """The explanations with the instrument's own nominal parameters, and the information of all options with it."""
+    """The explanations with the instrument's own nominal parameters, and the information of all options with this instrument."""
     observed = weighing.observed
     both = replace(observed, channels=(*observed.channels, *instrument.channels))
     own = len(observed.channels)
@@ -96,7 +97,7 @@ def _columns(layout: Layout, channels: tuple[Channel, ...]) -> Callable[[Observe
 
 
 def _seen(layout: Layout) -> Array:
-    """Information (P,) from a direct measurement of pointing about the amplitudes of table effects that are angles."""
+    """Information (P,) about the amplitudes of table effects that are angles, from a direct measurement of pointing."""
     found = [np.zeros(layout.widths[0])]
     for part, width in zip(layout.parts, layout.widths[1:], strict=True):
         columns = part.weighed.variant.columns

@@ -27,8 +27,8 @@ class ParameterEstimate:
 def amplitudes(
     weighing: Weighing, effect: str, weighed: Weighed, columns: slice = slice(None), walking: bool = False
 ) -> list[ParameterEstimate]:
-    """Means and standard deviations of the amplitudes at the most probable prior size; `columns` of a pair that belong to the effect.
-    walking: whether a random walk of the gyros acts beside them. An amplitude that is held at 1 is no parameter."""
+    """Means and standard deviations of the amplitudes at the most probable prior size. columns: the columns of a pair that belong
+    to the effect. walking: whether a random walk of the gyros acts in addition. An amplitude that is fixed at 1 is not a parameter."""
     if weighed.held:
         return []
     mean, covariance = weighing.amplitudes(weighed, walking)
@@ -47,7 +47,7 @@ def amplitudes(
 
 
 def shape(candidate: Candidate) -> list[ParameterEstimate]:
-    """The shape, with its uncertainty from the evidence over the evaluated values."""
+    """The shape with its uncertainty, from the evidence of the evaluated values."""
     effect = candidate.effect
     if isinstance(effect, HasShape) and not isinstance(effect, Shaped) and candidate.best.variant.shape is not None:
         # One of a few numbers, of which the amplitudes belong to the best.
@@ -83,8 +83,8 @@ def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[
 
 
 def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
-    """The shape of an effect without amplitude for which the data require the opposite sign: negative, in proportion to its effect. A
-    negative delay is a delay of the table's angle."""
+    """The shape of an effect without amplitude if the data require the opposite sign. It is negative, in proportion to its effect.
+    A negative delay is a delay of the table's angle."""
     (share,), ((variance,),) = best.amplitudes
     size = float(best.variant.shape or 0.0)
     return [
@@ -95,7 +95,8 @@ def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
 
 
 def of_noise(weighing: Weighing, effect: ActsOnNoise) -> list[ParameterEstimate]:
-    """Parameters of an effect on the noise: white level or resolution per channel of the triad, or the density of the random walk."""
+    """Parameters of an effect on the noise: white level or resolution of each channel of the triad, or the density of the random
+    walk."""
     observed, name, noise = weighing.observed, effect.id, effect.noise
     gyros = observed.of_kind("gyro")
     triad = observed.of_kind(triad_of(effect))

@@ -13,8 +13,9 @@ from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 
 
 def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
-    """By channel: root mean square over the samples of the residual of the nominal simulation (the part that the coefficients show), the
-    value for noise alone, and the unit. It does not depend on the sampling rate: a constant offset counts with its size."""
+    """The gap of each channel: root mean square over the samples of the residual of the nominal simulation (the part in the
+    coefficients), the value for noise alone, and the unit. It does not depend on the sampling rate: a constant offset contributes
+    its full size."""
     found = {}
     for index, channel in enumerate(weighing.observed.channels):
         gap, noise = weighing.weights[index][0].gap_and_noise()
@@ -28,7 +29,8 @@ def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
 
 
 def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed | None) -> JsonObject:
-    """heat: energy per segment and channel in times of the noise; confusability; means before and after; spectra."""
+    """Data for all plots. heat: energy by segment and channel in units of the noise; confusability; means before and after;
+    spectra."""
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = len(observed)
     amplitudes = None if after is None else after.amplitudes[0]
@@ -60,9 +62,9 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
 
 
 def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None) -> JsonObject:
-    """One-sided density by band (root of power) before and after the effect, with the white level. Segment means are left out, because
-    they have no frequency within a segment. For a long recording only the segments with the largest bins are used, up to half the bin
-    rate."""
+    """One-sided density by band (as square root of the power) before and after the effect, with the white level. Segment means are
+    omitted, because they have no frequency within a segment. For a long recording only the segments with the largest bins are used,
+    up to half the bin rate."""
     observed, spectrum = weighing.observed, weighing.spectrum
     size = observed.bin_size.max()
     shown = observed.bin_size == size

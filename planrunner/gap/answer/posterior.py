@@ -1,8 +1,9 @@
 """The posterior over {none, each effect, sets of effects, unknown, sets with something else}, with fixed and published priors.
 
-The probability that effects of the catalogue are the whole cause, that they act beside something else, and that none of them acts follow
-from the evidence as it is. How the probability of effects is shared among sets of them follows from the evidence with the noise enlarged by
-the dispersion of the rest (`evidence.dispersion`): if the best set leaves more than noise, the evidence for its names is that much weaker.
+The evidence determines directly the probability that effects of the catalogue are the whole cause, that they act together with
+something else, and that none of them acts. The probability of effects is then divided among sets of them. For this, the evidence is
+computed with the noise enlarged by the dispersion of the residuals (`evidence.dispersion`). If even the best set leaves more than
+noise, the evidence for its names is weaker by this factor.
 """
 
 from __future__ import annotations
@@ -36,12 +37,12 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True)
 class Posterior:
-    """probability: of every hypothesis, sets of effects as 'a+b' in alphabetical order, with something else besides as 'a+b+unknown'.
-    log_evidence: of each, relative to none, for effects from the
-    coefficients alone. pairs: the weighed variant of sets of two and more deterministic effects. sets: the same with their effects.
-    kinds: log evidence, relative to none, of what "unknown" could be. by_channel:
-    log BF (K,) of each of those in one channel alone. levels: effects that only raise the noise level. lines:
-    tones. beside: probability of a tone or bursts beside an effect."""
+    """The posterior. probability: of every hypothesis; sets of effects have names such as 'a+b' in alphabetical order, and with
+    something else in addition 'a+b+unknown'. log_evidence: of each hypothesis relative to none; for effects, from the coefficients
+    alone. pairs: the evaluated columns of sets of two or more deterministic effects. sets: the same sets with their effects. kinds:
+    log evidence, relative to none, of the patterns that "unknown" could be. by_channel: log BF (K,) of each pattern in one channel
+    alone. levels: effects that only raise the noise level. lines: tones. beside: probability of a tone or bursts in addition to an
+    effect."""
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
@@ -54,7 +55,8 @@ class Posterior:
     sets: Mapping[str, EffectSet] = field(default_factory=dict, repr=False)
 
     def of_effects(self) -> dict[str, float]:
-        """Probability of none, unknown and every set of effects, with or without something else besides; the likeliest first."""
+        """Probability of none, unknown and every set of effects, with or without something else in addition; the most probable
+        first."""
         found: dict[str, float] = {}
         for name, value in self.probability.items():
             key = without_unknown(name)
@@ -63,7 +65,7 @@ class Posterior:
 
 
 def without_unknown(name: str) -> str:
-    """The effects of a hypothesis, without the something else that acts beside them."""
+    """The effects of a hypothesis, without the "something else" that acts in addition."""
     return "+".join(part for part in name.split("+") if part != UNKNOWN) or UNKNOWN
 
 
@@ -80,7 +82,7 @@ class _NoiseOnly:
 
     @property
     def declared(self) -> float:
-        """Log density of the white noise as declared."""
+        """Log density of the measured white noise if it is as declared."""
         return self.levels["declared", "declared"]
 
     @property
@@ -179,7 +181,7 @@ def _of_effects(
 
 
 def _again(weighing: Weighing, candidate: Candidate) -> Candidate:
-    """A candidate under other noise; the cost of its shape stays."""
+    """The same candidate with other noise. The cost of its shape stays the same."""
     if not np.isfinite(candidate.log_bayes).any():
         return candidate
     usable = [item for item in candidate.variants if item.trace > 0]
@@ -191,7 +193,7 @@ def _again(weighing: Weighing, candidate: Candidate) -> Candidate:
 
 
 def _chain(name: str, sets: Mapping[str, EffectSet], candidates: Sequence[Candidate]) -> list[tuple[str, Weighed]]:
-    """The effects of a hypothesis that have signatures, from the first that was chosen to all of them together."""
+    """The effects of a hypothesis that have signatures, as a chain of sets: from the first chosen effect to all of them."""
     by_id = {c.id: c for c in candidates}
     known = [part for part in name.split("+") if part in by_id]
     if len(known) == 1:
@@ -210,8 +212,8 @@ def _chain(name: str, sets: Mapping[str, EffectSet], candidates: Sequence[Candid
 def _with_something_else(
     weighing: Weighing, chain: Sequence[tuple[str, Weighed]], found: Mapping[str, float], count: int
 ) -> dict[str, float]:
-    """Log weights of something else besides sets of effects. If it may act besides all effects of a chain, it is weighed besides fewer
-    too: some of them may only follow it."""
+    """Log weights of something else in addition to sets of effects. If something else may act in addition to all effects of a
+    chain, it is also evaluated with fewer of them, because some of the effects may only imitate it."""
     made: dict[str, float] = {}
     for key, weighed in reversed(chain):
         besides = something_else(weighing.beside(weighed))
@@ -222,7 +224,7 @@ def _with_something_else(
 
 
 def _dispersions(weighing: Weighing, known: Weighed) -> Array:
-    """Dispersion (K,) of what effects leave."""
+    """Dispersion (K,) of the residuals that effects leave."""
     amplitudes = known.amplitudes[0]
     found, count = [], len(weighing.weights)
     for (weight, *_), columns in zip(weighing.weights, known.by_channel, strict=True):
@@ -235,10 +237,10 @@ def _dispersions(weighing: Weighing, known: Weighed) -> Array:
 def _as_named(
     logs: Mapping[str, float], named: Mapping[str, float], more: Mapping[str, float], walk: str
 ) -> dict[str, float]:
-    """Log weights with the probability of effects shared as `named`, and with something else besides.
+    """Log weights in which the probability of effects is divided as in `named`, and which include something else.
 
-    more: log weight of something else besides a set. It is shared among the sets of the same size that are likely, in the same way, except
-    those with a random walk (`walk`), which explains what something else explains.
+    more: log weight of something else in addition to a set. It is divided in the same way among the probable sets of the same size.
+    Sets with a random walk (`walk`) are excluded, because a random walk explains the same part as something else.
     """
     whole = float(np.logaddexp.reduce([value for name, value in logs.items() if name not in PRIORS]))
     made = {name: value for name, value in logs.items() if name in PRIORS}
@@ -258,28 +260,29 @@ def _as_named(
 
 
 def _shared(logs: Mapping[str, float]) -> dict[str, float]:
-    """Shares of the effects and their sets alone."""
+    """Shares of the sets of effects without something else."""
     return _shares({name: value for name, value in logs.items() if name not in PRIORS})
 
 
 def _shares(logs: Mapping[str, float]) -> dict[str, float]:
-    """Weights of sum 1 from their logs."""
+    """Weights with the sum 1, computed from their logarithms."""
     total = np.logaddexp.reduce(list(logs.values()))
     return {name: float(np.exp(value - total)) for name, value in logs.items()}
 
 
 def _beside(kinds: Kinds) -> float:
-    """log BF of any effect, averaged over the presence of a tone or bursts from an independent cause."""
+    """log BF of any effect, averaged over whether a tone or bursts from an independent cause are present."""
     return float(np.logaddexp(np.log1p(-BESIDE), np.log(BESIDE) + kinds.outside))
 
 
 def _acting(log_evidence: Mapping[str, float]) -> int:
-    """The number of effects that the plan can excite. One that it cannot excite counts as absent."""
+    """The number of effects that the plan can excite. An effect that it cannot excite counts as absent."""
     return sum(np.isfinite(value) and name not in PRIORS and "+" not in name for name, value in log_evidence.items())
 
 
 def log_prior(name: str, acting: int) -> float:
-    """Log prior of a hypothesis. The priors are shared evenly by all sets of the same number of effects that the plan can excite."""
+    """Log prior of a hypothesis. All sets of the same number of effects share the prior equally, if the plan can excite their
+    effects."""
     if name in PRIORS:
         return float(np.log(PRIORS[name]))
     parts = name.split("+")
@@ -287,7 +290,7 @@ def log_prior(name: str, acting: int) -> float:
 
 
 def _log_prior_of(size: int, acting: int, besides: bool = False) -> float:
-    """Log prior of one set of `size` effects. besides: with something else."""
+    """Log prior of one set of `size` effects. besides: whether something else acts in addition."""
     share = PRIORS["several"] / 2 ** (size + 1 if besides else size - 1)
     if not besides and size < 3:
         share = PRIORS["single" if size == 1 else "pair"]

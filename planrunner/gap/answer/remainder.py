@@ -1,7 +1,7 @@
 """The part of a gap that the named effects do not explain: a goodness-of-fit test in every channel, and the size of this part.
 
-The effects are fitted to all segments. In each channel the sum of squares of the whitened rest is compared with the χ² distribution for
-noise alone, with Bonferroni's correction for the number of channels.
+The effects are fitted to all segments. In each channel the sum of squares of the whitened residuals is compared with the χ²
+distribution for noise alone, with Bonferroni's correction for the number of channels.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ VISIBLE = 1.2  # times the noise: smaller rests are within the uncertainty of th
 
 @dataclass(frozen=True, slots=True)
 class Remainder:
-    """share: of the gap, ratio of root mean squares without noise, 0 if noise alone explains the rest. times_noise: by channel, root mean
-    square of the coefficients of the rest in standard deviations of the noise, 1 for noise alone. sigma: by channel, size of the whole rest
-    in standard deviations, the root of χ² − ν; 0 where it is not larger than the noise. p: of the test. passes: whether noise alone
-    explains the rest, in every channel and for every pattern outside the catalogue."""
+    """The unexplained part. share: of the gap, as ratio of root mean squares without noise; 0 if noise alone explains the
+    residuals. times_noise: by channel, root mean square of the residual coefficients in standard deviations of the noise, 1 for
+    noise alone. sigma: by channel, size of all residuals in standard deviations, the square root of χ² − ν; 0 if they are not
+    larger than the noise. p: p-value of the test. passes: whether noise alone explains the residuals, in every channel and for
+    every pattern outside the catalogue."""
 
     share: float
     times_noise: Mapping[str, float]
@@ -30,7 +31,8 @@ class Remainder:
 
 
 def remainder(weighing: Weighing, named: Weighed, something_else: bool = False) -> Remainder:
-    """The rest beside effects that are fitted together. something_else: whether it follows a pattern outside the catalogue."""
+    """The part that effects leave unexplained if they are fitted together. something_else: whether this part follows a pattern
+    outside the catalogue."""
     from scipy.special import chdtrc
 
     amplitudes = named.amplitudes[0]

@@ -33,7 +33,7 @@ class ExplanationPart:
         return self.effect.id, self.weighed.variant.shape
 
     def on(self, observed: Observed) -> Sequence[Column]:
-        """Its columns over another recording; none if it cannot act there."""
+        """The columns of the effect over another recording; none if it cannot act there."""
         shape = self.weighed.variant.shape
         if isinstance(self.effect, Shaped):
             return self.effect.at(observed, float(shape or 0.0)).columns
@@ -48,10 +48,10 @@ class Explanation:
 
 
 def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Explanation]:
-    """The likeliest explanations, at most `MOST`, that differ in what they predict.
+    """The most probable explanations, at most `MOST`, that predict different recordings.
 
-    Effects that act only on the noise predict nothing, so an explanation with and without such an effect counts once. "Unknown" predicts
-    nothing either: it counts together with "none", under the name of the likelier of the two.
+    Effects that act only on the noise predict nothing, so an explanation with and without such an effect counts once. "Unknown"
+    predicts nothing either, so it counts together with "none", under the name of the more probable of the two.
     """
     by_id = {c.id: c for c in candidates if np.isfinite(c.log_bayes).any()}
     silent = max(SILENT, key=lambda name: found.probability[name])
@@ -64,7 +64,8 @@ def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Expl
 
 
 def _simplest(total: Mapping[str, float]) -> dict[str, float]:
-    """Sets that are less likely than a set with fewer of their effects are counted with that set, because the addition may be nothing."""
+    """Counts a set together with a smaller subset of its effects if the subset is more probable, because the added effect may be
+    absent."""
     found: dict[str, float] = {}
     for name, value in sorted(total.items(), key=lambda item: item[0].count("+")):
         parts = set(name.split("+"))
@@ -88,7 +89,7 @@ def _parts(name: str, found: Posterior, by_id: Mapping[str, Candidate]) -> tuple
 
 
 def _size(weighed: Weighed, columns: slice) -> float:
-    """Mean square of the amplitudes after the recording."""
+    """Mean square of the amplitudes after the recording has been taken into account."""
     mean, covariance = weighed.amplitudes
     return float(np.mean(mean[columns] ** 2 + np.diag(covariance)[columns]))
 
@@ -104,7 +105,7 @@ class Layout:
 
     @classmethod
     def of(cls, listed: Sequence[Explanation], weighing: Weighing, nominal: Sequence[str], whole: Observed) -> Layout:
-        """whole: the recording with all segments that may follow; it determines the columns."""
+        """The layout of explanations. whole: the recording with all segments that may follow; it determines the columns."""
         distinct = tuple({part.key: part for item in listed for part in item.parts}.values())
         names = tuple(tuple(column.name for column in part.on(whole)) for part in distinct)
         return cls(tuple(nominal), distinct, names, _fitted(weighing))
@@ -126,7 +127,7 @@ class Layout:
         return [nominal, *(part.on(observed) for part in self.parts)]
 
     def learnt(self, listed: Sequence[Explanation], weighing: Weighing) -> tuple[list[Rival], Array]:
-        """The explanations after the recording, and its information (P, P)."""
+        """The explanations after the recording has been taken into account, and its information (P, P)."""
         information, score = self._recorded(weighing)
         starts = np.concatenate(([0], np.cumsum(self.widths)))
         rivals = []

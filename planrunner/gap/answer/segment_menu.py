@@ -1,6 +1,6 @@
 """The options for further segments: orientations, rates, rocking and temperatures, as lines of a plan.
 
-They form a coarse grid; the schedule decides whether the bench can execute them.
+They form a coarse grid. The schedule decides whether the bench can execute an option.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _APART = 5.0  # K
 
 @dataclass(frozen=True)
 class MenuEntry:
-    """One line of a plan, without its label."""
+    """One line of a plan without its label."""
 
     orientation: str
     dwell: str
@@ -49,7 +49,7 @@ class MenuEntry:
 
 
 def menu(recorded: Sequence[Segment], models: BenchModels) -> list[MenuEntry]:
-    """The options after recorded segments. They state a temperature if the recorded plan does."""
+    """The options after recorded segments. They state a temperature only if the recorded plan does."""
     usual = float(np.median([segment.dwell for segment in recorded if segment.dwell]))
     places = _orientations(recorded, models)
     upright = list({tuple(np.round(place[:, 2], 3)): place for place in places}.values())
@@ -84,8 +84,8 @@ def _turning(place: Array, rate: float, seconds: float, kelvin: float | None) ->
 
 
 def _orientations(recorded: Sequence[Segment], models: BenchModels) -> list[Array]:
-    """Recorded orientations first, then others along the site's axes, then oblique ones; only recorded ones if nothing can turn the
-    sensor."""
+    """Recorded orientations first, then others along the site's axes, then oblique ones. If nothing can turn the sensor, only
+    recorded ones."""
     visited = {
         tuple(np.round(item.attitude, 6).ravel() + 0.0): item.attitude for item in recorded if item.attitude is not None
     }
@@ -100,7 +100,7 @@ def _orientations(recorded: Sequence[Segment], models: BenchModels) -> list[Arra
 
 
 def _oblique() -> list[Array]:
-    """All three axes at equal angles to the vertical, one orientation for each upper octant."""
+    """Orientations with all three axes at equal angles to the vertical, one for each upper octant."""
     found = []
     for x, y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         up = np.array([x, y, 1.0]) / math.sqrt(3)
@@ -111,7 +111,8 @@ def _oblique() -> list[Array]:
 
 
 def _largest_rate(recorded: Sequence[Segment], models: BenchModels) -> float:
-    """rad/s, limited by the table and the gyros' full scale; for a recording, the largest recorded rate."""
+    """Largest rate [rad/s], limited by the table and the gyros' full scale. For a recording that is played back, it is the largest
+    recorded rate."""
     visited = max((abs(item.motion.rate) for item in recorded if isinstance(item.motion, Spin)), default=0.0)
     if models.table is None:
         return visited / RATE_SHARES[0]
@@ -136,8 +137,8 @@ def _rocking(recorded: Sequence[Segment], models: BenchModels) -> Iterator[tuple
 
 
 def _temperatures(recorded: Sequence[Segment], models: BenchModels) -> list[float | None]:
-    """K; the most frequent first, None if the plan does not set the chamber. In addition to a single temperature, common ones are
-    offered."""
+    """Temperatures [K], the most frequent one first; None if the plan does not set the chamber. If the plan has a single
+    temperature, common temperatures are offered in addition."""
     stated = [item.temperature for item in recorded if item.temperature is not None]
     visited = list(dict.fromkeys(round(kelvin, 2) for kelvin in stated))
     visited.sort(key=lambda kelvin: -sum(round(other, 2) == kelvin for other in stated))
@@ -156,7 +157,7 @@ def _temperatures(recorded: Sequence[Segment], models: BenchModels) -> list[floa
 def _ramps(
     recorded: Sequence[Segment], models: BenchModels, place: Array, warm: Sequence[float | None]
 ) -> Iterator[MenuEntry]:
-    """Temperature ramps that are recorded while they happen, from the most frequent temperature."""
+    """Temperature ramps during which samples are recorded, starting at the most frequent temperature."""
     if models.chamber is None:
         done = {(item.ramp_to, item.dwell) for item in recorded if item.ramp_to is not None}
         ramps = [(kelvin, dwell or 0.0) for kelvin, dwell in done]

@@ -1,9 +1,9 @@
-"""Sets of two and more effects: the likeliest are found by adding one effect at a time to the likeliest smaller sets, with a refit of all
-amplitudes, and of the shapes in the likeliest set (forward selection with a beam).
+"""Sets of two or more effects. The search adds one effect at a time to the most probable smaller sets and fits all amplitudes
+again; in the most probable set it also fits the shapes again (forward selection with a beam).
 
-A quick evaluation holds a set at its most probable amplitudes and evaluates every form of every other effect on the rest. The best sets are
-then evaluated in full: every effect with a separate strength, under every setting of the noise that matters, also with a random walk of the
-gyros.
+A quick evaluation keeps a set at its most probable amplitudes and evaluates every form of every other effect on the residuals. The
+best sets are then evaluated in full: every effect has its own strength, and every setting of the noise that matters is used, also
+with a random walk of the gyros.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
 
 @dataclass(frozen=True)
 class Member:
-    """An effect of a set in one form. candidate: with its forms, alone or beside the other effects; cost: log of the loss by averaging
-    over its shape; never positive."""
+    """An effect of a set in one form. candidate: with its forms, alone or together with the other effects; cost: logarithm of the
+    loss from averaging over its shape, never positive."""
 
     candidate: Candidate
     form: Weighed
@@ -59,7 +59,7 @@ class Member:
 @dataclass(frozen=True)
 class EffectSet:
     """members: in the order of the columns. weighed: all columns together. log_bayes: (G,). evidence: log evidence without a random
-    walk of the gyros; walking: with one, −∞ where it was not evaluated."""
+    walk of the gyros; walking: log evidence with a random walk, −∞ if it was not evaluated."""
 
     members: tuple[Member, ...]
     weighed: Weighed = field(repr=False)
@@ -93,8 +93,8 @@ def key_of(names: Sequence[str] | Iterator[str]) -> str:
 def sets_of(
     weighing: Weighing, candidates: Sequence[Candidate], prior: Callable[[int], float], walks: bool, refit: bool = True
 ) -> Sets:
-    """Pairs and larger sets of effects with signatures. prior: log prior of one set of a given number of effects; walks: whether a random
-    walk is a hypothesis; refit: whether shapes are fitted again in the likeliest set."""
+    """Pairs and larger sets of effects with signatures. prior: log prior of one set of a given number of effects; walks: whether a
+    random walk is a hypothesis; refit: whether the shapes of the most probable set are fitted again."""
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
     quick, level = _pairs(weighing, usable)
     full = {one.key: one for one in level}
@@ -119,8 +119,8 @@ def sets_of(
 
 
 def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, float], list[EffectSet]]:
-    """Log evidence of pairs of likely effects with all others, and the best of them evaluated in full. The others keep their evidence at
-    the declared noise."""
+    """Log evidence of pairs of probable effects with all others. The best pairs are evaluated in full. The other pairs keep their
+    evidence at the declared noise."""
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))[:FIRST]
     quick: dict[str, tuple[float, tuple[Member, Member]]] = {}
     for first in map(Member.best, ranked):
@@ -136,7 +136,7 @@ def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, f
 
 
 def _extended(weighing: Weighing, level: Sequence[EffectSet], usable: Sequence[Candidate]) -> list[EffectSet]:
-    """The likeliest sets with one more effect."""
+    """The most probable sets, each extended by one effect."""
     quick: dict[str, tuple[float, tuple[Member, ...]]] = {}
     for one in level:
         inside = {member.id for member in one.members}
@@ -165,7 +165,7 @@ def _evaluated(weighing: Weighing, members: tuple[Member, ...]) -> EffectSet:
 
 
 def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
-    """The same, evaluated with a random walk as well."""
+    """The same set, with the evidence for a random walk computed as well."""
     if np.isfinite(one.walking) or not np.isfinite(weighing.log_prior[1]).any():
         return one
     log_bayes = _log_bayes(weighing, one.weighed, one.members, weighing.log_prior[1])
@@ -192,7 +192,7 @@ def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], 
 
 
 def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
-    """The set with every shape fitted beside the other effects, if this explains more."""
+    """The set after every shape is fitted together with the other effects, if this explains more."""
     for number, member in enumerate(one.members):
         if not isinstance(member.candidate.effect, Shaped):
             continue
@@ -211,7 +211,8 @@ def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 
 def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, float]]:
-    """The form of each effect that fits the data best in addition to `a` at its most probable size, and the log BF that it adds."""
+    """For each other effect, the form that fits the data best when `a` is included at its most probable size, and the log BF that
+    it adds."""
     if not others:
         return
     mean, covariance = a.amplitudes

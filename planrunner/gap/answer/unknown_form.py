@@ -1,7 +1,7 @@
 """The form of a gap whose cause the catalogue does not contain: its channels, the factor on which it depends, and its share.
 
-The patterns of `hypotheses.open_set` compete with the effects of the catalogue. The likeliest of them says what the gap follows; the
-residuals of the simulation give its form.
+The patterns of `hypotheses.open_set` compete with the effects of the catalogue. The most probable of them determines the factor
+that the gap follows. The residuals of the simulation give its form.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SEEN = 3.0
 
 @dataclass(frozen=True)
 class FormPoint:
-    """Offsets of the channels at one level of the factor, with standard uncertainties of their noise, in the units of the channels."""
+    """Offsets of the channels at one level of the factor, with standard uncertainties from noise, in the units of the channels."""
 
     level: str
     values: tuple[float, ...]
@@ -33,8 +33,9 @@ class FormPoint:
 
 @dataclass(frozen=True)
 class UnknownForm:
-    """pattern: in words. factor: what it follows. channels, units: where it is seen. share: of the energy of the gap in all channels; None
-    for noise and tones, which are outside the analysed frequencies. points: the form of a pattern of offsets; empty for the others."""
+    """pattern: in words. factor: the factor that the gap follows. channels, units: channels that show the gap, and their units.
+    share: of the energy of the gap in all channels; None for noise and tones, which are outside the analysed frequencies. points:
+    offsets for a pattern of offsets; empty for other patterns."""
 
     pattern: str
     factor: Factor
@@ -44,7 +45,7 @@ class UnknownForm:
     points: tuple[FormPoint, ...]
 
     def to_json(self) -> JsonObject:
-        """According to `unknown_form` of `schemas/diagnosis.schema.json`."""
+        """JSON data according to `unknown_form` of `schemas/diagnosis.schema.json`."""
         return {
             "pattern": self.pattern,
             "factor": self.factor.value,
@@ -59,7 +60,7 @@ class UnknownForm:
 
 
 def unknown_form(weighing: Weighing, found: Posterior) -> UnknownForm | None:
-    """The form of the likeliest pattern outside the catalogue; None if no channel shows one."""
+    """The form of the most probable pattern outside the catalogue; None if no channel shows a pattern."""
     usual = [pattern for pattern, value in found.kinds.items() if np.isfinite(value) and pattern in found.by_channel]
     if not usual:
         return None
@@ -82,7 +83,7 @@ def unknown_form(weighing: Weighing, found: Posterior) -> UnknownForm | None:
 
 
 def _labels(weighing: Weighing, factor: Factor) -> list[str]:
-    """The level of the factor in each segment; without a common factor, the segment itself."""
+    """The level of the factor in each segment. Without a common factor, each segment is its own level."""
     observed = weighing.observed
     if factor is Factor.TEMPERATURE:
         middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
@@ -91,20 +92,20 @@ def _labels(weighing: Weighing, factor: Factor) -> list[str]:
 
 
 def _excess(weighing: Weighing, index: int, rows: NDArray[np.bool_]) -> float:
-    """Energy of some coefficients of a channel above that of the noise."""
+    """Energy of some coefficients of a channel minus the expected energy of the noise."""
     residual = weighing.weights[index][0].residual[rows]
     return float(residual @ residual) - len(residual)
 
 
 def _share(weighing: Weighing, part: float) -> float:
-    """A part of the energy of the gap as a share of all of it."""
+    """A part of the energy of the gap, as a fraction of the total."""
     every = np.ones(len(weighing.spectrum.segment), dtype=bool)
     whole = sum(_excess(weighing, index, every) for index in range(len(weighing.weights)))
     return float(np.clip(part / max(whole, 1e-300), 0.0, 1.0))
 
 
 def _of_levels(weighing: Weighing, labels: Sequence[str], seen: Sequence[int]) -> float:
-    """The share of the gap that one offset for each level takes."""
+    """The fraction of the gap that one offset for each level explains."""
     _, which = np.unique(np.array(labels), return_inverse=True)
     count = np.bincount(which)
     total = 0.0

@@ -1,9 +1,11 @@
-"""From a posterior to a verdict: none, one effect, a pair, several effects, unknown, or a class that this plan cannot distinguish.
+"""Derives a verdict from a posterior: none, one effect, a pair, several effects, unknown, or a class that this plan cannot
+distinguish.
 
-An effect that explains nearly all of a gap is named, whatever else there is; the rest is reported as a remainder. The remainder may be
-terms of the full nominal model that a reduced one lacks: if the simulation of a sensor has no bias, a small additional deviation that no
-hypothesis explains must not prevent the naming of the bias. Effects can also be so strong that the difference from their idealised form is
-visible: the energy that a flexible "something else" then explains is form residue.
+An effect that explains nearly all of a gap is named, whatever else acts. The rest is reported as a remainder. The remainder may
+consist of terms of the full nominal model that a reduced model lacks. For example, if the simulation of a sensor has no bias, a
+small additional deviation that no hypothesis explains must not prevent the naming of the bias. Effects can also be so strong that
+the deviation from their idealised form is visible. The energy that a flexible "something else" then explains is called form
+residue.
 """
 
 from __future__ import annotations
@@ -27,8 +29,8 @@ TWO_NAMES = 4.0  # nats of evidence between hypotheses that may have the same ca
 
 
 def leading(log_evidence: Mapping[str, float], top: str, signatures: Collection[str]) -> tuple[str, str] | None:
-    """The effect or pair that explains, at more than 50 σ, nearly as much as the likeliest hypothesis `top`, and the part of `top` that is
-    then a remainder; None if there is no such effect, or if it is `top` itself.
+    """The effect or pair that explains, at more than 50 σ, nearly as much as the most probable hypothesis `top`, and the part of
+    `top` that is then a remainder. None if there is no such effect, or if it is `top` itself.
 
     log_evidence: of every hypothesis relative to none; for a strong effect it is half the explained energy. signatures: effects that do not
     only change the noise.
@@ -49,7 +51,7 @@ def _most(log_evidence: Mapping[str, float], among: Collection[str], least: floa
 
 
 def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float]:
-    """Hypotheses with their probability relative to `best`, without those that explain clearly more."""
+    """Hypotheses with their probability relative to `best`, without hypotheses that explain clearly more than it."""
     away = {name: value - log_evidence[best] for name, value in log_evidence.items()}
     return {name: math.exp(min(value, 0.0)) for name, value in away.items() if value <= TWO_NAMES}
 
@@ -62,10 +64,10 @@ SOMETHING_ELSE = 0.90  # the probability at and above which "unknown" is reporte
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """kind: none, effect, pair, several, unknown or indistinguishable. effects: the likeliest. members: effects that cannot be
-    distinguished from them, including themselves; sets as 'a+b'. residue: an effect, or "unknown", that may be only form residue of the
-    named effect; it may also be one of the named effects. something_else: whether something that the catalogue does not contain acts
-    beside the named effects."""
+    """kind: none, effect, pair, several, unknown or indistinguishable. effects: the most probable ones. members: effects that
+    cannot be distinguished from them, including themselves; sets as 'a+b'. residue: an effect, or "unknown", that may be only form
+    residue of the named effect; it may also be one of the named effects. something_else: whether something that the catalogue does
+    not contain acts beside the named effects."""
 
     kind: str
     effects: tuple[str, ...] = ()
@@ -75,12 +77,13 @@ class Verdict:
 
     @property
     def key(self) -> str:
-        """The hypothesis that it states."""
+        """The hypothesis that the verdict names."""
         return key_of([*self.effects, *([UNKNOWN] if self.something_else else [])]) if self.effects else self.kind
 
 
 def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]) -> Verdict:
-    """The verdict. Nothing is named if P(none) is 5 % or more. A single member of a class that the plan cannot separate is never named."""
+    """Derives the verdict from the posterior. Nothing is named if P(none) is 5 % or more. A single member of a class that the plan
+    cannot separate is never named."""
     probability = found.of_effects()
     if probability["none"] >= NAMEABLE:
         return Verdict("none")
@@ -108,21 +111,22 @@ def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate
 
 
 def _without(name: str, effect: str) -> str:
-    """The rest of a set of effects that contains `effect`; empty otherwise."""
+    """The other effects of a set that contains `effect`; empty otherwise."""
     parts = name.split("+")
     return key_of(part for part in parts if part != effect) if effect in parts else ""
 
 
 def _named(effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | None, left: bool) -> Verdict:
-    """Effects or, if they have rivals, their class."""
+    """The named effects, or their class if they have rivals."""
     if len(rivals) > 1:
         return Verdict("indistinguishable", effects, rivals, residue, left)
     return Verdict({1: "effect", 2: "pair"}.get(len(effects), "several"), effects, (), residue, left)
 
 
 def ambiguity_set(probability: Mapping[str, float], said: Verdict) -> list[str]:
-    """The likeliest hypotheses with a total probability of 95 %, the likeliest first, and in any case what the verdict says: it may be less
-    likely than they are if the rest counts as form residue, or if "none" is likely enough that nothing is named."""
+    """The most probable hypotheses with a total probability of 95 %, the most probable first, and always the hypothesis of the
+    verdict. The verdict may be less probable than these if the residuals count as form residue, or if "none" is so probable that
+    nothing is named."""
     chosen, total = [], 0.0
     for name, value in probability.items():
         chosen.append(name)
@@ -142,8 +146,8 @@ def _confusable(weighed: Weighed, rivals: Sequence[Weighed]) -> bool:
 
 
 def _rivals(probability: Mapping[str, float], by_id: Mapping[str, Candidate], top: str) -> tuple[str, ...]:
-    """Single effects that cannot be distinguished from `top`, with itself first. Effects on the noise are distinguished only by their
-    evidence."""
+    """Single effects that cannot be distinguished from `top`; the list begins with `top`. Effects on the noise are distinguished
+    only by their evidence."""
     found = [top]
     for name, value in probability.items():
         if name == top or "+" in name or name in ("none", "unknown") or value < RIVAL * probability.get(top, 0.0):
@@ -159,8 +163,8 @@ def _rivals(probability: Mapping[str, float], by_id: Mapping[str, Candidate], to
 def _rival_sets(
     probability: Mapping[str, float], sets: Mapping[str, Weighed], by_id: Mapping[str, Candidate], top: str
 ) -> tuple[str, ...]:
-    """Sets that share all effects but one with `top` and replace this one by an effect that cannot be distinguished from it; `top`
-    first."""
+    """Sets that differ from `top` by one effect, which an effect replaces that cannot be distinguished from it; the list begins
+    with `top`."""
     found = [top]
     mine = set(top.split("+"))
     for name, value in probability.items():
@@ -180,9 +184,10 @@ def _rival_sets(
 
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], named: str) -> tuple[str, str | None]:
-    """The effects of a set to name, and the weakest, if it may be form residue of the strongest: if at more than 50 σ it explains less
-    than `RESIDUE` of what all explain. Below `FORM` it is not named. It is not form residue if it acts on channels on which the others do
-    not act, or if it raises the noise level. Terms of a nominal model are exact and have no form residue."""
+    """The effects of a set to name, and its weakest effect if this may be form residue of the strongest. This is so if, at more
+    than 50 σ, it explains less than `RESIDUE` of what all explain. If it explains less than `FORM`, it is not named. It is not form
+    residue if it acts on channels on which the others do not act, or if it raises the noise level. Terms of a nominal model are
+    exact and have no form residue."""
     names = named.split("+")
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in names if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")

@@ -1,10 +1,10 @@
-"""The place of the gap: channel, factor, and the most conspicuous level of the factor.
+"""Locates the gap: its channel, the factor that it follows, and the most conspicuous level of this factor.
 
-Factors are orientation, rate, temperature, time, the table's angle and the band of frequencies. The factor that the whitened residual of a
-channel follows is found by its evidence, using the patterns of the open set. Levels are scored by their energy. Under pure noise each level
-has different degrees of freedom, and many levels are examined. The p-value is therefore the probability that the highest score of all
-places is at least as high, from residuals of pure noise, projected like the data (max-statistic parametric bootstrap; Westfall and Young,
-Resampling-Based Multiple Testing, 1993).
+Factors are orientation, rate, temperature, time, the table's angle and the frequency band. The evidence determines which factor the
+whitened residual of a channel follows, using the patterns of the open set. Levels are scored by their energy. Under pure noise each
+level has different degrees of freedom, and many levels are examined. The p-value is therefore the probability that the highest
+score of all places is at least as high, from residuals of pure noise, projected like the data (max-statistic parametric bootstrap;
+Westfall and Young, Resampling-Based Multiple Testing, 1993).
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ _NEAR = math.sqrt(2 - 2 * 0.999)
 
 @dataclass(frozen=True, slots=True)
 class MisfitPlace:
-    """A part of the recording. share: of all energy above the noise. Every factor divides the same energy: within one factor, over all
-    channels, the shares add up to at most 1; shares of several factors overlap. of: `noise` if the share refers to the noise of the
-    channel, as for energy outside the basis. p: adjusted for the number of places."""
+    """A part of the recording where the gap appears. share: of all energy above the noise. Every factor divides the same energy:
+    within one factor, over all channels, the shares add up to at most 1; shares of several factors overlap. of: `noise` if the
+    share refers to the noise of the channel, as for energy outside the basis. p: adjusted for the number of places."""
 
     channel: str
     factor: Factor
@@ -96,7 +96,7 @@ def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -
 
 
 def levels(weighing: Weighing) -> Iterator[tuple[MisfitPlace, float]]:
-    """Every channel and level with its standardised energy."""
+    """The standardised energy of every channel at every level."""
     channels = [channel.name for channel in weighing.observed.channels]
     listed = list(_masks(weighing))
     masks = np.array([mask for _, _, mask in listed], dtype=float)
@@ -127,7 +127,7 @@ def _replicates(weighing: Weighing) -> Iterator[Array]:
 
 
 def _masks(weighing: Weighing) -> Iterator[tuple[Factor, str, NDArray[np.bool_]]]:
-    """Factor, level and the coefficients (M,) that belong to it. The first is everything."""
+    """Factor, level and the coefficients (M,) that belong to the level. The first entry contains all coefficients."""
     observed, spectrum = weighing.observed, weighing.spectrum
     segment = spectrum.segment
     yield Factor.CHANNEL, "all", np.ones(len(segment), dtype=bool)
@@ -166,7 +166,7 @@ def _binned(values: Array, unit: str) -> list[str]:
 
 
 def _up(attitude: Array) -> str:
-    """The direction of up in the sensor's axes, the only known property of a pose."""
+    """The vertical direction in the sensor's axes, which is the only known property of a pose."""
     return "up at " + ", ".join(f"{letter} {value:.2f}" for letter, value in zip("xyz", attitude[:, 2], strict=True))
 
 

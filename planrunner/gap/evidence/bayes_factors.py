@@ -1,12 +1,13 @@
-"""Bayes factors: evidence for amplitudes against none.
+"""Bayes factors: evidence for amplitudes compared with none.
 
-The strength of an effect is its energy λ: the energy of its signature, without the part that the nominal parameters absorb, in units of the
-noise. The amplitudes have the directions of N(0, D) and λ is log-uniform from `WEAKEST` to `STRONGEST`: weaker effects cannot be
-distinguished from none and count as none. Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same directions and any λ, so the
-evidence is that of the Gaussian model, log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c with G the signatures' Gram matrix and c
-their product with the data, times the posterior probability that λ = θᵀGθ is `WEAKEST` or more, integrated over log s². λ is then a sum of
-scaled non-central χ²; its distribution is approximated by a scaled χ² with the same mean and variance (Patnaik, Biometrika 36, 1949). Above
-`STRONGEST` the density continues, because a stronger effect is still that effect.
+The strength of an effect is its energy λ: the energy of its signature, without the part that the nominal parameters absorb, in
+units of the noise. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to `STRONGEST`. Weaker
+effects cannot be distinguished from none and count as none. Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same
+directions and any λ, so the evidence is that of the Gaussian model, log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c
+with G the signatures' Gram matrix and c their product with the data, times the posterior probability that λ = θᵀGθ is `WEAKEST` or
+more, integrated over log s². λ is then a sum of scaled non-central χ²; its distribution is approximated by a scaled χ² with the
+same mean and variance (Patnaik, Biometrika 36, 1949). Above `STRONGEST` the density continues, because a stronger effect is still
+that effect.
 """
 
 from __future__ import annotations
@@ -28,28 +29,28 @@ misalignment of the sensor, which are seldom larger."""
 
 
 def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> Array:
-    """log BF averaged over λ, for stacks: gram (…, p, p), score (…, p), in units of the prior magnitudes (D = I).
+    """The log BF averaged over λ, for stacks: gram (…, p, p), score (…, p), in units of the prior magnitudes (D = I).
 
-    trace: energy of a unit amplitude, which scales the grid of s²; by default tr(gram) of the first.
+    trace: energy of a unit amplitude, which scales the grid of s²; by default it is tr(gram) of the first element.
     """
     return averaged(by_energy(gram, score, trace))
 
 
 def averaged(terms: Array, energies: Array = ENERGIES) -> Array:
-    """log of the mean over the prior of λ of terms (…, E) on the grid of s²."""
+    """The logarithm of the mean over the prior of λ of terms (…, E) on the grid of s²."""
     step = float(np.log(energies[1] / energies[0]))
     return np.asarray(log_mean_exp(terms, -1) + np.log(len(energies) * step / RANGE))
 
 
 def by_energy(gram: Array, score: Array, trace: float | None = None) -> Array:
-    """log BF (…, E) at each s²."""
+    """The log BF (…, E) at each s²."""
     values, vectors = np.linalg.eigh(gram)
     along = np.einsum("...ji,...j->...i", vectors, score) ** 2
     return from_eigen(np.maximum(values, 0.0), along, trace)
 
 
 def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array:
-    """The same from eigenvalues (…, p) of the Gram matrix and squared scores (…, p) along its eigenvectors."""
+    """The same log BF from eigenvalues (…, p) of the Gram matrix and squared scores (…, p) along its eigenvectors."""
     if trace is None:
         trace = float(values.reshape(-1, values.shape[-1])[0].sum())
     s2 = ENERGIES[:, None] / max(trace, 1e-300)
@@ -63,12 +64,13 @@ def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array
 
 
 def gaussian(grown: Array, gain: Array) -> Array:
-    """log BF (…) of amplitudes θ ~ N(0, s²·D) of any energy. grown: (…, p), 1 + s²·eigenvalue; gain: (…, p), s²·squared score ÷ grown."""
+    """The log BF (…) of amplitudes θ ~ N(0, s²·D) of any energy. grown: (…, p), 1 + s²·eigenvalue; gain: (…, p), s²·squared score ÷
+    grown."""
     return np.asarray(0.5 * (gain - np.log(grown)).sum(-1))
 
 
 def strong_enough(mean: Array, variance: Array) -> Array:
-    """log of the probability that an energy with this mean and variance is `WEAKEST` or more."""
+    """The logarithm of the probability that an energy with this mean and variance is at least `WEAKEST`."""
     from scipy.special import gammaincc
 
     variance = np.maximum(variance, 1e-300)
@@ -78,21 +80,21 @@ def strong_enough(mean: Array, variance: Array) -> Array:
 
 
 def held_log_bayes_factor(gram: Array, score: Array) -> Array:
-    """log BF (…) of one amplitude that is 1 within `GAIN`, from its gram (…) and score (…)."""
+    """The log BF (…) of one amplitude that is 1 within `GAIN`, from its gram (…) and score (…)."""
     precision = 1 / GAIN**2
     grown = gram + precision
     return np.asarray(0.5 * ((score + precision) ** 2 / grown - precision - np.log(grown / precision)))
 
 
 def held_amplitude(gram: float, score: float) -> tuple[float, float]:
-    """Mean and variance of such an amplitude."""
+    """Mean and variance of an amplitude that is 1 within `GAIN`."""
     precision = 1 / GAIN**2
     return (score + precision) / (gram + precision), 1 / (gram + precision)
 
 
 def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) -> float:
-    """What the log BF of amplitudes N(0, s²) with s² `scales` (p,) gains if those of some columns, `held`, are 1 within `GAIN` instead: the
-    ratio of the densities of the posterior and of the prior there (Dickey, Ann. Math. Stat. 42, 1971)."""
+    """The change of the log BF if some amplitudes, `held`, are 1 within `GAIN` instead of N(0, s²) with s² `scales` (p,). It is the
+    ratio of the posterior density to the prior density there (Dickey, Ann. Math. Stat. 42, 1971)."""
     at = np.asarray(held)
     covariance = np.linalg.inv(gram + np.diag(1 / scales))
     away = 1 - (covariance @ score)[at]
@@ -112,7 +114,7 @@ def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tu
 
 
 def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
-    """The most probable s² (p,) of the effect of every column, found for one effect at a time with the others fixed."""
+    """The most probable s² (p,) of the effect of every column. They are found for one effect at a time while the others are fixed."""
     ends = np.cumsum(widths or (len(score),))
     parts = [slice(end - width, end) for end, width in zip(ends, widths or (len(score),), strict=True)]
     traces = [max(float(np.trace(gram[part, part])), 1e-300) for part in parts]
@@ -130,7 +132,7 @@ def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
 
 
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:
-    """log BF of two effects together: columns 0 … first − 1 and the rest, each with a separate s² on the grid `energies`; both have at
+    """The log BF of two effects together: columns 0 … first − 1 and the rest. Each has a separate s² on the grid `energies` and at
     least the strength `WEAKEST`."""
     widths = (first, len(score) - first)
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
@@ -141,11 +143,12 @@ def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[f
 def set_log_bayes_factor(
     gram: Array, score: Array, widths: Sequence[int], traces: Sequence[float], energies: Array, near: Array
 ) -> float:
-    """log BF of any number of effects together, each with a separate s² on the grid `energies` and at least the strength `WEAKEST`. near:
-    (p,), s² at which the search for the most probable begins.
+    """The log BF of any number of effects together. Each has a separate s² on the grid `energies` and at least the strength
+    `WEAKEST`. near: (p,), s² at which the search for the most probable begins.
 
-    The grid over all s² would have a dimension for each effect. Instead the most probable s² are found for one effect at a time, and the
-    average over each s² is taken there with the others fixed: exact if the integrand is a product of functions of each s².
+    A grid over all s² would have one dimension for each effect. Instead, the most probable s² are found for one effect at a time,
+    and the average over each s² is computed there with the others fixed. This is exact if the integrand is a product of functions
+    of each s².
     """
     grids = [energies / trace for trace in traces]
     start = near[np.cumsum(widths) - 1]
@@ -165,7 +168,7 @@ def set_log_bayes_factor(
 
 
 def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
-    """log BF (G,) of Gaussian amplitudes of fixed s² (p,), for stacks of gram (G, p, p) and score (G, p)."""
+    """The log BF (G,) of Gaussian amplitudes with fixed s² (p,), for stacks of gram (G, p, p) and score (G, p)."""
     root = np.sqrt(scales)
     inner = np.eye(len(root)) + root[:, None] * gram * root
     along = root * score
@@ -174,7 +177,8 @@ def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
 
 
 def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) -> Array:
-    """log BF (E,) of effects of `widths` columns with s² (E, effects), times the probability that each has the strength `WEAKEST`."""
+    """The log BF (E,) of effects of `widths` columns with s² (E, effects), times the probability that each has the strength
+    `WEAKEST`."""
     p = len(score)
     root = np.sqrt(np.repeat(scales, widths, axis=1))
     inner = np.eye(p) + root[:, :, None] * gram * root[:, None, :]
@@ -199,7 +203,7 @@ def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) 
 
 
 def log_mean_exp(values: Array, axis: int, weights: Array | None = None) -> Array:
-    """log of the mean of exp along an axis, with weights (of sum 1) if given."""
+    """The logarithm of the mean of exp along an axis, with weights (of sum 1) if given."""
     top = np.max(values, axis=axis, keepdims=True)
     top = np.where(np.isfinite(top), top, 0.0)
     grown = np.exp(values - top)

@@ -1,10 +1,11 @@
-"""Dispersion: how much larger a rest is than the noise, where a test shows that noise alone does not explain it.
+"""Dispersion: the ratio of the residuals to the noise, if a test shows that noise alone does not explain the residuals.
 
-If no explanation leaves only noise, differences of evidence are too large by the ratio χ²/ν of the rest: the data repeat the errors of the
-explanation like independent samples. Evidence is then compared with the noise enlarged by that ratio. This is the dispersion of
-quasi-likelihood (McCullagh and Nelder, Generalized Linear Models, 1989, section 4.5), in metrology the squared Birge ratio (Birge, Physical
-Review 40, 1932), and corresponds to a likelihood raised to the power ν/χ² (Miller and Dunson, Journal of the American Statistical
-Association 114, 2019). A ratio within chance is 1, so that evidence without misfit is unchanged.
+If no explanation leaves only noise, differences of evidence are too large by the ratio χ²/ν of the residuals. The reason is that
+all samples repeat the same errors of the explanation, as if they were independent. Evidence is then computed with the noise
+enlarged by that ratio. This is the dispersion of quasi-likelihood (McCullagh and Nelder, Generalized Linear Models, 1989, section
+4.5), in metrology the squared Birge ratio (Birge, Physical Review 40, 1932), and corresponds to a likelihood raised to the power
+ν/χ² (Miller and Dunson, Journal of the American Statistical Association 114, 2019). If chance explains the ratio, it is set to 1,
+so that evidence without misfit does not change.
 """
 
 from __future__ import annotations
@@ -21,10 +22,11 @@ LEVEL = 0.001
 
 
 def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) -> float:
-    """The ratio of one channel, at least 1: the larger of the ratios of all coefficients and of the means, as far as they fail the test.
+    """The ratio of one channel, at least 1. It is the larger of two ratios, of all coefficients and of the means, that fail the
+    test.
 
-    rest: (M,), whitened; degrees: of freedom; means: (S,), places of the coefficients of order 0, in which errors of the form of an effect
-    gather; tests: number of tests in all channels, for Bonferroni's correction.
+    rest: (M,), whitened residuals; degrees: of freedom; means: (S,), indices of the coefficients of order 0, in which errors of the
+    form of an effect accumulate; tests: number of tests in all channels, for Bonferroni's correction.
     """
     from scipy.special import chdtrc
 

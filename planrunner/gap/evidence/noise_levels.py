@@ -27,8 +27,8 @@ CERTAIN = 60.0  # log odds assigned to a lattice of counts that is seen, or not 
 
 
 def counts(observed: Observed) -> Array:
-    """The count (K,) of each channel, of which all values are multiples: the declared count unless a coarser one is found; for a channel
-    whose values do not lie on a declared lattice, the count that is found, or 0."""
+    """The count (K,) of each channel. It is the declared count unless the recording shows a coarser one. If the values are not
+    multiples of the declared count, it is the count that is found, or 0."""
     found = []
     for index, channel in enumerate(observed.channels):
         step = channel.resolution
@@ -47,10 +47,10 @@ Level = Literal["declared", "white", "resolution"]
 
 
 def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array) -> dict[tuple[Level, Level], float]:
-    """Log densities of the white levels, for all combinations of what the noise of the gyros and of the accelerometers is.
+    """Log densities of the white levels for all combinations of the noise states of the gyros and of the accelerometers.
 
-    If the noise of a triad, declared and measured, does not dither its count, there is no white level to compare; it then counts as that of
-    the other triad, and as declared if neither can be compared.
+    If the noise of a triad, declared or measured, does not dither its count, there is no white level to compare. The triad then
+    counts like the other one, and as declared if neither can be compared.
     """
     declared = [channel.resolution or step for channel, step in zip(observed.channels, steps, strict=True)]
     (plain, sigma), (counted, _) = (_excess(observed, white, degrees, each) for each in (declared, steps))
@@ -116,7 +116,7 @@ def _excess(
 
 
 def excess_by_channel(observed: Observed, white: Array, degrees: Array) -> Array:
-    """log BF (K,) of more white noise than declared in one channel, against a declaration that is right or wrong."""
+    """The log BF (K,) of more white noise than declared in one channel, against a declaration that is right or wrong."""
     found = np.full(len(observed.channels), -np.inf)
     for index, channel in enumerate(observed.channels):
         if channel.white > 0:
@@ -132,7 +132,7 @@ def _normal(x: Array | float, sigma: float) -> Array:
 
 
 def _within_two(x: Array | float) -> Array:
-    """Uniform in the logarithm up to a factor of two in both directions, with edges of 10 %, and a floor beyond them."""
+    """A density that is uniform in the logarithm up to a factor of two in both directions, with edges of 10 % and a floor outside."""
     edge = 0.1
     top = 1 / (1 + np.exp(np.minimum((np.abs(x) - np.log(2.0)) / (edge / 4), 500.0)))
     return np.asarray(top / (2 * np.log(2.0)) + 1e-9)
@@ -151,7 +151,8 @@ def _declared(excess: Mapping[str, Array | float], sigma: float) -> Array:
 
 
 def _density(excess: Mapping[str, float], sigma: float, larger: Sequence[str]) -> float:
-    """Log density of excesses by triad, if the levels of some triads are the declared ones, right or wrong, times an excess each."""
+    """Log density of excesses by triad. The levels of some triads are the declared ones, right or wrong, multiplied by one excess
+    each."""
     shapes = [EXCESS[:, None], EXCESS[None, :]]
     lowered: dict[str, Array | float] = dict(excess)
     for kind, more in zip(larger, shapes, strict=False):

@@ -1,10 +1,10 @@
-"""Noise within segments as it is: its spectrum, and its level in every segment.
+"""The actual noise within segments: its spectrum, and its level in every segment.
 
-Both are measured outside the coefficients, where no effect of the catalogue acts, so that noise cannot absorb an effect and an effect
-cannot appear as noise. Rounded, filtered or differenced outputs and lines of interference make the noise coloured; vibration makes it
-differ between segments. The noise counts as white, and alike in all segments, unless Schwarz's criterion (BIC; Annals of Statistics 6,
-1978) prefers the richer description. A spectrum that is found only at rest, or only in motion, counts for both if it also describes the
-others better than white noise does.
+Both are measured outside the coefficients, where no effect of the catalogue acts. Therefore noise cannot absorb an effect, and an
+effect cannot appear as noise. Rounded, filtered or differenced outputs and lines of interference make the noise coloured; vibration
+makes it differ between segments. The noise counts as white, and as equal in all segments, unless Schwarz's criterion (BIC; Annals
+of Statistics 6, 1978) prefers the richer description. A spectrum that is measured only at rest, or only in motion, is used for both
+if it also describes the other segments better than white noise does.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ _SMALLEST = (
 
 @dataclass(frozen=True)
 class NoiseWithin:
-    """Variance of the noise, relative to the white level, by channel. frequency: (B,), Hz, centres of the bands; weight: (B,), their
-    numbers of coefficients. spectrum: (2, B, K), of segments at rest and in motion. level: (S, K), of each segment; own: (S, B, K), factor
-    by which its bands depart from the product of both. moving: (S,), index of the spectrum of each segment. coloured: (2, K), whether a
-    spectrum departs from white; differing: (K,), whether the segments differ."""
+    """Variance of the noise, relative to the white level, by channel. frequency: (B,), Hz, centres of the bands; weight: (B,),
+    their numbers of coefficients. spectrum: (2, B, K), of segments at rest and in motion. level: (S, K), of each segment; own: (S,
+    B, K), ratio of its bands to the product of spectrum and level. moving: (S,), index of the spectrum of each segment. coloured:
+    (2, K), whether a spectrum departs from white; differing: (K,), whether the segments differ."""
 
     frequency: Array
     weight: Array
@@ -53,15 +53,16 @@ class NoiseWithin:
 
     @property
     def inefficiency(self) -> Array:
-        """(K,): factor by which a sum of squares of the coloured noise has fewer degrees of freedom than samples."""
+        """Factor (K,) by which a sum of squares of the coloured noise has fewer degrees of freedom than samples."""
         return np.asarray(
             (self.weight @ self.spectrum**2 * self.weight.sum() / (self.weight @ self.spectrum) ** 2).max(0)
         )
 
     def of_coefficients(self, observed: Observed, spectrum: Spectrum) -> Array:
-        """Variance (M, K) of the coefficients: that at their frequency; for harmonics, which are no cosines of the transform, the mean over
-        all frequencies that they contain, ∫ S(f)·|V(f)|² df for stationary noise. Next to the lower orders, from which they are made
-        orthogonal, little more than the ends of the segment remains of them, and these contain all frequencies."""
+        """Variance (M, K) of the coefficients, which is the spectrum at their frequency. Harmonics are not cosines of the
+        transform. For them it is the mean over all frequencies that they contain, ∫ S(f)·|V(f)|² df for stationary noise. If a
+        harmonic is close to the lower orders, to which it is made orthogonal, little more than the ends of the segment remains of
+        it. These ends contain all frequencies."""
         from scipy.fft import rfft
 
         out = self.level[spectrum.segment]
@@ -82,14 +83,14 @@ class NoiseWithin:
         return out
 
     def _relative(self, segment: int, frequency: Array) -> Array:
-        """The spectrum (n, K) of a segment, without its level, at frequencies (n,), Hz; constant beyond the outermost bands."""
+        """The spectrum (n, K) of a segment, without its level, at frequencies (n,), Hz. It is constant beyond the outermost bands."""
         place = np.log(np.maximum(frequency, self.frequency[0]))
         spectra = np.log(self.spectrum[self.moving[segment]] * self.own[segment])
         return np.asarray(np.exp(np.column_stack([np.interp(place, np.log(self.frequency), one) for one in spectra.T])))
 
 
 def noise_within(observed: Observed, spectrum: Spectrum, white: Array) -> NoiseWithin:
-    """The noise of the remainder. white: (K,), SI, standard deviation of a sample of white noise."""
+    """Measures the noise of the remainder. white: (K,), SI, standard deviation of a sample of white noise."""
     count = np.maximum(spectrum.count, 0.0)
     used = count.sum(0) > 0
     count = count[:, used]
@@ -141,8 +142,8 @@ def _typical(observed: Observed, spectrum: Spectrum) -> Array:
 
 
 def _carried(energy: Array, count: Array, above: float, carried: float) -> Array:
-    """Levels (B,) of the bands from the highest down; a band keeps to the next higher one, that of the highest being `above`, as if it
-    contained that many more coefficients of its level."""
+    """Levels (B,) of the bands from the highest down. Each band is smoothed towards the next higher band, and the highest towards
+    `above`, as if it contained that many more coefficients of that level."""
     out = np.ones(len(energy))
     for band in range(len(energy) - 1, -1, -1):
         above = max((energy[band] + carried * above) / (count[band] + carried), _SMALLEST)
@@ -151,7 +152,8 @@ def _carried(energy: Array, count: Array, above: float, carried: float) -> Array
 
 
 def _better(ratio: Array, count: Array) -> bool:
-    """Whether separate levels describe variances (n,), relative to the white noise and with degrees of freedom (n,), better than one."""
+    """Whether separate levels describe variances (n,) better than one common level. The variances are relative to the white noise
+    and have degrees of freedom (n,)."""
     seen = count > 0
     ratio, count = np.maximum(ratio[seen], _SMALLEST), count[seen]
     gain = float((count * (ratio - 1 - np.log(ratio))).sum())
@@ -159,6 +161,6 @@ def _better(ratio: Array, count: Array) -> bool:
 
 
 def _fits(energy: Array, count: Array, variance: Array) -> bool:
-    """Whether variances (B,) that other data determined describe energies (B,) with degrees of freedom (B,) better than white noise does,
-    by their likelihood: no parameter is fitted."""
+    """Whether variances (B,) from other data describe energies (B,) with degrees of freedom (B,) better than white noise does. The
+    criterion is their likelihood, because no parameter is fitted."""
     return bool((energy * (1 - 1 / variance) - count * np.log(variance)).sum() > 0)

@@ -1,7 +1,7 @@
 """Checks of a recording before its diagnosis, as findings.
 
-A finding is an error if a diagnosis would be empty or wrong; it is a warning if the diagnosis can continue, but the user should know the
-problem.
+A finding is an error if a diagnosis would be empty or wrong. It is a warning if the diagnosis can continue but the user should know
+the problem.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ POSE_PARAMETERS = 9
 
 
 def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, where: str, log: Findings) -> None:
-    """Segments, missing numbers, clock and ranges. where: the run or recording, for messages."""
+    """Checks segments, missing numbers, clock and ranges. where: the run or recording, for messages."""
     mark = Mark(where)
     if len(recording) < 2:
         held = (
@@ -120,7 +120,7 @@ _LOOK = (
 
 
 def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Whether the nominal model fits far better with the labels of two segments exchanged."""
+    """Checks whether the nominal model fits far better if the labels of two segments are exchanged."""
     found = exchanged_labels(observed)
     if found is not None:
         first, second, times = found
@@ -134,11 +134,11 @@ def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
 
 
 def exchanged_labels(observed: Observed) -> tuple[int, int, float] | None:
-    """The two segments whose exchange makes the misfit of the nominal model to the segment means at least `EXCHANGED` times smaller, and
-    that ratio of root mean squares; None if there are no such segments.
+    """The two segments whose exchange reduces the misfit of the nominal model to the segment means by at least the factor
+    `EXCHANGED`, and the ratio of root mean squares; None if there are no such segments.
 
-    With M the projection on the residuals of the fit and e the difference of the unit vectors of the two segments, an exchange changes the
-    means y by δ·e, δ = eᵀ·(−y), and the sum of squares of the residuals by 2δ·eᵀMy + δ²·eᵀMe.
+    Let M be the projection on the residuals of the fit, and e the difference of the unit vectors of the two segments. An exchange
+    changes the means y by δ·e with δ = eᵀ·(−y), and the sum of squares of the residuals by 2δ·eᵀMy + δ²·eᵀMe.
     """
     segments = len(observed)
     before, after = 0.0, np.zeros((segments, segments))
@@ -168,7 +168,7 @@ def exchanged_labels(observed: Observed) -> tuple[int, int, float] | None:
 
 
 def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Whether channels at rest scatter about as much as declared, from sample to sample."""
+    """Checks whether channels at rest scatter from sample to sample about as much as declared."""
     still = [s for s, motion in enumerate(observed.motions) if isinstance(motion, Rest)]
     if not still:
         return
@@ -186,7 +186,8 @@ def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
 
 
 def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Whether poses in unknown orientations read the magnitude of gravity, and whether there are enough of them to hold some out."""
+    """Checks whether poses in unknown orientations read the magnitude of gravity, and whether there are enough of them to hold some
+    out."""
     expected = segment_means(observed, observed.seen(0, observed.force)[:, None])[:, 0]
     ratio = float(np.median(segment_means(observed, observed.values)[:, 0] / expected))
     if abs(ratio - 1) > MISFIT:
@@ -208,7 +209,7 @@ def segment_means(observed: Observed, values: Array) -> Array:
 
 
 def _check_overlaps(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
-    """Segments that share samples, whose evidence would count twice."""
+    """Finds segments that share samples. Their evidence would count twice."""
     used = [item for item in in_time_order(recording) if item.statistics.count > 1]
     for before, after in pairwise(used):
         shared = before.statistics.start + before.statistics.duration - after.statistics.start
@@ -269,7 +270,7 @@ def _check_clock(recording: Sequence[RecordedSegment], declared: float, mark: Ma
 
 
 def _check_ranges(recording: Sequence[RecordedSegment], sensor: SensorModel, mark: Mark, log: Findings) -> None:
-    """Channels of the sensor that are constant, have no noise, or reach their full scale."""
+    """Checks for channels of the sensor that are constant, have no noise, or reach their full scale."""
     for name, text in recording[0].units.items():
         known = [item for item in recording if name in item.statistics.channels and item.statistics.count > 1]
         output = sensor.output(name)

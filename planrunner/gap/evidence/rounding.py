@@ -1,9 +1,9 @@
 """Errors of long means by rounding to counts.
 
-Noise of half a count or more dithers the rounding: its errors average out. Smaller noise leaves an error that depends on the position of
-the mean within a count, and repeats do not average it. The scatter of rounded samples does not show how small the noise is: readings that
-alternate between two counts scatter by half a count whatever the noise. The numbers of samples at every count show it, because only noise
-that is large enough reaches a third count.
+Noise of half a count or more dithers the rounding, so that its errors average out. With smaller noise, an error remains that
+depends on the position of the mean within a count. Repeats do not average it out. The scatter of rounded samples does not show how
+small the noise is: readings that alternate between two counts scatter by half a count, whatever the noise is. The numbers of
+samples at each count show it, because only sufficiently large noise reaches a third count.
 """
 
 from __future__ import annotations
@@ -25,24 +25,26 @@ _MOST = 60  # counts that a segment at rest may reach
 
 
 def is_coarse(white: Array | float, count: Array | float) -> NDArray[np.bool_]:
-    """Whether the noise does not dither the count. white: standard deviation of a rounded sample; its square contains count²/12."""
+    """Whether the noise does not dither the count. white: standard deviation of a rounded sample; its square includes count²/12."""
     return np.asarray(np.square(white) < np.square(count) * (1 / 12 + DITHERED**2))
 
 
 def dithering(sigma: Array | float) -> Array:
-    """Factor of the variance of a long mean's rounding error by noise of standard deviation `sigma`, in counts.
+    """Variance of the rounding error of a long mean with noise of standard deviation `sigma`, in counts, relative to the variance
+    without noise.
 
-    The error is a saw-tooth of the mean's position within a count, and Gaussian noise multiplies its harmonic k by exp(−2π²k²σ²) (Widrow
-    and Kollár, Quantization Noise, 2008, section 19.3). Without noise the variance is 1/12 of a squared count.
+    The error is a saw-tooth function of the mean's position within a count. Gaussian noise multiplies its harmonic k by
+    exp(−2π²k²σ²) (Widrow and Kollár, Quantization Noise, 2008, section 19.3). Without noise the variance is 1/12 of a squared
+    count.
     """
     weight = 6 / (np.pi * HARMONICS) ** 2
     return np.asarray(np.exp(-4 * (np.pi * np.multiply.outer(sigma, HARMONICS)) ** 2) @ weight)
 
 
 def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> Array:
-    """Variance (K,) of the error of a long mean by rounding, SI². white: (K,), SI, standard deviation of a rounded sample; coarse: (K,),
-    channels whose noise is too small to show in it. For these, the expectation over what the counts at rest and the declared noise leave
-    open. If samples were averaged, their counts are not known."""
+    """Variance (K,) of the rounding error of a long mean, SI². white: (K,), SI, standard deviation of a rounded sample; coarse:
+    (K,), whether the noise of a channel is too small to show in it. For coarse channels it is the expectation over the noise levels
+    that the counts at rest and the declared noise allow. If samples were averaged, their counts are unknown."""
     found = np.zeros(len(observed.channels))
     for index, channel in enumerate(observed.channels):
         count = channel.resolution
@@ -60,13 +62,13 @@ def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> A
 
 
 def _of_declared(sigma: float) -> Array:
-    """Log prior (S,) of the noises: about the declared one, in counts; uniform if none is declared."""
+    """Log prior (S,) of the noise levels: near the declared one, in counts; uniform if none is declared."""
     return np.zeros(len(NOISES)) if sigma <= 0 else -0.5 * (np.log(NOISES / sigma) / DOUBT) ** 2
 
 
 def _of_counts(observed: Observed, index: int) -> Array:
-    """Log likelihood (S,) of the noises: the numbers of samples at every count in segments at rest, whose true mean is the one that gives
-    their mean reading."""
+    """Log likelihood (S,) of the noise levels, from the numbers of samples at each count in segments at rest. The true mean is
+    chosen so that it gives the mean reading."""
     found = np.zeros(len(NOISES))
     if observed.bins is not None:
         return found
@@ -92,7 +94,7 @@ def _reading(sigma: float) -> Array:
 
 
 def _chances(away: Array, sigma: float) -> Array:
-    """Probability that a sample is rounded to a count this far from its mean, in counts."""
+    """Probability that a sample is rounded to a count at this distance from its mean, in counts."""
     from scipy.special import ndtr
 
     return np.asarray(ndtr((away + 0.5) / sigma) - ndtr((away - 0.5) / sigma))

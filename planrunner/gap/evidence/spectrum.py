@@ -1,10 +1,10 @@
 """The recording in the form used by a diagnosis: a few exact coefficients per segment and channel, and the energy of the rest by frequency
 band.
 
-The coefficients of a segment are those of an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the mean) and
-the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). Deterministic effects are in
-that span. The rest is noise, or a tone, and is kept as energies of DCT-II bands. Outliers far outside the noise are replaced by the fit and
-counted, because one spike would affect all coefficients.
+The coefficients of a segment belong to an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the
+mean) and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking).
+Deterministic effects lie in the span of this basis. The rest is noise, or a tone, and is kept as energies of DCT-II bands. Outliers
+far outside the noise are replaced by the fit and counted, because one spike would affect all coefficients.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ class SpectralBasis:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """M coefficients of all segments, and the remainder. segment, frequency, harmonic: (M,). means: (S,), their index of order 0.
-    values: (M, K), SI·√samples. energy: (S, B, K), SI², of the DCT-II of the remainder in bands between `edges` (B + 1,), Hz, with `count`
-    (S, B) coefficients. remainder: (N, K), samples minus their components in the basis. spikes: (K,), samples replaced. readings:
-    (S, K), SI, mean outputs. Means over bins of k samples are multiplied by √k in all others, so that their white noise is that of a
-    sample."""
+    """M coefficients of all segments, and the remainder. segment, frequency, harmonic: (M,). means: (S,), indices of the
+    coefficients of order 0. values: (M, K), SI·√samples. energy: (S, B, K), SI², of the DCT-II of the remainder in bands between
+    `edges` (B + 1,), Hz, with `count` (S, B) coefficients. remainder: (N, K), samples minus their components in the basis. spikes:
+    (K,), samples replaced. readings: (S, K), SI, mean outputs. If samples are means over bins of k samples, all other values are
+    multiplied by √k, so that their white noise is that of a single sample."""
 
     bases: tuple[SpectralBasis, ...]
     segment: NDArray[np.int64]
@@ -113,7 +113,7 @@ def basis_of(observed: Observed, index: int) -> SpectralBasis:
 
 
 def _shared(known: dict[tuple[int, int, object], SpectralBasis], observed: Observed, index: int) -> SpectralBasis:
-    """The basis of a segment, made once for all segments at rest with the same length."""
+    """The basis of a segment. Segments at rest with the same length share one basis."""
     motion = observed.motions[index]
     if not isinstance(motion, Rest):
         return basis_of(observed, index)
@@ -184,7 +184,8 @@ def spectrum(observed: Observed, reference: Array) -> Spectrum:
 
 
 def _roots(observed: Observed) -> Array | None:
-    """Weight of the mean over a bin, (S,): √size, which gives it the noise of a sample. None if the samples themselves are kept."""
+    """Weight of the mean over a bin, (S,): √size, which gives the weighted mean the noise of a sample. None if the samples
+    themselves are kept."""
     return None if observed.bins is None else np.sqrt(observed.bins.size)
 
 
@@ -214,9 +215,9 @@ def _robust(vectors: Array, samples: Array, smallest: Array) -> tuple[Array, Arr
 
 
 def white_level(observed: Observed, spectrum_: Spectrum) -> tuple[Array, Array]:
-    """White standard deviation of a sample (K,) and the degrees of freedom (K,) behind it, from the upper bands of segments at rest.
+    """White standard deviation of a sample (K,) and its degrees of freedom (K,), from the upper bands of segments at rest.
 
-    If no segment is at rest, from all. Uses the bands from an eighth of the sampling rate on, above all slow processes.
+    If no segment is at rest, all segments are used. The bands begin at one eighth of the sampling rate, above all slow processes.
     """
     still = np.array([not isinstance(motion, Spin | Rock) for motion in observed.motions])
     chosen = still if still.any() else np.ones(len(observed), dtype=bool)

@@ -1,4 +1,4 @@
-"""Weighing: coefficients whitened by the noise, with the nominal parameters projected out, and designs evaluated on them.
+"""Whitens coefficients by the noise, projects the nominal parameters out, and evaluates designs on the result.
 
 A setting of the noise is a level of flicker and of random walk for each triad. For every setting each channel's coefficients are whitened
 (order 0 jointly over the segments, the others one by one) and the nominal parameters, with a flat prior, are projected out. The rest is
@@ -41,8 +41,8 @@ DEPENDENT = 1e-8
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Noise of one triad: flicker in units of the declared level, and a random walk, SI/√s: either its density in all axes, or the scale
-    of separate densities. prior: among settings with, or without, a random walk."""
+    """Noise of one triad: flicker in units of the declared level, and a random walk, SI/√s: either its density in all axes, or the
+    scale of separate densities. prior: prior probability among the settings with, or among those without, a random walk."""
 
     flicker: float
     walk: float
@@ -83,24 +83,25 @@ def _walk_energy(observed: Observed, slow: slow_noise.SlowMeans, channel: int, w
 
 
 def lasting(observed: Observed) -> tuple[Array, Array]:
-    """Beginnings and ends of the segments, (S,), s."""
+    """Beginnings and ends [s] of the segments, (S,)."""
     size, twice = observed.bin_size, 2 * observed.sample_rate
     last = observed.time[observed.bounds[1:] - 1] + (size + 1) / twice
     return observed.time[observed.bounds[:-1]] - (size - 1) / twice, last
 
 
 def _sharing(readings: Array, count: float) -> Array:
-    """Number of segments (S,) whose mean readings (S,) are rounded alike. Their errors by rounding are equal, so that their mean has the
-    error of one of them."""
+    """Number of segments (S,) whose mean readings (S,) have the same rounding error. Because these errors are equal, the mean of
+    such segments has the rounding error of one of them."""
     return np.asarray(np.exp(-0.5 * ((readings[:, None] - readings) / (count / 4)) ** 2).sum(0))
 
 
 def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]) -> tuple[list[ChannelWeights], Array]:
-    """Weights and log likelihood (G,) of a channel, also for random walks of a triad with a common scale but separate densities per axis.
+    """Weights and log likelihood (G,) of a channel. They include random walks of a triad with a common scale but separate densities
+    per axis.
 
-    Given the scale q an axis's density is |N(0, q²)|: the likelihood is the mean over the levels under that prior, and the weights are
-    those of the likeliest level. That level is estimated from data that include any effect that is present. In the presence of a strong
-    effect, random walks with one density in all axes are closer to the truth; they are therefore settings too.
+    For a scale q, the density of an axis is |N(0, q²)|. The likelihood is the mean over the levels with this prior, and the weights
+    are those of the most probable level. That level is estimated from data that include any effect that is present. In the presence
+    of a strong effect, random walks with one density in all axes are closer to the truth; they are therefore settings too.
     """
     log = np.array([weight.log_likelihood for weight in weights])
     walks = np.array([setting.walk for setting in settings])
@@ -121,8 +122,8 @@ def _mates(one: Setting, other: Setting) -> bool:
 
 
 class ChannelWeights:
-    """One channel under one level of flicker, relative to the declared level, and of a random walk. `whiten` scales coefficients (M, …) to
-    unit noise; `project` also projects out the nominal parameters.
+    """The weights of one channel for one level of flicker, relative to the declared level, and one level of a random walk. `whiten`
+    scales coefficients (M, …) to unit noise; `project` also projects out the nominal parameters.
 
     relative: (M,), variance of the noise of each coefficient, relative to white². undithered: variance of the error of
     a mean by rounding. log_likelihood: REML of the data without any effect.
@@ -185,7 +186,8 @@ class ChannelWeights:
         self.log_likelihood = -0.5 * (log_det + float(self.residual @ self.residual))
 
     def beside(self, columns: Array) -> ChannelWeights:
-        """The same with further columns (M, p) among the nominal ones, in SI as these. Their likelihood is that of the residual alone."""
+        """The same weights with further columns (M, p) among the nominal ones, in SI like these. Their likelihood is that of the
+        residual alone."""
         made = copy(self)
         whitened = self.whiten(columns[:, columns.any(axis=0)])
         whitened /= np.linalg.norm(whitened, axis=0)
@@ -198,7 +200,7 @@ class ChannelWeights:
         return made
 
     def inflated(self, ratio: float) -> ChannelWeights:
-        """The same with `ratio` times the variance of the noise."""
+        """The same weights if the variance of the noise is multiplied by `ratio`."""
         made, root = copy(self), float(np.sqrt(ratio))
         made._covariance = self._covariance * ratio
         made.scale = self.scale / root
@@ -220,7 +222,7 @@ class ChannelWeights:
         return out
 
     def whitening(self, rows: NDArray[np.bool_]) -> Callable[[Array], Array]:
-        """The function that whitens some rows (M,) of coefficients, (n,) or (n, P): the means jointly, the others one by one."""
+        """A function that whitens some rows (M,) of coefficients, (n,) or (n, P): the means jointly, the others one by one."""
         chosen = np.flatnonzero(rows)
         at = np.flatnonzero(np.isin(chosen, self._means))
         owners = self._segment[chosen[at]]
@@ -256,8 +258,8 @@ class ChannelWeights:
         return float((gap**2).sum()), whole - float((basis**2).sum())
 
     def whitened_rows(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-        """For columns (n, P) in some rows (n,) of the coefficients, zero elsewhere: the rows on which they act after whitening, and their
-        whitened values there. Means are whitened jointly, so each acts on all that follow."""
+        """For columns (n, P) in some rows (n,) of the coefficients, zero elsewhere: the rows on which they act after whitening, and
+        their whitened values there. Means are whitened jointly, so each mean affects all later ones."""
         own = self._order_0[rows]
         if self._inverse is None or not own.any():
             return rows, columns * self.scale[rows, None]
@@ -272,8 +274,8 @@ class ChannelWeights:
 
 
 def _beyond_measured(density: Callable[[Array], Array], spectrum: Spectrum, noise: NoiseWithin, channel: int) -> Array:
-    """Density of slow noise at the frequency of each coefficient (M,), 0 for means. Where the spectrum of the noise was measured it
-    contains the slow noise; below, only the rise is added."""
+    """Density of slow noise at the frequency of each coefficient (M,), 0 for means. The measured spectrum contains the slow noise.
+    At lower frequencies, only the increase is added."""
     out = np.zeros(len(spectrum.frequency))
     within = spectrum.frequency > 0
     out[within] = density(spectrum.frequency[within])
@@ -311,8 +313,8 @@ class _Shared:
 
 
 def _table(part: Array) -> tuple[Array, int]:
-    """The table of samples of which an array is a column, and the index of the column: signatures of a triad are columns of one table and
-    are projected together, once."""
+    """The table of samples that contains an array as a column, and the index of this column. The signatures of a triad are columns
+    of one table, so that they are projected together once."""
     whole = part.base
     if isinstance(whole, np.ndarray) and whole.ndim == 2 and whole.flags.c_contiguous and len(whole) == len(part):
         offset = part.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
@@ -336,7 +338,7 @@ _NOTHING = 1e-6  # smallest norm of a nominal direction that is not rounding
 
 
 class Left:
-    """A channel under one setting of the noise, possibly without some rows of its coefficients.
+    """A channel with one setting of the noise, possibly without some rows of its coefficients.
 
     rows: (M,), the remaining rows. basis: (M, q), orthonormal, of the whitened nominal columns on them; residual: (M,); both zero
     elsewhere.
@@ -350,8 +352,8 @@ class Left:
         return cls(weight, np.ones(len(weight.residual), dtype=bool), weight.basis, weight.residual)
 
     def without(self, taken: Rows) -> Left:
-        """The channel without some rows; the others then determine the nominal parameters. Rows of order 0 are whitened jointly and are
-        removed together."""
+        """The channel without some rows. The other rows then determine the nominal parameters. Rows of order 0 are whitened jointly
+        and are removed together."""
         rows = self.rows & ~taken
         basis, size, _ = np.linalg.svd(self.basis * rows[:, None], full_matrices=False)
         basis = basis[:, size > _NOTHING]
@@ -382,9 +384,9 @@ def eigen(left: Left, design: Array | Rows) -> Eigen:
 
 
 def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
-    """Rows as separate columns: their Gram matrix is diagonal except for the part that the nominal parameters absorb. Among rows of equal
-    weight, this part has no more directions than there are parameters; all directions orthogonal to it are eigenvectors with a common
-    eigenvalue."""
+    """Eigenvalues and squared scores of rows that are separate columns. Their Gram matrix is diagonal except for the part that the
+    nominal parameters absorb. Among rows of equal weight, this part has no more directions than there are parameters; all
+    directions orthogonal to it are eigenvectors with a common eigenvalue."""
     if not len(at):
         return np.zeros(0), np.zeros(0)
     scale = left.weight.scale[at]
@@ -410,6 +412,7 @@ def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
 
 
 def _seen(values: Array, along: Array, largest: float) -> Eigen:
-    """Without directions that the nominal parameters absorb completely. largest: energy of a column before the projection."""
+    """The design without directions that the nominal parameters absorb completely. largest: energy of a column before the
+    projection."""
     seen = values > _NOTHING**2 * largest
     return values[seen], along[seen]

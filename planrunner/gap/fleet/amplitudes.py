@@ -1,7 +1,7 @@
-"""The amplitudes of one run: the nominal terms and the effects that are named anywhere in the fleet, fitted together.
+"""The amplitudes of one run: the nominal terms and all effects that are named in any run of the fleet, fitted together.
 
-The fit is generalised least squares with the noise of the diagnosis and without priors, so that the estimates of different runs are
-independent, and a prior enters only once, in the attribution.
+The fit is generalised least squares with the noise of the diagnosis and without priors. The estimates of different runs are
+therefore independent, and a prior enters only once, in the attribution.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _UNDETERMINED = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class AmplitudeKey:
-    """What an amplitude is, so that those of different runs can be compared. orientations: for an effect with amplitudes of their own in
-    every orientation, the orientations in the order in which its amplitudes number them; else empty. shape: of the effect, in its unit;
-    None without one."""
+    """Identifies an amplitude, so that the same amplitude of different runs can be compared. orientations: for an effect with
+    separate amplitudes in every orientation, the orientations in the order of their numbers; otherwise empty. shape: of the effect,
+    in its unit; None without one."""
 
     effect: str
     name: str

@@ -1,12 +1,12 @@
-"""Attribution of one amplitude, estimated in several runs, to its sources: the device, the bench, the occasion (the switch-on), and what
-all runs have in common (the type of device, the plan, the site, the declarations).
+"""Attribution of one amplitude, estimated in several runs, to its sources: the device, the bench, the occasion (the switch-on), and
+the part that all runs have in common (the type of device, the plan, the site, the declarations).
 
-The estimate of run r is y_r = b[bench of r] + d[device of r] + o[occasion of r] + c + e_r, with e_r ~ N(0, s_r²) known from the fit of the
-run. The parts of a source are independent draws from N(0, σ²) of that source. This is a random-effects model; the common part c has a σ of
-its own instead of a flat prior, because an amplitude of zero means that the run is as simulated (Searle, Casella and McCulloch, Variance
-Components, 1992, chapters 3 and 9).
+The estimate of run r is y_r = b[bench of r] + d[device of r] + o[occasion of r] + c + e_r, with e_r ~ N(0, s_r²) known from the fit
+of the run. The parts from one source are independent draws from N(0, σ²), where σ belongs to that source. This is a random-effects
+model; the common part c has a σ of its own instead of a flat prior, because an amplitude of zero means that the run is as simulated
+(Searle, Casella and McCulloch, Variance Components, 1992, chapters 3 and 9).
 
-The hypotheses are all subsets of the sources, the empty one included. For given σ the evidence is Gaussian:
+The hypotheses are all subsets of the sources, including the empty set. For given σ the evidence is Gaussian:
 
     log p(y | σ) = −½ (n·log 2π + log det V + yᵀ V⁻¹ y),    V = S + Z G Zᵀ
 
@@ -33,7 +33,7 @@ from planrunner.base.arrays import Array
 
 
 class Source(Enum):
-    """Where a part of an amplitude comes from. OCCASION: drawn anew at each switch-on. COMMON: the same in all runs."""
+    """The source of a part of an amplitude. OCCASION: drawn anew at each switch-on. COMMON: the same in all runs."""
 
     DEVICE = "device"
     BENCH = "bench"
@@ -64,9 +64,9 @@ _NUMBERS = 2_000_000  # of the matrices M that are in memory at once
 
 @dataclass(frozen=True)
 class Estimates:
-    """One amplitude in n runs. values, standard_uncertainties: (n,), in one unit, all finite and the latter positive. groups: the label of
-    every run (n) for each source except `COMMON`. since: for sources with steps, the moment of the last step of the run's group
-    up to the run (n); empty before the first. A group counts as another one after each step."""
+    """One amplitude in n runs. values, standard_uncertainties: (n,), in one unit, all finite and the latter positive. groups: the
+    label of every run (n) for each source except `COMMON`. since: for sources with steps, the moment of the last step of the run's
+    group before or at the run (n); empty before the first step. After each step, a group counts as a new group."""
 
     values: Array
     standard_uncertainties: Array
@@ -80,8 +80,8 @@ class Estimates:
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One or more sources that group the runs in the same way. labels: of the groups, with the moment of the step since which each
-    counts or an empty text (m); members: (n,), the group of each run."""
+    """One or more sources that group the runs in the same way. labels: of the groups, with the moment of the step after which each
+    counts, or an empty text (m); members: (n,), index of the group of each run."""
 
     sources: tuple[Source, ...]
     labels: tuple[tuple[str, str], ...]
@@ -89,13 +89,13 @@ class Component:
 
     @property
     def name(self) -> str:
-        """Such as `bench`, or `device or occasion`."""
+        """Name of the component, such as `bench`, or `device or occasion`."""
         return " or ".join(source.value for source in self.sources)
 
 
 @dataclass(frozen=True, slots=True)
 class Uncertain:
-    """A value with the half-width of the interval about it that has the probability `COVERAGE`."""
+    """A value with the half-width of its interval with the probability `COVERAGE`."""
 
     value: float
     expanded: float
@@ -103,10 +103,10 @@ class Uncertain:
 
 @dataclass(frozen=True, slots=True)
 class SourcePart:
-    """The part of one device, bench or occasion, if its source contributes. level: the part and what all runs have in common together,
-    which the data often determine better than either. difference: from the mean of the other parts of the source. Both are None if every
-    group has one run; the difference also for a single group. runs: number of runs that contain the part. since: moment of the step since
-    which the part counts; empty if it counts from the first run."""
+    """The part of one device, bench or occasion, if its source contributes. level: the sum of the part and of the part that all
+    runs have in common. The data often determine this sum better than either part. difference: from the mean of the other parts of
+    the source. Both are None if every group has one run; the difference also for a single group. runs: number of runs that contain
+    the part. since: moment of the step after which the part counts; empty if it counts from the first run."""
 
     label: str
     since: str
@@ -118,9 +118,9 @@ class SourcePart:
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """What one component contributes. probability: that it contributes. share: of the mean square of the amplitude over the runs, noise
-    excluded; the shares of all components add up to 1, or are all 0. spread: posterior median of its σ, if it contributes, and
-    `spread_interval` the limits of its central 95 %. parts: of its groups, in the order of the labels."""
+    """What one component contributes. probability: probability that it contributes. share: of the mean square of the amplitude over
+    the runs, noise excluded; the shares of all components add up to 1, or are all 0. spread: posterior median of its σ, if it
+    contributes; spread_interval: limits of its central 95 %. parts: of its groups, in the order of the labels."""
 
     component: Component
     probability: float
@@ -144,19 +144,19 @@ class Attribution:
 
     @property
     def named(self) -> tuple[Contribution, ...]:
-        """Those that contribute with a probability of at least `SURE`."""
+        """Components that contribute with a probability of at least `SURE`."""
         return tuple(one for one in self.contributions if one.probability >= SURE)
 
     @property
     def open(self) -> tuple[Contribution, ...]:
-        """Those that are neither named nor excluded."""
+        """Components that are neither named nor excluded."""
         return tuple(one for one in self.contributions if 1 - SURE < one.probability < SURE)
 
 
 def components(
     groups: Mapping[Source, Sequence[str]], since: Mapping[Source, Sequence[str]] | None = None
 ) -> tuple[Component, ...]:
-    """The sources, with those together that group the runs in the same way. groups, since: as in `Estimates`."""
+    """The components: sources that group the runs in the same way are combined. groups, since: as in `Estimates`."""
     found: dict[tuple[int, ...], tuple[list[Source], list[tuple[str, str]]]] = {}
     n = len(groups[Source.OCCASION])
     for source in Source:
@@ -172,7 +172,7 @@ def components(
 
 
 def log_evidence(given: Estimates, chosen: Sequence[Component], spreads: Array) -> Array:
-    """log p(y | σ), (P,), for standard deviations σ (P, C) of the chosen components, in the unit of the estimates."""
+    """The log evidence log p(y | σ), (P,), for standard deviations σ (P, C) of the chosen components, in the unit of the estimates."""
     return _Model(given, chosen).log_evidence(spreads)
 
 
@@ -206,7 +206,7 @@ def attribute(given: Estimates) -> Attribution:
 
 
 class _Model:
-    """One subset of the components, with σ of each of them at every point of the grid."""
+    """One subset of the components, with the σ of each component at every point of the grid."""
 
     def __init__(self, given: Estimates, chosen: Sequence[Component]):
         self.chosen = tuple(chosen)
@@ -222,7 +222,7 @@ class _Model:
         self._limits = 0.5 * np.log(energies / float((1 / self._variance).sum()))
 
     def _weighed(self, spreads: Array) -> tuple[Array, Array, Array, Array]:
-        """S (P, n), G^½ (P, m), M (P, m, m) and G^½c (P, m) for σ (P, C)."""
+        """The matrices S (P, n), G^½ (P, m), M (P, m, m) and G^½c (P, m) for σ (P, C)."""
         s = np.broadcast_to(self._variance, (len(spreads), len(self._y)))
         if self._alone is not None:
             s = s + spreads[:, [self._alone]] ** 2
@@ -234,7 +234,7 @@ class _Model:
         return s, root, inner, root * ((self._y / s) @ self._z)
 
     def log_evidence(self, spreads: Array) -> Array:
-        """log p(y | σ), (P,), for σ (P, C)."""
+        """The log evidence log p(y | σ), (P,), for σ (P, C)."""
         at_once = max(1, _NUMBERS // (1 + self._z.shape[1] ** 2))
         return np.concatenate(
             [self._log_evidence(spreads[first : first + at_once]) for first in range(0, len(spreads), at_once)]
@@ -252,7 +252,7 @@ class _Model:
 
     @cached_property
     def _grid(self) -> tuple[Array, Array, float]:
-        """σ (P, C), their posterior weights (P,) of sum 1, and the log of the evidence averaged over the prior."""
+        """Points σ (P, C), their posterior weights (P,) of sum 1, and the logarithm of the evidence averaged over the prior."""
         lowest, highest = self._limits
         low, high = (np.full(len(self.chosen), limit) for limit in (lowest, highest))
         count = _POINTS[len(self.chosen)]
@@ -274,18 +274,18 @@ class _Model:
 
     @property
     def integrated(self) -> float:
-        """log p(y), averaged over the prior of σ."""
+        """The log evidence log p(y), averaged over the prior of σ."""
         return self._grid[2]
 
     def spread(self, component: Component) -> tuple[Array, Array]:
-        """σ of a component at the points of the grid, and their weights."""
+        """Values of σ of a component at the points of the grid, and their weights."""
         points, weights, _ = self._grid
         return points[:, self.chosen.index(component)], weights
 
     @cached_property
     def _moments(self) -> tuple[Array, list[Array], list[Array], Array, Array]:
-        """Weights (Q,) of the points that matter; there, means (Q, m) and variances (Q, m) of the parts of each component, and the joint
-        mean (Q, M) and covariance (Q, M, M) of all that have groups of several runs."""
+        """Weights (Q,) of the points that matter. At these points: means (Q, m) and variances (Q, m) of the parts of each
+        component, and the joint mean (Q, M) and covariance (Q, M, M) of all components that have groups of several runs."""
         points, weights, _ = self._grid
         kept = weights > _CONSIDERED * weights.max()
         points, weights = points[kept], weights[kept] / weights[kept].sum()
@@ -310,8 +310,8 @@ class _Model:
         return weights, means[place], variances[place]
 
     def combined(self, component: Component, combinations: Array, also: Component | None) -> tuple[Array, Array, Array]:
-        """Weights (Q,), means (Q, m) and variances (Q, m) of linear combinations (m, own groups) of the parts of a component, plus the only
-        part of `also`, if the model has it."""
+        """Weights (Q,), means (Q, m) and variances (Q, m) of linear combinations (m, own groups) of the parts of a component. If
+        the model contains `also`, its only part is added."""
         weights, _, _, mean, covariance = self._moments
         design = np.zeros((len(combinations), len(self._column)))
         design[:, self._column == self.chosen.index(component)] = combinations
@@ -340,7 +340,8 @@ def _spread(component: Component, having: Sequence[tuple[float, _Model]]) -> tup
 def _parts(
     component: Component, having: Sequence[tuple[float, _Model]], common: Component | None
 ) -> tuple[SourcePart, ...]:
-    """The parts, over the models that contain the component. common: the component of `Source.COMMON`, if it is another one."""
+    """The parts of a component, averaged over the models that contain it. common: the component of `Source.COMMON`, if it is a
+    different one."""
     m = len(component.labels)
     parts = _averaged([(p, *model.parts(component)) for p, model in having])
     levels: list[Uncertain | None] = [None] * m
@@ -368,8 +369,8 @@ def _averaged(found: Sequence[tuple[float, Array, Array, Array]]) -> list[Uncert
 
 
 def _half_width(weights: Array, offsets: Array, spreads: Array) -> Array:
-    """Half-widths (m,) of the intervals about 0 that hold `COVERAGE` of mixtures of Gaussians with these weights (Q,), means (Q, m) and
-    standard deviations (Q, m), by bisection."""
+    """Half-widths (m,) of the intervals about 0 with the probability `COVERAGE`, by bisection. The distributions are mixtures of
+    Gaussians with these weights (Q,), means (Q, m) and standard deviations (Q, m)."""
     from scipy.special import ndtr
 
     spreads = np.maximum(spreads, 1e-300)

@@ -1,4 +1,4 @@
-"""Amplitudes that the devices of one lot have in common, and that differ from those of all other devices."""
+"""Amplitudes that distinguish the devices of one lot from all other devices."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ MOST_CHANCE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class SharedByLot:
-    """An amplitude that separates the devices of a lot from all others. difference: of the mean of the lot from the mean of the others, and
-    `expanded`, the half-width of its 95 % interval, in the unit of the key; a device counts with the mean of its levels. others: number of
-    the other devices. chance: 1 divided by the number of ways to choose as many devices from all."""
+    """An amplitude that separates the devices of a lot from all others. difference: mean of the lot minus mean of the others, in
+    the unit of the key; expanded: half-width of its 95 % interval. A device counts with the mean of its levels. others: number of
+    the other devices. chance: 1 divided by the number of ways to choose this number of devices from all."""
 
     lot: str
     key: AmplitudeKey
@@ -31,8 +31,8 @@ class SharedByLot:
 def shared_by_lots(
     key: AmplitudeKey, levels: Mapping[str, Sequence[Uncertain]], lots: Mapping[str, str]
 ) -> Iterator[SharedByLot]:
-    """The lots whose devices all lie on one side of all other devices, with intervals that do not overlap. levels: amplitudes of each
-    device, one, or one before and after every step of it; lots: device → its lot, if known."""
+    """The lots whose devices all lie on one side of all other devices, with intervals that do not overlap. levels: amplitudes of
+    each device; one, or one before and one after every step of it; lots: device → its lot, if known."""
     for lot in sorted(set(lots.values())):
         own = [name for name in levels if lots.get(name) == lot]
         others = [name for name in levels if lots.get(name) != lot]
@@ -56,6 +56,6 @@ def _high(levels: Sequence[Uncertain]) -> float:
 
 
 def _mean(given: Sequence[Uncertain]) -> Uncertain:
-    """The mean, with the half-width of its interval; the values count as independent."""
+    """The mean, with the half-width of its interval. The values count as independent."""
     n = len(given)
     return Uncertain(sum(one.value for one in given) / n, math.hypot(*(one.expanded for one in given)) / n)

@@ -1,1 +1,1 @@
-"""Hypotheses: the effects of the catalogue, and patterns that no effect explains, weighed by the evidence."""
+"""Hypotheses: the effects of the catalogue, and patterns that no effect explains, with their evidence."""

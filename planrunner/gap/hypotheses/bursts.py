@@ -1,7 +1,8 @@
 """Bursts: windows of some seconds with a shifted bias or larger noise, at random times in a run.
 
-Every window has a burst with the same small probability. Windows are taken from the remainder outside the span of the coefficients, which
-removes a part of each. If a deviation appears in most windows of segments of equal length, it is slow noise, not a burst.
+Every window has a burst with the same small probability. Windows are taken from the remainder outside the span of the coefficients.
+This removes a part of each burst. If a deviation appears in most windows of segments of equal length, it is slow noise, not a
+burst.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ _DEVIATION = 0.6745  # median absolute deviation of a normal variable
 
 @dataclass(frozen=True)
 class _Windows:
-    """Windows of one size, (W,): first samples, number of samples of their segments, share of a bias that the coefficients leave."""
+    """Windows of one size, (W,): first samples, number of samples of their segments, fraction of a bias that the coefficients
+    leave."""
 
     starts: NDArray[np.int64]
     lasting: NDArray[np.int64]
@@ -38,7 +40,7 @@ class _Windows:
 
 
 def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
-    """log BF (scopes,) of bursts in the channels of each scope; −∞ if the recording is too short for windows."""
+    """The log BF (scopes,) of bursts in the channels of each scope; −∞ if the recording is too short for windows."""
     observed, found = weighing.observed, []
     remainder = np.where(weighing.coarse, 0.0, weighing.spectrum.remainder) / (
         weighing.white * np.sqrt(weighing.noise.level[observed.owner])
@@ -55,12 +57,12 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
 
 
 def _summed(values: Array) -> Array:
-    """Cumulative sums (N + 1, K) of the samples, from zero samples on."""
+    """Cumulative sums (N + 1, K) of the samples, starting with the sum of zero samples."""
     return np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
 
 
 def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: int) -> _Windows | None:
-    """Whole windows from `begin` on, in every segment at rest or turning. within: sums of every basis."""
+    """Whole windows beginning at `begin`, in every segment at rest or turning. within: sums of every basis."""
     observed, spectrum = weighing.observed, weighing.spectrum
     starts, lasting, kept = [], [], []
     known: dict[int, Array] = {}
@@ -86,8 +88,8 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
 def _evidence(
     both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]], inefficiency: Array
 ) -> Array:
-    """log BF (scopes,) for windows of one size. both: sums of the samples, in units of the noise, and of their squares. inefficiency: (K,),
-    of sums of squares."""
+    """The log BF (scopes,) for windows of one size. both: sums of the samples, in units of the noise, and of their squares.
+    inefficiency: (K,), of sums of squares."""
     sums, squares = both
     first, last = windows.starts, windows.starts + size
     mean = (sums[last] - sums[first]) ** 2 / size
@@ -108,18 +110,20 @@ def _evidence(
 
 
 def _overdispersion(energy: Array, degrees: float) -> Array:
-    """(K,): variance of most of the energies (W, K), relative to 2·degrees, that of white noise. The level of real noise always varies a
-    little; the variance follows from the median absolute deviation, which bursts in a few windows do not raise."""
+    """Overdispersion (K,): variance of most of the energies (W, K), divided by 2·degrees, the variance for white noise. The level
+    of real noise always varies a little; the variance follows from the median absolute deviation, which bursts in a few windows do
+    not raise."""
     spread = np.median(np.abs(energy - np.median(energy, axis=0)), axis=0) / _DEVIATION
     return np.asarray(spread**2 / (2 * degrees))
 
 
 def _larger(energy: Array, degrees: float, added: Array) -> Array:
-    """log BF (W, K, E) of a variance that is larger by each of `added`, for energies (W, K) with the given degrees of freedom."""
+    """The log BF (W, K, E) of a variance that is larger by each value of `added`, for energies (W, K) with the given degrees of
+    freedom."""
     return 0.5 * energy[:, :, None] * (added / (1 + added)) - 0.5 * degrees * np.log1p(added)
 
 
 def _here_and_there(windows: Array) -> float:
-    """log BF of bursts in random windows, from the log BF (W, E) of a burst in each window at each energy."""
+    """The log BF of bursts in random windows, from the log BF (W, E) of a burst in each window at each energy."""
     each = [np.logaddexp(np.log1p(-chance), np.log(chance) + windows).sum(0) for chance in CHANCES]
     return float(log_mean_exp(np.array(each).ravel(), 0))

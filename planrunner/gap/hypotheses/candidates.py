@@ -1,4 +1,5 @@
-"""Evaluation of the candidates: the evidence for each form of every effect, and its share that the nominal parameters do not absorb."""
+"""Evaluates the candidates: the evidence for each form of every effect, and the fraction of its energy that the nominal parameters
+do not absorb."""
 
 from __future__ import annotations
 
@@ -45,9 +46,10 @@ _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise 
 
 @dataclass(frozen=True)
 class Weighed:
-    """A variant, whitened; its columns have no samples. gram (G, p, p), score (G, p) over settings; trace: energy of its columns after
-    projection at the first setting, kept: ratio of this energy to that before projection. by_channel: whitened, projected columns (M, p) at
-    the first setting; raw: before that, in magnitudes. held: physics fixes the only amplitude to 1; the shape alone is free."""
+    """A whitened variant; its columns contain no samples. gram (G, p, p), score (G, p) over settings; trace: energy of its columns
+    after projection at the first setting, kept: ratio of this energy to that before projection. by_channel: whitened, projected
+    columns (M, p) at the first setting; raw: the same columns before whitening and projection, in magnitudes. held: whether physics
+    fixes the only amplitude to 1, so that only the shape is free."""
 
     variant: Variant
     gram: Array = field(repr=False)
@@ -60,14 +62,15 @@ class Weighed:
 
     @cached_property
     def log_bayes(self) -> Array:
-        """(G,), averaged over λ; at amplitude 1 if that is held."""
+        """The log BF (G,), averaged over λ; for a held amplitude, at amplitude 1."""
         if self.held:
             return held_log_bayes_factor(self.gram[:, 0, 0], self.score[:, 0])
         return log_bayes_factors(self.gram, self.score, self.trace) + self.log_possible
 
     @cached_property
     def log_possible(self) -> float:
-        """log of the probability that every amplitude is physically possible, by which a prior without a limit overstates the evidence."""
+        """The logarithm of the probability that every amplitude is physically possible. A prior without a limit overstates the
+        evidence by this factor."""
         limited = [k for k, column in enumerate(self.variant.columns) if np.isfinite(column.largest)]
         if not limited:
             return 0.0
@@ -79,11 +82,11 @@ class Weighed:
 
     @cached_property
     def amplitudes(self) -> tuple[Array, Array]:
-        """Mean (p,) and covariance (p, p) in magnitudes, at the first setting."""
+        """Mean (p,) and covariance (p, p) of the amplitudes in magnitudes, at the first setting."""
         return self.amplitudes_at(0)
 
     def amplitudes_at(self, setting: int) -> tuple[Array, Array]:
-        """Mean (p,) and covariance (p, p) in magnitudes, at one setting of the noise."""
+        """Mean (p,) and covariance (p, p) of the amplitudes in magnitudes, at one setting of the noise."""
         if self.held:
             mean, variance = held_amplitude(float(self.gram[setting, 0, 0]), float(self.score[setting, 0]))
             return np.array([mean]), np.array([[variance]])
@@ -92,8 +95,9 @@ class Weighed:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect and its weighed variants. log_bayes: (G,), averaged over the shape. at: the setting of the noise under which forms are
-    compared: the likeliest without a random walk of the gyros, since a walk explains much of what a wrong form explains."""
+    """An effect and its evaluated variants. log_bayes: (G,), averaged over the shape. at: the setting of the noise at which forms
+    are compared. It is the most probable setting without a random walk of the gyros, because a walk explains much of what a wrong
+    form explains."""
 
     effect: Effect
     variants: tuple[Weighed, ...]
@@ -114,7 +118,7 @@ class Candidate:
         return tuple(np.hstack(blocks) for blocks in zip(*(item.by_channel for item in self.variants), strict=True))
 
     def likely_forms(self) -> list[tuple[Weighed, float]]:
-        """The likeliest forms, at most `_FORMS`, and their shares of the effect's probability."""
+        """The most probable forms, at most `_FORMS`, and their shares of the effect's probability."""
         best = sorted(self.variants, key=lambda weighed: -float(weighed.log_bayes[self.at]))[:_FORMS]
         evidence = np.array([float(weighed.log_bayes[self.at]) for weighed in best])
         share = np.exp(evidence - evidence.max())
@@ -127,7 +131,7 @@ class Candidate:
 
     @property
     def shape_cost(self) -> float:
-        """log of the loss by averaging over the shape, relative to the best shape at the first setting; never positive."""
+        """Logarithm of the loss from averaging over the shape, relative to the best shape at the first setting; never positive."""
         return float(self.log_bayes[0]) - max(float(weighed.log_bayes[0]) for weighed in self.variants)
 
     @property
@@ -196,8 +200,8 @@ class Weighing:
             self.log_likelihood.append(likelihood)
 
     def fitted(self, taken: Sequence[Array] | None = None) -> Array:
-        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients, minus the coefficients `taken`
-        by an effect, (M,) by channel."""
+        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients. The coefficients
+        `taken` by an effect, (M,) by channel, are subtracted first."""
         out = self._reference.copy()
         for index, nominal in enumerate(self.whole):
             own = [column for column in self.nominal_columns if index in column.parts]
@@ -209,7 +213,7 @@ class Weighing:
         return out
 
     def seen(self, taken: Sequence[Array] | None = None) -> Observed:
-        """The recording with the nominal model's output and its response to the rate, fitted as by `fitted`."""
+        """The recording with the nominal model's output and its response to the rate, fitted as in `fitted`."""
         observed, fitted = self.observed, self.fitted(taken)
         if observed.along is not None:
             return replace(observed, fitted=fitted)
@@ -219,7 +223,7 @@ class Weighing:
         return replace(observed, fitted=fitted, response=axes + more[:3].T)
 
     def beside(self, known: Weighed) -> Weighing:
-        """The recording with effects among the nominal parameters: whatever their amplitudes, in every channel separately."""
+        """The recording with effects among the nominal parameters, so that their amplitudes are free in every channel."""
         made = self._with(lambda weight, channel: weight.beside(known.raw[channel]))
         acting = [raw[:, raw.any(axis=0)] for raw in known.raw]
         made.nominal = [independent(np.hstack(parts)) for parts in zip(self.nominal, acting, strict=True)]
@@ -230,7 +234,8 @@ class Weighing:
         return self._with(lambda weight, channel: weight.inflated(ratios[channel]))
 
     def _with(self, change: Callable[[ChannelWeights, int], ChannelWeights]) -> Weighing:
-        """A copy with changed weights. The likelihood of a setting changes as that of its weights does; settings share weights."""
+        """A copy with changed weights. The likelihood of a setting changes as that of its weights does, because settings share
+        weights."""
         made = copy(self)
         made.__dict__.pop("base", None)
         made.__dict__.pop("likeliest", None)
@@ -265,17 +270,17 @@ class Weighing:
 
     @cached_property
     def likeliest(self) -> tuple[int, ...]:
-        """The likeliest settings without, and with, a random walk of the gyros, if that is a hypothesis."""
+        """The most probable settings without a random walk of the gyros, and with it if it is a hypothesis."""
         return tuple(int(np.argmax(self.base + prior)) for prior in self.log_prior if np.isfinite(prior).any())
 
     def evidence(self, log_bayes: Array, walking: bool = False) -> float:
-        """Log evidence of a hypothesis with log BF (G,) over the noise, marginalised."""
+        """Log evidence of a hypothesis with log BF (G,), marginalised over the noise."""
         terms = self.base + log_bayes + self.log_prior[int(walking)]
         return float(np.logaddexp.reduce(terms))
 
     def projected(self, variants: Sequence[Variant]) -> tuple[list[Variant], list[Array]]:
-        """Variants without their samples, and by channel the coefficients (M, P) of all their columns. The samples of the forms of all
-        effects together would need many times the memory of the recording."""
+        """Variants without their samples, and by channel the coefficients (M, P) of all their columns. The samples of the forms of
+        all effects together would need many times the memory of the recording."""
         raw = coefficients_of(self.observed, self.spectrum, [c for variant in variants for c in variant.columns])
         return [_without_samples(variant) for variant in variants], raw
 
@@ -293,7 +298,7 @@ class Weighing:
         return mean, np.tensordot(share, covariances, 1) + (share[:, None] * away).T @ away
 
     def weigh(self, variants: Sequence[Variant], raw: Sequence[Array] | None = None) -> list[Weighed]:
-        """Variants whitened and weighed under every setting. raw: as `projected` gives them, where they are known."""
+        """Whitens variants and evaluates them at every setting. raw: result of `projected`, if it is already known."""
         if raw is None:
             variants, raw = self.projected(variants)
         columns = [column for variant in variants for column in variant.columns]
@@ -346,7 +351,7 @@ class Weighing:
         first: Sequence[Array],
         raw: Sequence[Array],
     ) -> Weighed:
-        """One evaluated variant, whose columns are the `part` of all columns, with the settings of both triads combined."""
+        """One evaluated variant, whose columns are the range `part` of all columns. The settings of both triads are combined."""
         p = len(variant.columns)
         gram = (grams["gyro"][:, None] + grams["accel"][None]).reshape(-1, p, p)
         score = (scores["gyro"][:, None, part] + scores["accel"][None, :, part]).reshape(-1, p)
@@ -356,7 +361,7 @@ class Weighing:
 
 
 def _without_samples(variant: Variant) -> Variant:
-    """The variant with empty signatures, which state only the channels on which its columns act."""
+    """The variant with empty signatures, which only state the channels on which its columns act."""
     nothing = np.empty(0)
     columns = (replace(column, parts=dict.fromkeys(column.parts, nothing)) for column in variant.columns)
     return replace(variant, columns=tuple(columns))

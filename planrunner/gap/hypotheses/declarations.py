@@ -1,8 +1,9 @@
-"""Wrong declarations, found before effects of the sensor are weighed: signs, axes, units, the sense of rotation, the mounting.
+"""Wrong declarations, found before effects of the sensor are evaluated: signs, axes, units, the sense of rotation, the mounting.
 
-The means of the segments are fitted by a free 3×3 matrix M and a bias for each triad. Scale factors and misalignments leave M near the
-identity. A wrong declaration makes it a signed permutation, times known factors between units. A declaration counts as wrong only if the
-corrected recording follows the plan. Directions of the stimulus that the plan does not vary are left open.
+The means of the segments are fitted by a free 3×3 matrix M and a bias for each triad. With correct declarations, M is near the
+identity, apart from scale factors and misalignments. A wrong declaration makes M a signed permutation, times known factors between
+units. A declaration counts as wrong only if the corrected recording follows the plan. Directions of the stimulus that the plan does
+not vary remain undetermined.
 """
 
 from __future__ import annotations
@@ -50,9 +51,9 @@ FACTORS: Mapping[str, tuple[tuple[float, str, str], ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class WrongDeclaration:
-    """effect: of the catalogue. parameters: of the effect, with which a simulation shows the same mistake. message: what is wrong, for a
-    finding; where: the channels or axes, for the remedy. alternative: another declaration that the recording cannot distinguish, empty if
-    there is none."""
+    """effect: of the catalogue. parameters: of the effect, with which a simulation shows the same mistake. message: what is wrong,
+    for a finding; where: the channels or axes, for the remedy. alternative: another declaration that the recording cannot
+    distinguish from this one, empty if there is none."""
 
     effect: str
     parameters: Mapping[str, float]
@@ -63,7 +64,7 @@ class WrongDeclaration:
 
 @dataclass(frozen=True)
 class _Reading:
-    """What a channel shows: the input of an axis (0, 1, 2), with a sign, times a factor."""
+    """The input that a channel shows: that of an axis (0, 1, 2), with a sign, times a factor."""
 
     axis: int
     sign: float
@@ -72,7 +73,7 @@ class _Reading:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Free fit of the triads. readings: by channel, None where the plan does not determine it. sound: whether every determined channel
+    """Free fit of the triads. readings: by channel, None if the plan does not determine it. sound: whether every determined channel
     follows the plan up to a reading. misfit: sum over channels of squared residuals relative to the variance of the means."""
 
     readings: tuple[_Reading | None, ...]
@@ -81,8 +82,8 @@ class _Fit:
 
 
 def corrected(observed: Observed) -> tuple[Observed, list[WrongDeclaration]]:
-    """The recording with wrong declarations corrected, and these declarations; unchanged if none is found, or if a correction would not
-    make the recording follow the plan."""
+    """The recording with wrong declarations corrected, and these declarations. It is unchanged if none is found, or if no
+    correction makes the recording follow the plan."""
     if observed.along is not None or len(observed) < 2:
         return observed, []
     planned, found = _fit(observed), []
@@ -142,15 +143,15 @@ def _fit(observed: Observed) -> _Fit:
 
 
 def _stuck(observed: Observed, index: int) -> bool:
-    """Whether a channel that has noise in most segments has the same value throughout another: at a limit it shows a fraction of its
-    input. A channel with coarse counts is constant in most segments at rest."""
+    """Whether a channel is constant throughout a segment although it has noise in most others. Such a channel is at a limit and
+    shows only a part of its input. A channel with coarse counts is constant in most segments at rest."""
     spread = np.array([np.ptp(observed.values[part, index]) for part in observed.segments()])
     return bool(np.median(spread) > 0 and spread.min() == 0)
 
 
 def _reading(gain: Array, seen: Array, own: int, kind: str) -> _Reading | None:
-    """The axis, sign and factor that explain the gain (r,) of a channel along the directions (r, 3) that the plan varies; the declared ones
-    if they fit as well as scale factors and misalignments allow."""
+    """The axis, sign and factor that explain the gain (r,) of a channel along the directions (r, 3) that the plan varies. The
+    declared ones are kept if they fit within the usual scale factors and misalignments."""
     if float(np.linalg.norm(gain - seen[:, own])) <= MISFIT * float(np.linalg.norm(seen[:, own])):
         known = _factor(gain, seen[:, own], kind)
         if known == 1.0 or known is None:
@@ -183,8 +184,8 @@ def _factor(gain: Array, direction: Array, kind: str) -> float | None:
 
 
 def _sense_is_reversed(observed: Observed, planned: _Fit, opposite: _Fit) -> bool:
-    """Whether the opposite sense of rotation explains the recording: it fits clearly better; or equally well, where the planned sense needs
-    all gyros reversed."""
+    """Whether the opposite sense of rotation explains the recording: it fits clearly better, or it fits equally well and the
+    planned sense requires all gyros to be reversed."""
     told = [index for index in observed.of_kind("gyro") if opposite.readings[index] is not None]
     straight = [one is None or one.sign > 0 for one in opposite.readings]
     if not told or not opposite.sound or not all(straight[index] for index in told):
@@ -198,8 +199,8 @@ def _sense_is_reversed(observed: Observed, planned: _Fit, opposite: _Fit) -> boo
 def _of_channels(
     observed: Observed, readings: Sequence[_Reading | None]
 ) -> tuple[list[WrongDeclaration], list[int], list[float]]:
-    """Wrong declarations of channels; and for every channel the index of the channel that shows its axis, and the signed factor of that
-    one. Nothing if two channels show the same axis."""
+    """Wrong declarations of channels, and for every channel the index of the channel that shows its axis, with the signed factor of
+    that channel. Nothing if two channels show the same axis."""
     sources, factors = list(range(len(readings))), [1.0] * len(readings)
     shown: dict[str, dict[int, _Reading]] = {}
     for kind in ("gyro", "accel"):

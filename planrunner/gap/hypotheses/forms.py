@@ -1,11 +1,11 @@
-"""Effects as candidates: their forms on the grid of each effect, refined where the evidence has a sharp peak, and nonlinear where the
-effect is strong.
+"""Effects as candidates: their forms on the grid of each effect. The grid is refined if the evidence has a sharp peak, and the
+forms are nonlinear if the effect is strong.
 
-An effect that is fully determined by its shape (a lag, a delay, a dead zone, a limit) has no amplitude. A weak effect of this kind is
-weighed like the others, with an amplitude in addition to the shape, because the two are redundant. A strong effect is weighed with the
-amplitude 1, and its shape is found exactly. If it acts on the output of the sensor, the nominal parameters are fitted together with it: if
-they were fitted without the effect, they would absorb a part of it and give a wrong output (Gauss–Newton in those parameters, a search in
-the shape).
+An effect that is fully determined by its shape (a lag, a delay, a dead zone, a limit) has no amplitude. A weak effect of this kind
+is evaluated like the others, with an amplitude in addition to the shape, because the two are redundant. A strong effect is
+evaluated with the amplitude 1, and its shape is found exactly. If the effect acts on the output of the sensor, the nominal
+parameters are fitted together with it. Fitted without the effect, they would absorb a part of it and give a wrong output
+(Gauss–Newton in those parameters, a search in the shape).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _SETTLING, _GAINED = 8, 1.0  # maximum number of refits; gain in nats that justi
 
 
 def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candidate]:
-    """Effects weighed: their shapes on each effect's grid, refined where the evidence is sharp."""
+    """Evaluates effects: the shapes on each effect's grid, refined if the evidence is sharp."""
     if not effects:
         return []
     ways = [way for effect in effects for way in ways_of(effect)]
@@ -41,7 +41,7 @@ def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candida
 
 
 def _likeliest(ways: Sequence[Candidate]) -> Candidate:
-    """The likeliest way in which an effect may act, with the evidence averaged over all ways that the plan can show."""
+    """The most probable way in which an effect may act, with the evidence averaged over all ways that the plan can show."""
     shown = [way for way in ways if np.isfinite(way.log_bayes).any()]
     if len(ways) == 1 or not shown:
         return ways[0]
@@ -67,7 +67,8 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
 
 
 def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
-    """A strong nonlinear effect, approximated by its secants at the most probable amplitudes; repeated while this explains more."""
+    """A strong nonlinear effect, approximated by its secants at the most probable amplitudes. This is repeated as long as it
+    explains more."""
     for _ in range(_SETTLING):
         (best,) = usable
         size = np.array([column.magnitude for column in best.variant.columns])
@@ -81,8 +82,8 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
 def _along_secants(
     weighing: Weighing, effect: CurvedAndShaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
-    """The same of an effect with a shape: the shape is sought anew with the secants at the amplitudes of the likeliest one, and with the
-    nominal parameters fitted together with it."""
+    """The same for an effect with a shape. The shape is searched again with the secants at the amplitudes of the most probable
+    shape, and the nominal parameters are fitted together with it."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         size = np.array([column.magnitude for column in best.variant.columns])
@@ -101,8 +102,8 @@ def _along_secants(
 def _settled(
     weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
-    """A strong effect on the output, searched for at the fitted output: the nominal parameters are fitted together with its best form,
-    and the effect is evaluated again with the result; repeated while this explains more."""
+    """A strong effect on the output, evaluated at the fitted output: the nominal parameters are fitted together with its best form,
+    and the effect is evaluated again with the result. This is repeated as long as it explains more."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         seen = weighing.seen([raw[:, 0] for raw in best.raw])
@@ -121,9 +122,9 @@ def _settled(
 
 
 def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
-    """A strong effect without an amplitude of its own, with the amplitude that physics gives it: a lag makes the output later and smaller
-    by what its time constant says, and half a delay is no effect. λ has the same prior as for every effect. Unchanged if the data require
-    the opposite sign."""
+    """A strong effect without a free amplitude, with the amplitude that physics fixes. For example, the time constant of a lag
+    determines both the delay and the attenuation. λ has the same prior as for every effect. Unchanged if the data require the
+    opposite sign."""
     best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
     forms = [replace(form, held=True) for form, _ in whole_forms(weighing, effect)] if best.amplitudes[0][0] > 0 else []
     if len(forms) < 3 or any(form.trace <= 0 for form in forms):  # too weak for the amplitude 1 to mean anything
@@ -135,11 +136,11 @@ def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: 
 
 
 def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Observed) -> tuple[list[Weighed], Array]:
-    """Shapes between those of the grid, around the best, and the evidence by the trapezoidal rule; every interval of the grid has the same
-    prior.
+    """Shapes between those of the grid around the best one, and the evidence by the trapezoidal rule. Every interval of the grid
+    has the same prior.
 
-    Three rounds add four values between the best shape and each neighbour, enough for the sharp peak of an effect at a hundred standard
-    deviations. The best shape beside a random walk of the gyros may be another one; both are refined.
+    Three rounds add four values between the best shape and each neighbour, enough for the sharp peak of an effect at a hundred
+    standard deviations. If a random walk of the gyros acts too, another shape may be the best; the grid is refined around both.
     """
     have = {float(item.variant.shape or 0.0): item for item in coarse}
     grid = np.array(sorted(have))
@@ -171,7 +172,7 @@ _SPAN, _FORMS = 4.0, 17  # standard deviations either way, and values among them
 
 
 def shape_alone(candidate: Candidate) -> Shaped | None:
-    """The effect of a candidate that has a shape and no amplitude; None for all others."""
+    """The effect of a candidate that has a shape and no amplitude; None for other candidates."""
     effect = candidate.effect
     if isinstance(effect, Shaped) and any(is_whole(item.variant.columns) for item in candidate.variants):
         return effect
@@ -179,8 +180,8 @@ def shape_alone(candidate: Candidate) -> Shaped | None:
 
 
 def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float]]:
-    """Forms about the most probable shape, in even steps of its logarithm, and their probabilities; none if the search alternates between
-    two shapes or does not converge, or converges to no effect because the data require the opposite."""
+    """Forms around the most probable shape, in equal steps of its logarithm, and their probabilities. Empty if the search
+    alternates between two shapes, does not converge, or converges to no effect because the data require the opposite sign."""
     seen, found, before = weighing.observed, np.nan, np.nan
     for _ in range(_STEPS):
         shape, sigma = _most_probable(weighing, effect, seen, found)
@@ -203,14 +204,15 @@ def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float
 
 
 def _evidence(weighing: Weighing, form: Weighed) -> float:
-    """Log evidence of an amplitude of 1, relative to none, up to a constant."""
+    """Log evidence of an amplitude of 1, relative to none, apart from a constant."""
     return weighing.evidence(form.score[:, 0] - 0.5 * form.gram[:, 0, 0])
 
 
 def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed, near: float) -> tuple[float, float]:
-    """The most probable shape and the standard deviation of its logarithm: on the grid, beyond it where the best is at its edge, then
-    between the best and its neighbours until those are within a standard deviation. A shape that the data barely constrain is reported
-    up to the edge of the grid. near: a shape near which the search begins, NaN if none is known."""
+    """The most probable shape and the standard deviation of its logarithm. The search uses the grid, continues beyond it if the
+    best shape is at its edge, and then refines between the best shape and its neighbours until these are within one standard
+    deviation. A shape that the data barely constrain is reported up to the edge of the grid. near: a shape near which the search
+    begins, NaN if none is known."""
     known: dict[float, float] = {}
     new = np.log(effect.grid(seen))
     widest = float(np.ptp(new)) / (2 * _SPAN)

@@ -48,10 +48,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Kinds:
-    """Competitors. log_bayes: (G,) of each against none over the settings of the noise, −∞ for
-    settings with a random walk of the gyros' bias; several: (G,), of several sorts at once. by_channel: (K,), of each in one channel alone,
-    at the first setting. outside: log BF of the patterns outside the coefficients, on which no effect of the catalogue acts; they are
-    therefore independent of every effect. lines: the strongest tone of each channel that has one."""
+    """Competitors. log_bayes: (G,), of each against none over the settings of the noise, −∞ for settings with a random walk of the
+    gyros' bias; several: (G,), of several sorts at once. by_channel: (K,), of each in one channel alone, at the first setting.
+    outside: log BF of the patterns outside the coefficients, on which no effect of the catalogue acts; they are therefore
+    independent of every effect. lines: the strongest tone of each channel that has one."""
 
     log_bayes: dict[Pattern, Array]
     several: Array
@@ -86,8 +86,8 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
 
 
 def something_else(weighing: Weighing) -> float:
-    """log BF of patterns of the coefficients, alone and in combination, against none at the likeliest setting of the noise. Of a weighing
-    beside effects: the evidence for something else beside these."""
+    """The log BF of patterns of the coefficients, alone and in combination, against none at the most probable setting of the noise.
+    If the weighing includes effects, this is the evidence for something else in addition to these."""
     channels = [Left.whole(weight) for weight in _weights(weighing, weighing.likeliest[0])]
     patterns = _Patterns(weighing)
     each = patterns.weighed(channels)
@@ -96,7 +96,7 @@ def something_else(weighing: Weighing) -> float:
 
 
 def unknown(kinds: Kinds) -> Array:
-    """log BF (G,) of "something else": the mean over its kinds and over combinations of them."""
+    """The log BF (G,) of "something else": the mean over its kinds and over combinations of them."""
     return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several]), 0)
 
 
@@ -107,11 +107,12 @@ def _weights(weighing: Weighing, g: int) -> list[ChannelWeights]:
 
 
 def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Array]) -> float:
-    """log BF of patterns of several sorts together, each sort present with probability ½. A cause outside the catalogue often appears in
-    more than one sort.
+    """The log BF of patterns of several sorts together, each present with probability ½. A cause outside the catalogue often
+    appears in more than one sort.
 
-    The coefficients of different sorts share only the nominal parameters, so a strong sort affects all others through these. Therefore the
-    strongest is evaluated first, and the others without its coefficients, until the rest is weak.
+    The coefficients of different sorts share only the nominal parameters, so a strong sort influences all others through these
+    parameters. Therefore the strongest sort is evaluated first, and the others without its coefficients, until the remaining sorts
+    are weak.
     """
     left, total = _by_sort(found), 0.0
     while True:
@@ -133,7 +134,7 @@ def _by_sort(found: dict[Pattern, Array]) -> dict[Sort, float]:
 
 
 def _maybe(log_bayes: float) -> float:
-    """log BF of a pattern that is present with probability ½."""
+    """The log BF of a pattern that is present with probability ½."""
     return float(np.logaddexp(log_bayes, 0.0) - np.log(2.0))
 
 
@@ -144,7 +145,7 @@ def scopes_of(weighing: Weighing) -> list[list[int]]:
 
 
 class _Patterns:
-    """All patterns of the coefficients, with their results: settings of the noise share the weights of a triad."""
+    """All patterns of the coefficients, with cached results, because settings of the noise share the weights of a triad."""
 
     def __init__(self, weighing: Weighing):
         self.designs, self.repeating, self.sorts = list(designs(weighing)), Repeating(weighing), sorts(weighing)
@@ -152,7 +153,7 @@ class _Patterns:
         self._known: dict[tuple[Pattern, Left], Eigen] = {}
 
     def weighed(self, channels: list[Left], among: Container[Sort] | None = None) -> dict[Pattern, Array]:
-        """log BF of each pattern by scope; of one odd segment in any scope. among: the requested sorts, by default all."""
+        """The log BF of each pattern by scope, and of one odd segment in any scope. among: the requested sorts, by default all."""
         found: dict[Pattern, list[float]] = {}
         for pattern, per_channel in self.designs:
             if among is None or pattern.sort in among:
@@ -172,7 +173,7 @@ class _Patterns:
 
 
 def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list[float]:
-    """log BF of a design in the channels of each scope; −∞ if the design is not visible there."""
+    """The log BF of a design in the channels of each scope; −∞ if the design is not visible there."""
     size = np.zeros((len(scopes), max(sum(len(spectra[index][0]) for index in scope) for scope in scopes)))
     along = np.zeros_like(size)
     for row, scope in enumerate(scopes):
@@ -200,8 +201,8 @@ class Outside:
 def outside(weighing: Weighing) -> Outside:
     """Patterns outside the basis.
 
-    Real noise often contains lines (supply, dither, resonances). A line is a cause of its own only if it is a single tone that makes the
-    noise visibly larger; other lines belong to the noise and are only reported.
+    Real noise often contains lines (supply, dither, resonances). A line counts as a separate cause only if it is a single tone that
+    visibly increases the noise. Other lines belong to the noise and are only reported.
     """
     scopes, scans = scopes_of(weighing), [_scan(weighing, index) for index in range(len(weighing.observed.channels))]
     periodograms = [_Periodogram.of(scan, scan.samples) for scan in scans]
@@ -223,10 +224,10 @@ def outside(weighing: Weighing) -> Outside:
 
 @dataclass(frozen=True)
 class _Scan:
-    """The remainder of a channel at rest and turning, as a periodogram takes it. chosen: (n,), indices of the samples; weight: (n,), their
-    number of raw samples; samples: (n,), SI, divided by the level of the noise of their segments. slot: (n,), place on a grid of `length`
-    times `step` s. level: (n,), of the noise, as standard deviation relative to `white`; coloured: whether its spectrum is not white. Empty
-    if the run is too long."""
+    """The remainder of a channel at rest and turning, prepared for a periodogram. chosen: (n,), indices of the samples; weight:
+    (n,), their number of raw samples; samples: (n,), SI, divided by the level of the noise of their segments. slot: (n,), place on
+    a grid of `length` times `step` s. level: (n,), of the noise, as standard deviation relative to `white`; coloured: whether its
+    spectrum is not white. Empty if the run is too long."""
 
     chosen: NDArray[np.int64]
     weight: Array
@@ -245,7 +246,7 @@ class _Scan:
 
 @dataclass(frozen=True)
 class _Periodogram:
-    """frequency (F,), Hz; power (F,), in units of the noise; amplitude (F,), SI, of a sine with that power."""
+    """A periodogram. frequency: (F,), Hz; power: (F,), in units of the noise; amplitude: (F,), SI, of a sine with that power."""
 
     frequency: Array
     power: Array
@@ -253,7 +254,7 @@ class _Periodogram:
 
     @classmethod
     def of(cls, scan: _Scan, samples: Array) -> _Periodogram:
-        """Of samples (n,) in place of the scan's own."""
+        """The periodogram of samples (n,) that replace those of the scan."""
         from scipy.fft import next_fast_len, rfft
 
         if not len(samples):
@@ -270,7 +271,7 @@ class _Periodogram:
 
 
 def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
-    """The means of all channels deviate in one segment, whichever it is."""
+    """The log BF that the means of all channels deviate in one unknown segment."""
     each = []
     for left in channels:
         at, whitened = left.whitened(np.eye(len(means)), means)
@@ -340,8 +341,8 @@ def _highest(time: Array, samples: Array, frequency: float, spacing: float) -> f
 
 
 def _local_level(power: Array) -> Array:
-    """Level (F,) of a periodogram (F,) of coloured noise: medians over blocks, which a line in a block does not raise, and straight lines
-    in logarithms between them."""
+    """Level (F,) of a periodogram (F,) of coloured noise. It consists of medians over blocks, which a line in a block does not
+    raise, connected by straight lines in logarithms."""
     blocks = np.array_split(power, max(len(power) // BLOCK, 1))
     middles = np.cumsum([len(block) for block in blocks]) - [len(block) / 2 for block in blocks]
     levels = [np.log(np.median(block) / np.log(2.0) + 1e-300) for block in blocks]
@@ -349,7 +350,7 @@ def _local_level(power: Array) -> Array:
 
 
 def _tone(powers: list[Array]) -> float:
-    """log BF of a tone of any frequency that keeps its phase, in the same way in several channels, from their periodograms."""
+    """The log BF of a tone of any frequency that keeps its phase and appears in several channels, from their periodograms."""
     powers = [power for power in powers if len(power)]
     if not powers:
         return -np.inf

@@ -1,7 +1,7 @@
 """Patterns of the coefficients outside the catalogue: possible forms of "something else", as designs.
 
-Offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ from segment to segment, or change smoothly
-with rate, gravity, temperature or time.
+They are offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ from segment to segment, or
+change smoothly with rate, gravity, temperature or time.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Rows = NDArray[np.bool_]
 
 
 class Sort(Enum):
-    """The coefficients of a pattern, or its place outside the basis. `SEVERAL`: coefficients of more than one sort."""
+    """The sort of coefficients that a pattern uses, or its place outside the basis. `SEVERAL`: coefficients of more than one sort."""
 
     MEANS = "means"
     TRANSIENT = "transient"
@@ -38,7 +38,7 @@ class Sort(Enum):
 
 
 class Factor(StrEnum):
-    """What a gap may change with. Differences from segment to segment count as time."""
+    """A factor with which a gap may change. Differences from segment to segment count as time."""
 
     CHANNEL = "channel"
     ORIENTATION = "orientation"
@@ -146,11 +146,12 @@ def sorts(weighing: Weighing) -> dict[Sort, Rows]:
 
 
 def factors(weighing: Weighing) -> Iterator[PatternDesign]:
-    """Designs, like those of `designs`, of patterns that effects of the catalogue also follow. They locate the gap and do not count as
-    unknown.
+    """Designs, like those of `designs`, of patterns that effects of the catalogue also follow. They locate the gap and do not count
+    as unknown.
 
-    Each factor has its simplest form here, so that a factor with few parameters can be found in competition with one that needs many. For
-    an accelerometer, a turn about up does not change the orientation, whatever the angle; for a gyro it does, because of the Earth's rate.
+    Each factor has its simplest form here, so that a factor with few parameters can be found in competition with one that needs
+    many. For an accelerometer, a rotation about the vertical does not change the orientation; for a gyro it does, because of the
+    Earth's rate.
     """
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = range(len(observed))
@@ -220,7 +221,7 @@ def _levels(names: Sequence[Hashable]) -> Array:
 
 
 def _coarse(values: Array) -> tuple[float, ...]:
-    """Rounded to a tenth, to distinguish orientations."""
+    """Values rounded to a tenth, to distinguish orientations."""
     return tuple((np.round(values, 1) + 0.0).ravel().tolist())
 
 
@@ -242,7 +243,8 @@ def _state(observed: Observed, segment: int, fast: bool = True) -> str:
 
 
 def _smooth(values: Array, most: int = SMOOTH_ORDERS, fading: float = 1.0) -> Array:
-    """Cosines of a coordinate's position in its range, orders 1 to `most`, each weaker as 1/order^fading; (S, ≤ orders)."""
+    """Smooth functions (S, ≤ orders): cosines of a coordinate's position in its range, orders 1 to `most`, each weaker by
+    1/order^fading."""
     span = float(np.ptp(values))
     if span <= 0:
         return np.zeros((len(values), 0))
@@ -270,7 +272,7 @@ def _monomials(direction: Array) -> Array:
 
 
 def _alike(weighing: Weighing, rows: NDArray[np.bool_]) -> Array:
-    """Cosine and sine of a harmonic with the same amplitude in all segments, or in proportion to rate and its square."""
+    """Cosine and sine of a harmonic whose amplitude is the same in all segments, or proportional to the rate and to its square."""
     observed, spectrum = weighing.observed, weighing.spectrum
     if not rows.any():
         return np.zeros((len(rows), 0))

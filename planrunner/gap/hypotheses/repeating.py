@@ -1,4 +1,4 @@
-"""A bias with an unknown period: a sine, a smooth waveform, or a waveform with edges such as a saw-tooth.
+"""A bias that repeats with an unknown period: a sine, a smooth waveform, or a waveform with edges such as a saw-tooth.
 
 Periods range from twice the run down to half a segment, at most `MOST` of them. A form is a sum of harmonics that decrease as 1/order. A
 waveform with edges has many harmonics, which stay coherent over the run only if the period is accurate. It is therefore evaluated on a
@@ -30,7 +30,7 @@ NODES = 24  # of a segment, at which waves are taken
 
 
 class Repeating:
-    """Such biases as designs of the coefficients."""
+    """Biases with an unknown period as designs of the coefficients."""
 
     def __init__(self, weighing: Weighing):
         observed, spectrum = weighing.observed, weighing.spectrum
@@ -44,7 +44,7 @@ class Repeating:
         self._coarse = self.waves(self.frequencies, WAVEFORM)
 
     def weighed(self, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> list[float]:
-        """log BF of such a bias in the channels of each scope."""
+        """The log BF of such a bias in the channels of each scope."""
         parts = [self._eigen(left, self._coarse, (2, 2 * WAVEFORM)) for left in channels]
         found = []
         for scope in scopes:
@@ -57,7 +57,7 @@ class Repeating:
         return found
 
     def _edged(self, peaks: NDArray[np.int64], channels: Sequence[Left]) -> float:
-        """log BF of a waveform with edges, whose period is one of those about the peaks, over all of the finer grid."""
+        """The log BF of a waveform with edges, over the whole finer grid. Its period is near one of the peaks."""
         steps = (np.arange(FINER) - (FINER - 1) / 2) / FINER
         near = (self.frequencies[peaks, None] + steps / (4 * self._run)).ravel()
         waves = self.waves(near, EDGED)
@@ -93,7 +93,7 @@ class Repeating:
 
 
 def _evidence(parts: Sequence[Eigen]) -> Array:
-    """log BF (F,) of each frequency in several channels, with one prior for the energy."""
+    """The log BF (F,) of each frequency in several channels, with one prior for the energy."""
     size, along = (np.concatenate([part[k] for part in parts], axis=1) for k in (0, 1))
     unit = np.maximum(size.sum(1, keepdims=True), 1e-300)
     return averaged(from_eigen(size / unit, along / unit, 1.0))
