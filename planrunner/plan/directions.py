@@ -1,7 +1,7 @@
-"""The words for directions of the site, in East-North-Up. A new word is declared only here.
+"""The words for directions of the site, in East-North-Up. A new word is declared only in this module.
 
-Parsing, suggestions, the schemas, the reference of keys, reports and the diagnosis follow from `DIRECTIONS`. Designs and proposals search
-only among `CARDINAL`, so that a new word does not change their choices.
+Parsing, suggestions, the schemas, the reference of keys, reports and the diagnosis follow from `DIRECTIONS`. Designs and proposals
+search only among `CARDINAL`, so a new word does not change their choices.
 """
 
 from __future__ import annotations

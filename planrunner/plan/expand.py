@@ -1,4 +1,4 @@
-"""From nested segments to a flat list of states: inheritance, sweeps, repeats and readable labels."""
+"""Converts nested segments to a flat list of states: inheritance, sweeps, repeats and readable labels."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _PLACEHOLDER = re.compile(r"\{([a-z_]*)\}")
 class StatedSegment:
     """One segment: its state with all inherited keys, and the place of each value by key.
 
-    prompts: prompts to the operator before the segment, in order, with their places. conditioning: whether the plan declares that the
-    segment only brings the sensor to a state. sound: False if its state is not known, because it inherits a value from `defaults` that
-    could not be read or its label names a key that is not swept.
+    prompts: prompts to the operator before the segment, in order, with their places. conditioning: whether the plan declares that
+    the segment only brings the sensor to a state. sound: False if its state is not known, because it inherits a value from
+    `defaults` that could not be read, or because its label names a key that is not swept.
     """
 
     label: str
@@ -69,7 +69,7 @@ UNREADABLE = object()
 
 
 def _stated(state: StateValues) -> tuple[State, bool]:
-    """What of a state could be read, and whether it is enough to judge a segment."""
+    """The part of a state that could be read, and whether it is enough to check a segment."""
     readable = {name: value for name, value in state.items() if value is not UNREADABLE}
     sound = len(readable) == len(state) or not any(state.get(name) is UNREADABLE for name in _DECISIVE)
     return State(**readable), sound
@@ -80,7 +80,7 @@ _DECISIVE = tuple(name for name, traits in STATE_TRAITS.items() if traits.decisi
 
 
 def _count(spec: SegmentSpec) -> int:
-    """Number of segments of a spec, including those that will be left out, because they are visited too."""
+    """Number of segments of a spec, including those that will be omitted, because they are visited too."""
     own = spec.repeat * (spec.for_each.size if spec.for_each else 1)
     return own * (sum(_count(step) for step in spec.steps) or 1)
 
@@ -115,7 +115,7 @@ def _one_motion(own: State, log: Findings) -> bool:
 
 
 def _swept_once(spec: SegmentSpec, log: Findings) -> bool:
-    """Whether no swept key is also given next to the sweep, and rate and motion are not both swept."""
+    """Checks that no swept key is also given next to the sweep, and that rate and motion are not both swept."""
     swept = {axis.key: axis for axis in spec.for_each.axes} if spec.for_each else {}
     for name in swept:
         twin = STATE_TRAITS[name].replaces or name

@@ -1,8 +1,8 @@
 """Kinds of value: one declaration that both reads a node and describes itself as JSON Schema.
 
-A record is a frozen dataclass derived from `Record` whose fields are made with `key(...)`. The reader (with findings at file:line:column),
-the JSON Schema for editors, and the reference in `docs/` are made from this single declaration. Plug-ins declare their parameters in the
-same way. The `read` method of a kind returns None if it has added a finding.
+A record is a frozen dataclass derived from `Record` whose fields are made with `key(...)`. This single declaration gives the reader
+(with findings at file:line:column), the JSON Schema for editors, and the reference in `docs/`. Plug-ins declare their parameters in
+the same way. The `read` method of a kind returns None if it has added a finding.
 
     class Chamber(Record):
         lowest: Quantity = key(QuantityOf("temperature"), "Lowest temperature the chamber reaches.", "-55 degC")
@@ -80,7 +80,7 @@ class Origin:
         self.meant = meant
 
     def __getstate__(self) -> dict[str, object]:
-        """Without the nodes, whose marks of the parser cannot be pickled."""
+        """The state without the nodes, because the parser's marks in them cannot be pickled."""
         return {"_node": None, "broken": self.broken, "meant": dict(self.meant), "mark": self.mark, "keys": self.keys}
 
     @cached_property
@@ -89,8 +89,8 @@ class Origin:
 
     @cached_property
     def keys(self) -> Mapping[str, Mark]:
-        """`report` is the place where the value of that key begins, `report[1]` that of the second entry of its list, `limits.x` that of
-        the value of `x` in its mapping."""
+        """The places by key: `report` is the place where the value of that key begins, `report[1]` the place of the second entry of
+        its list, and `limits.x` the place of the value of `x` in its mapping."""
         marks: dict[str, Mark] = {}
         for name, item in self._node.entries if self._node else ():
             marks[name.text] = _used(name, item)
@@ -109,11 +109,13 @@ class Origin:
         return marks
 
     def parts(self, key: str) -> tuple[Mark, ...]:
-        """The places that determine the value of a key: where it is written, or the unknown keys that may be misspellings of it."""
+        """The places that determine the value of a key: the place of the value, or the unknown keys that may be misspellings of the
+        key."""
         return (self.keys[key],) if key in self.keys else self.meant.get(key, ())
 
     def at(self, key: str) -> Mark:
-        """The mark of a key or of an entry of its list or mapping. If there is none: the mark of the key, or else of the record."""
+        """The mark of a key or of an entry of its list or mapping. If it has no mark, the mark of the key, otherwise the mark of
+        the record."""
         if key in self.keys:
             return self.keys[key]
         return self.keys.get(key.partition("[")[0].partition(".")[0], self.mark)
@@ -133,9 +135,9 @@ def key(
     fallback: Any = None,
     traits: object = None,
 ) -> Any:
-    """A dataclass field that is also a key of the language. Every key has a description and an example; name: its spelling in YAML if
-    that is not a Python name. fallback: replaces a required value that is missing or wrong, so that the rest of the record can still be
-    checked. traits: properties that the module of the record needs, such as whether the key may be swept."""
+    """A dataclass field that is also a key of the language. Every key has a description and an example; name: its spelling in YAML
+    if that is not a Python name. fallback: value that replaces a required value if this is missing or wrong, so that the rest of
+    the record can still be checked. traits: properties that the module of the record needs, such as whether the key may be swept."""
     metadata = {
         "kind": kind,
         "description": description,
@@ -176,7 +178,7 @@ _KEYS: dict[type[Record], Fields] = {}
 
 
 def keys_of(record: type[Record]) -> Fields:
-    """In order of declaration."""
+    """The keys of a record in the order of their declaration."""
     if record not in _KEYS:
         made: Any = record
         fields = [item for item in dataclasses.fields(made) if "kind" in item.metadata]
@@ -224,10 +226,10 @@ def read_keys(
 def _meant(
     node: source.Mapping, known: Collection[str], missing: Sequence[str]
 ) -> tuple[dict[str, tuple[Mark, ...]], dict[str, str]]:
-    """Absent key → unknown keys that may be misspellings of it; and the message for each unknown key.
+    """For each absent key, the unknown keys that may be misspellings of it; and the message for each unknown key.
 
-    An unknown key counts as a misspelling of the absent key that it resembles. If it resembles none, it may mean any optional key; it may
-    also mean a missing key, if there are at least as many such unknown keys as missing keys.
+    An unknown key counts as a misspelling of the absent key that it resembles. If it resembles none, it may mean any optional key.
+    It may also mean a missing key if there are at least as many such unknown keys as missing keys.
     """
     unknown = {name.text: name.mark for name, _ in node.entries if name.text not in known}
     if not unknown:
@@ -274,7 +276,8 @@ def inline(example: Any) -> str:
 
 
 def _used(key: source.Scalar, value: source.Node) -> Mark:
-    """Where a value stands. That of an alias stands before its key, where the anchor is: here the key's place."""
+    """The place where a value is used. The value of an alias is placed at its anchor, before the key; the place of the key is then
+    returned."""
     return key.mark if value.precedes(key) else value.mark
 
 

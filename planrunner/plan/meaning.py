@@ -1,4 +1,4 @@
-"""Checks of meaning that concern the whole plan: labels, references between parts, limits, reports.
+"""Checks that concern the whole plan: labels, references between parts, limits, reports.
 
 Channels named in estimates are checked against the channels of the bench's sensor. Parameters of the kind `CHANNEL` are found by their
 declaration, so the check covers estimators of plug-ins too.
@@ -18,7 +18,7 @@ from planrunner.plan.selection import Detection, Labels
 def check_meaning(plan: Plan, segments: Sequence[StatedSegment], templates: Iterable[str], log: Findings) -> None:
     """Adds findings on estimates, limits and reports. `templates`: the names of reports that can be written.
 
-    A reference to a part that could not be read is not reported as unknown, so that one mistake gives one finding.
+    A reference to a part that could not be read is not reported as unknown, so that one mistake causes only one finding.
     """
     names = [key.removeprefix("estimates.") for key in plan.origin.keys if key.startswith("estimates.")] or list(
         plan.estimates
@@ -69,7 +69,7 @@ def _check_uses(name: str, spec: EstimateSpec, names: list[str], log: Findings) 
 
 
 def _check_names(plan: Plan, names: list[str], log: Findings) -> None:
-    """One finding for each name that is not an estimate, regardless of how often it is used."""
+    """Adds one finding for each name that is not an estimate, regardless of how often it is used."""
     unknown: dict[str, list[Mark]] = {}
     for spec in plan.estimates.values():
         for index, other in enumerate(spec.uses):
@@ -86,7 +86,7 @@ def _check_names(plan: Plan, names: list[str], log: Findings) -> None:
 
 
 def _check_selections(specs: Sequence[EstimateSpec | DiagnosisSpec], labels: Labels, log: Findings) -> set[int]:
-    """The selected segments. A pattern that matches none is one finding, regardless of how often it is written."""
+    """Checks the selected segments. A pattern that matches none gives one finding, regardless of how often it is written."""
     chosen: set[int] = set()
     undefined: dict[str, list[Mark]] = {}
     for spec in specs:
@@ -108,7 +108,7 @@ def _check_selections(specs: Sequence[EstimateSpec | DiagnosisSpec], labels: Lab
 
 
 def _check_unused(segments: Sequence[StatedSegment], used: set[int], log: Findings) -> None:
-    """One warning for each place that defines unused segments, regardless of their number."""
+    """Adds one warning for each place that defines unused segments, regardless of their number."""
     unused: dict[Mark, list[str]] = {}
     for index, segment in enumerate(segments):
         if index not in used and not segment.conditioning:

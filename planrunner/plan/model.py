@@ -375,7 +375,7 @@ class Plan(Record):
 def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan | None, Findings]:
     """The plan in a document, as far as it can be read, and the findings about it (added to `log`, if given).
 
-    A part with an error is left out (a segment is marked as not sound), so that all other parts can still be checked.
+    A part with an error is omitted (a segment is marked as not sound), so that all other parts can still be checked.
     """
     log = Findings() if log is None else log
     if root.get("planrunner") is None and root.get("planrunner_bench") is not None:

@@ -160,7 +160,7 @@ def _cycle(motion: model.MotionSpec, sign: float, log: Findings) -> Cycle | None
 def _check_positions(
     moves: list[Move], positions: Mapping[str, float], motion: model.MotionSpec, log: Findings
 ) -> None:
-    """One finding for each name that is not a position, regardless of the number of moves that use it."""
+    """Adds one finding for each name that is not a position, regardless of the number of moves that use it."""
     users: dict[str, list[int]] = {}
     for index, move in enumerate(moves):
         for name in dict.fromkeys((move.start, move.end)):
@@ -206,6 +206,6 @@ def _degrees(angle: float) -> str:
 
 
 def _turns(positions: Mapping[str, float], move: Move) -> str:
-    """The two turns that end at the position: the short way and the long way."""
+    """The two rotations that end at the position: the short way and the long way."""
     short = round(math.degrees(math.remainder(positions[move.end] - positions[move.start], TURN)), 6)
     return f"{short:+g} or {short - math.copysign(360, short):+g} deg"

@@ -29,14 +29,15 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, slots=True)
 class Orientation:
-    """`text` as reviewed; `matrix` (3, 3) as nested tuples, rows are the sensor axes in East-North-Up, or None for unknown."""
+    """An orientation. text: as reviewed; matrix: (3, 3) as nested tuples, rows are the sensor axes in East-North-Up, or None for
+    unknown."""
 
     text: str
     matrix: tuple[tuple[float, ...], ...] | None
 
     @property
     def attitude(self) -> Matrix | None:
-        """Read-only, because segments share it."""
+        """The attitude as a read-only array, because segments share it."""
         return None if self.matrix is None else _array(self.matrix)
 
 
@@ -51,12 +52,12 @@ UNKNOWN = Orientation("unknown", None)
 
 
 def in_words(attitude: Matrix, tolerance: float = 1e-9) -> str:
-    """`x up, y north, z west`; an axis in a direction without a word is given as numbers."""
+    """The orientation in words, such as `x up, y north, z west`. An axis in a direction without a word is given as numbers."""
     return ", ".join(f"{axis} {_pointing(row, tolerance)}" for axis, row in zip(AXES, attitude, strict=True))
 
 
 def as_mapping(attitude: Matrix) -> str | None:
-    """As written in a plan, `{x: up, y: north, z: west}`; None if an axis points in a direction without a word."""
+    """The orientation as in a plan, `{x: up, y: north, z: west}`; None if an axis points in a direction without a word."""
     words = [word_of(row) for row in attitude]
     return (
         None
@@ -247,7 +248,7 @@ def _completed(given: tuple[tuple[str, Direction], ...]) -> tuple[tuple[tuple[fl
 
 
 def _repairs(matrix: Matrix) -> list[str]:
-    """The right-handed orientations that differ by one mistake: two axes exchanged, or one reversed."""
+    """The right-handed orientations that differ from these words by one mistake: two axes exchanged, or one reversed."""
     repairs = []
     for i, j in ((1, 2), (0, 1), (0, 2)):
         swapped = matrix.copy()

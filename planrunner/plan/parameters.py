@@ -1,7 +1,7 @@
 """Parameters of a plan: its values with a YAML anchor, such as `dwell: &dwell 2 min`. A run or a suite may replace them.
 
-A plan with other values is a plan of its own. Its text differs in these values only, so that every other line stays where it is; the run
-keeps this text, and everything that reads the run needs nothing else.
+A plan with other values is a different plan. Its text differs only in these values, so every other line keeps its position. The run
+stores this text, and readers of the run need nothing else.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Given:
 
 
 def parameters_of(settings: Sequence[str]) -> dict[str, Given]:
-    """The values of `--parameter NAME=VALUE`. Raises `InputError`."""
+    """Reads the values of `--parameter NAME=VALUE`. Raises `InputError`."""
     log, found = Findings(), dict[str, Given]()
     for setting in settings:
         name, _, value = (part.strip() for part in setting.partition("="))
@@ -52,7 +52,7 @@ def parameters_of(settings: Sequence[str]) -> dict[str, Given]:
 
 @dataclass(frozen=True, slots=True)
 class Varied:
-    """A plan with other values. places: parameter → its value in `text`."""
+    """A plan with other values for its parameters. places: parameter → its value in `text`."""
 
     text: str
     places: Mapping[str, Mark]
@@ -60,8 +60,8 @@ class Varied:
 
 @dataclass(frozen=True, slots=True)
 class _Anchored:
-    """A value with an anchor. start: of the anchor, as an index into the text. begin, end: of the value without it; the same if it is no
-    value on one line."""
+    """A value with an anchor. start: of the anchor, as an index into the text. begin, end: of the value without the anchor; both
+    are equal if the value does not fit on one line."""
 
     mark: Mark
     start: int
@@ -71,16 +71,16 @@ class _Anchored:
 
 
 def variant_name(plan: str, parameters: Mapping[str, str]) -> str:
-    """The name under which runs of a plan with these values are kept: values of different plans do not belong in one history. It does not
-    depend on the order in which the values were given."""
+    """The name of the plan in the archive if it runs with these values. Values of different plans do not belong in one history. It
+    does not depend on the order in which the values were given."""
     if not parameters:
         return plan
     return f"{plan} ({', '.join(f'{name}={value}' for name, value in sorted(parameters.items()))})"
 
 
 def with_parameters(text: str, file: str, given: Mapping[str, Given]) -> Varied:
-    """The plan with these values. Raises `InputError` for names that are no parameters of the plan. What is no YAML
-    stays as it is."""
+    """The plan with these values. Raises `InputError` for names that are no parameters of the plan. Text that is not valid YAML is
+    returned unchanged."""
     log = Findings()
     try:
         found = _anchored(text, file, log)
@@ -117,7 +117,7 @@ def with_parameters(text: str, file: str, given: Mapping[str, Given]) -> Varied:
 
 
 def _written(value: str, *, quoted: bool) -> str:
-    """A value as YAML: plain if it is then read as the same text, wherever it stands."""
+    """A value as YAML text. It is plain if YAML then reads the same text at any place."""
     return value if not quoted and _is_plain(value) else json.dumps(value, ensure_ascii=False)
 
 
@@ -136,7 +136,7 @@ def _is_plain(value: str) -> bool:
 
 
 def _anchored(text: str, file: str, log: Findings) -> dict[str, _Anchored]:
-    """The values with an anchor. A name that stands for two values is a finding."""
+    """The values with an anchor. A name that belongs to two values is a finding."""
     found: dict[str, _Anchored] = {}
     for event, is_key in _nodes(text):
         if event.anchor is None:

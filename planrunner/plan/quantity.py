@@ -98,7 +98,7 @@ def takes_bare_number(dimension: str | None) -> bool:
 
 @lru_cache(maxsize=4096)
 def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
-    """The quantity in `text`, of the named dimension (see `units.DIMENSIONS`) if one is given. Raises `QuantityError`.
+    """Parses the quantity in `text`, of the named dimension (see `units.DIMENSIONS`) if one is given. Raises `QuantityError`.
 
     `54.7 deg ± 0.1 deg`, `54.7 deg ± 6 arcmin`, `54.7 deg ± 0.1` and `54.7 ± 0.1 deg` all mean a standard uncertainty.
     """
@@ -126,7 +126,8 @@ def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
 
 
 def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
-    """`±300, ±150 deg/s` or `10, 20, 30 deg` as quantities, ± giving + then −. Raises `QuantityError`.
+    """Parses `±300, ±150 deg/s` or `10, 20, 30 deg` as quantities; ± gives the positive and then the negative value. Raises
+    `QuantityError`.
 
     A unit after the last value applies to values without a unit. A comma must be followed by a space, so that a decimal comma does not
     separate two values.
@@ -152,7 +153,7 @@ def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
 
 
 def parse_signed(text: str, dimension: str | None) -> list[Quantity]:
-    """`±300 deg/s` as +300 and −300 deg/s; a text without a leading ± as one quantity. Raises `QuantityError`."""
+    """Parses `±300 deg/s` as +300 and −300 deg/s, and a text without a leading ± as one quantity. Raises `QuantityError`."""
     signed = _SIGNED.fullmatch(text)
     quantity = parse_quantity(signed[2] if signed else text, dimension)
     if not signed or quantity.value == 0:
@@ -164,7 +165,7 @@ def parse_signed(text: str, dimension: str | None) -> list[Quantity]:
 
 
 def is_symmetric(text: str) -> bool:
-    """Whether a text is of the form `SYMMETRIC`, whatever its unit means."""
+    """Whether a text has the form `SYMMETRIC`, whatever its unit is."""
     signed = _SIGNED.fullmatch(text)
     parts = _parts(signed[2]) if signed else None
     return parts is not None and parts[3] is None
@@ -182,18 +183,19 @@ def parse_symmetric(text: str) -> Quantity | None:
 
 
 def _parts(text: str) -> re.Match[str] | None:
-    """Number, unit, uncertainty and its unit, as far as they are written; None for a text that is no quantity."""
+    """Number, unit, uncertainty and its unit, as far as they are written; None for a text that is not a quantity."""
     return _grammar(max(text, default="") <= "\xff").fullmatch(text) if len(text) <= _MAX_TEXT else None
 
 
 @cache
 def _grammar(latin: bool) -> re.Pattern[str]:
-    """The grammar of `_parts`; latin: for texts of Latin-1 characters, which most are: compiling the others takes milliseconds."""
+    """The grammar of `_parts`. latin: for texts of Latin-1 characters, the usual case, because compiling the full grammar takes
+    milliseconds."""
     return re.compile(re.sub(r"\\u(?!00)[0-9a-f]{4}|[^\x00-\xff]", "", _PARTS) if latin else _PARTS)
 
 
 def _has_unit(parts: re.Match[str]) -> bool:
-    """Whether the value or its uncertainty has a unit, which then holds for both."""
+    """Whether the value or its uncertainty has a unit, which then applies to both."""
     return parts[2] is not None or parts[4] is not None
 
 
@@ -250,10 +252,10 @@ def _no_quantity(text: str, dimension: str | None) -> QuantityError:
 def read_quantity(
     node: Node, dimension: str | None, log: Findings, uncertain: bool, elsewhere: str = ""
 ) -> Quantity | None:
-    """The quantity in a node, text or mapping. After a finding, which goes to `log`, the result is None.
+    """The quantity in a node, text or mapping. If it adds a finding to `log`, the result is None.
 
-    uncertain: whether an uncertainty is used; if not, a stated uncertainty is a finding. elsewhere: in words, where to state it instead; ''
-    if nowhere.
+    uncertain: whether an uncertainty is used; if not, a stated uncertainty is a finding. elsewhere: words that tell where to state
+    the uncertainty instead; '' if nowhere.
     """
     if uncertain:
         return _read_rich(node, dimension, log) if isinstance(node, Mapping) else read_scalar(node, dimension, log)
@@ -371,7 +373,7 @@ def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity 
 def _width(
     node: Mapping, dimension: str | None, misspelt: Iterable[Mark], log: Findings
 ) -> tuple[Quantity | None, str]:
-    """The stated width and its distribution. misspelt: places of unknown keys."""
+    """The stated half-width and its distribution. misspelt: places of unknown keys."""
     standard, half, shape = node.get("standard_uncertainty"), node.get("half_width"), node.get("distribution")
     name = "rectangular"
     if shape is not None:

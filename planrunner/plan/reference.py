@@ -114,7 +114,7 @@ def _quantity_section() -> str:
 
 @runtime_checkable
 class Described(Protocol):
-    """A kind that says itself what it accepts."""
+    """A kind that describes the values that it accepts."""
 
     what: str
 

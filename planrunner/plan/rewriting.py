@@ -62,7 +62,7 @@ def as_written(attitude: Matrix, decimals: int = DECIMALS) -> Matrix:
 
 
 def _turns(start: Matrix, end: Matrix) -> tuple[float, float, float]:
-    """Angles [deg] of successive turns about x, y, z from `start` to `end`.
+    """Angles [deg] of successive rotations about x, y, z from `start` to `end`.
 
     With passive rotations end·startᵀ = Z·Y·X, so its transpose is the product of the active rotations about x, y and z.
     """
@@ -74,7 +74,7 @@ def _turns(start: Matrix, end: Matrix) -> tuple[float, float, float]:
 
 
 def _degrees(angle: float, decimals: int) -> str:
-    """With at least two decimals, and more only if they are not zero."""
+    """An angle with at least two decimals, and with more only if they are not zero."""
     text = f"{round(angle, decimals):.{decimals}f}"
     return text[: len(text) - decimals + DECIMALS] + text[len(text) - decimals + DECIMALS :].rstrip("0")
 
@@ -180,7 +180,7 @@ def with_rates(text: str, place: tuple[int, int], rates: Sequence[str], turns: S
 
 
 def appended(text: str, node: yaml.CollectionNode, more: str, last: yaml.Node, dash: str = "") -> tuple[int, str]:
-    """Where something is put in behind the last item of a mapping or list, and what."""
+    """The position and the text that append an item to a mapping or list."""
     begin = node.start_mark.index
     end = begin + len(text[begin : last.end_mark.index].rstrip())
     if node.flow_style:

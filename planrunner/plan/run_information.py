@@ -1,4 +1,4 @@
-"""Run information that the plan requests (serial number, operator, ambient …), given with `--set` or in a file."""
+"""Run information that the plan requests (serial number, operator, ambient conditions …). `--set` or a file gives it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, 
 
 
 def gather_for_issue(names: Collection[str], settings: Sequence[str], file: Path | None) -> dict[str, str]:
-    """Information given when a report is issued, after the run. names: the permitted items. Raises `InputError`."""
+    """Run information that is given when a report is issued after the run. names: the permitted items. Raises `InputError`."""
     log = Findings()
     given = _read(settings, file, log)
     _check(names, "docs/certificates.md lists the names that a certificate uses", given, log)

@@ -1,7 +1,7 @@
 """The schedule: a plan on a bench, as an ordered list of segments. Each segment is a state to reach and hold.
 
-Pure data in SI units with radians. `planrunner.bench.scheduling` makes it; the executor executes it; estimators, reports and design read
-it.
+Segments are pure data in SI units with radians. `planrunner.bench.scheduling` makes the schedule, and the executor executes it.
+Estimators, reports and design read it.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class Spin:
 class Rock:
     """angle_i = amplitude·sin(2π·frequency·(t − steady) + phases[i]) [rad] on the table's rings, outermost first, for `duration` s.
 
-    t: s since the record began. The rocking fades in over a period before `steady` and fades out over a period after `steady` + `duration`.
-    delay: time at rest at the beginning of the record, s; without it, the rocking fades in before the record begins.
+    t: time since the record began, s. The rocking fades in over a period before `steady` and fades out over a period after `steady`
+    + `duration`. delay: time at rest at the beginning of the record, s; without it, the rocking fades in before the record begins.
     """
 
     amplitude: float
@@ -43,28 +43,28 @@ class Rock:
 
     @property
     def period(self) -> float:
-        """Seconds."""
+        """The period of the rocking, s."""
         return 1 / self.frequency
 
     @property
     def lead_in(self) -> float:
-        """Seconds from the command to the beginning of the record."""
+        """Time from the command to the beginning of the record, s."""
         return 0.0 if self.delay else self.period
 
     @property
     def steady(self) -> float:
-        """Seconds from the beginning of the record until the rocking has its full amplitude."""
+        """Time from the beginning of the record until the rocking has its full amplitude, s."""
         return self.delay + self.period if self.delay else 0.0
 
     @property
     def over(self) -> float:
-        """Seconds from the beginning of the record until the table stands still again."""
+        """Time from the beginning of the record until the table is at rest again, s."""
         return self.steady + self.duration + self.period
 
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """One move of a cycle: from a named position by `turn` [rad, positive about the axis] to another."""
+    """One move of a cycle: a rotation by `turn` [rad, positive about the axis] from one named position to another."""
 
     start: str
     turn: float
@@ -83,7 +83,7 @@ class Cycle:
 
 @dataclass(frozen=True, slots=True)
 class RecordedMotion:
-    """A motion that no table was commanded to make; channels of the recording show it.
+    """A motion that no table was commanded to make. Channels of the recording show it.
 
     angle: the encoder of an axis along the site direction `about`, zero in the segment's orientation. attitude: four channels of a unit
     quaternion from the sensor's axes to East-North-Up, real part first. rates, forces: three channels each, of angular rate and of specific
@@ -100,7 +100,7 @@ class RecordedMotion:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """All that show the motion."""
+        """All channels that show the motion."""
         return (*([self.angle] if self.angle else []), *self.attitude, *self.rates, *self.forces)
 
 
@@ -109,8 +109,8 @@ Motion = Rest | Spin | Rock | Cycle | RecordedMotion
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """limits: reading → largest value, SI, such as `temperature_drift` in K/s. duration: uninterrupted time within the limits, s;
-    patience: time after which the readings should have settled, s."""
+    """When readings count as settled. limits: reading → largest value, SI, such as `temperature_drift` in K/s. duration:
+    uninterrupted time within the limits, s; patience: time after which the readings should have settled, s."""
 
     limits: Mapping[str, float]
     duration: float
@@ -119,8 +119,9 @@ class Stability:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """Conditions while a segment records. limits: as for `Stability`; lost, corrupt: permitted fraction of the frames, None for any;
-    doubts: whether an instrument's doubts about its samples count as an exceeded limit; retakes: how often the segment is then repeated."""
+    """Conditions while a segment records. limits: as for `Stability`; lost, corrupt: permitted fraction of the frames, None for
+    any; doubts: whether an instrument's doubts about its samples count as an exceeded limit; retakes: how often the segment is then
+    repeated."""
 
     limits: Mapping[str, float] = field(default_factory=dict)
     lost: float | None = None
@@ -135,12 +136,12 @@ class Segment:
 
     attitude: shape (3, 3), rows are the sensor's x, y, z axes in site East-North-Up, so v_sensor = attitude @ v_site; at the start
         of the motion; None if the plan says `unknown`.
-    temperature, ramp_to: K; a ramp has no temperature. kept_temperature: K, at which the chamber keeps the sensor since an earlier segment;
-        None before the first, and on a bench that plays back a recording.
+    temperature, ramp_to: K; a ramp has no temperature. kept_temperature: temperature [K] at which the chamber has kept the sensor
+        since an earlier segment. None before the first such segment, and on a bench that plays back a recording.
     supply_voltage: V; ambient_pressure: Pa; None if the plan does not state them.
-    soak, settle, dwell, transition, start: s; `dwell` is None for the length of the recording;
-        `transition` is the planned time to get there (moves, spin-up, temperature), `start` the planned beginning of the dwell since
-        the run began. sample_rate: Hz, None for the sensor's own.
+    soak, settle, dwell, transition, start: s. `dwell` is None for the length of the recording; `transition` is the planned time to
+        reach the state (moves, spin-up, temperature); `start` is the planned beginning of the dwell since the run began.
+    sample_rate: Hz, None for the sensor's own rate.
     mode: of the sensor; None if the plan does not set it.
     on_break: what happens to a segment interrupted by a crash: 'retake' repeats it, 'keep' keeps the recorded part.
     stable, soaked: readings that must have settled after settling and soaking, if the time alone is not enough; watch: conditions during
@@ -174,7 +175,8 @@ class Segment:
 
     @property
     def begins_at(self) -> float | None:
-        """Temperature [K] at the beginning of the dwell: the stated one, or else the one that the chamber keeps; None where not known."""
+        """Temperature [K] at the beginning of the dwell: the stated one, otherwise the one that the chamber keeps; None if it is
+        not known."""
         return self.kept_temperature if self.temperature is None else self.temperature
 
     @property

@@ -18,7 +18,7 @@ _PATTERNS = ListOf(_PATTERN, single=True, minimum=1, maximum=100)
 
 
 class Detection(Record):
-    """Spans that are found in the data instead of being commanded: for hand-held recordings."""
+    """Spans that are found in the data instead of being commanded, for hand-held recordings."""
 
     detect: str = key(Choice(("still",)), "What to detect: spans in which the sensor does not move.", "still")
     within: tuple[str, ...] = key(_PATTERNS, "Labels of the segments to look in.", "tumble", default=("*",))
@@ -71,15 +71,15 @@ def _selected(labels: tuple[str, ...], patterns: tuple[str, ...]) -> tuple[int, 
 
 
 def spelt_alike(recorded: str, planned: str) -> bool:
-    """Whether a recorded label equals the planned one, or was made from the same value by an older rule for signs in labels."""
+    """Whether a recorded label equals the planned label, or was made from the same value by an older rule for signs in labels."""
     return recorded == planned or recorded.replace("+", "") == planned.replace("+", "")
 
 
 def closest_label(label: str, known: Iterable[str]) -> str:
-    """A hint with the known label or pattern that a label or pattern most likely means.
+    """A hint with the known label or pattern that a label or pattern probably means.
 
-    Labels that differ only in plus signs are closest: the table of a recording, or a plan written for another rule, may lack the sign of a
-    sweep's label. Such labels are suggested, not matched.
+    Labels that differ only in plus signs are closest. The table of a recording, or a plan written for another rule, may lack the
+    sign of a sweep's label. Such labels are suggested, not matched.
     """
     names = list(known)
     bare = label.replace("+", "")

@@ -1,7 +1,7 @@
 """Parses YAML text into nodes with source positions.
 
-YAML 1.2 core meaning (`1e-3` is a number; `no` and `12:30` are strings; duplicate keys are errors), read from libyaml's events without
-recursion, within limits on size, depth, nodes and aliases, so that no file can harm the reader.
+The meaning follows YAML 1.2 core (`1e-3` is a number; `no` and `12:30` are strings; duplicate keys are errors). The nodes are read
+from libyaml's events without recursion, within limits on size, depth, nodes and aliases, so that no file can harm the reader.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Written:
 
 
 class Position(Protocol):
-    """A place in a text as the parser marks it. Lines and columns count from 0."""
+    """A place in a text in the form of the parser's marks. Lines and columns count from 0."""
 
     @property
     def line(self) -> int: ...
@@ -65,7 +65,7 @@ class Position(Protocol):
 class _Placed:
     """A part of a text. begin, end: None for a part that was never written.
 
-    Its `mark` is made when somebody asks for it: a plan has hundreds of nodes, and few of them are named in a finding.
+    Its `mark` is made only on request, because a plan has hundreds of nodes and few of them are named in a finding.
     """
 
     __slots__ = ("_begin", "_end", "_written")
@@ -83,7 +83,7 @@ class _Placed:
         return Mark(written.file, begin.line + 1, begin.column + 1, (end.line + 1, end.column + 1), written.text)
 
     def precedes(self, other: Node) -> bool:
-        """Whether it begins on an earlier line than another part of the same text."""
+        """Whether this part begins on an earlier line than another part of the same text."""
         return self._begin is not None and other._begin is not None and self._begin.line < other._begin.line
 
 
@@ -223,7 +223,7 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
 
 
 def _forbidden(text: str) -> re.Match[str] | None:
-    """The first character that neither the text of a file nor a text written with escapes may contain."""
+    """The first character that is not allowed in the text of a file, nor as an escape; None if there is none."""
     return _FORBIDDEN.search(text) or MISLEADING.search(text)
 
 
@@ -284,8 +284,8 @@ def _syntax_error(error: yaml.MarkedYAMLError, text: str, file: str) -> InputErr
 
 @dataclass(slots=True)
 class _Open:
-    """A sequence or mapping that is not complete yet. around: the nodes before it in what it stands in; before: number of all nodes before
-    it, with aliases written out."""
+    """A sequence or mapping that is not complete yet. around: the preceding nodes of the collection that contains it; before:
+    number of all preceding nodes, counting aliases in full."""
 
     start: yaml.CollectionStartEvent
     around: list[Node]
@@ -379,7 +379,8 @@ class _Builder:
         self._put(node, None, size)
 
     def _put(self, node: Node, anchor: str | None, size: int, inside: int = 0) -> None:
-        """size: number of nodes that it adds, with aliases written out; inside: number of nodes in it that are already counted."""
+        """Adds a node to the open collection. size: number of nodes that it adds, counting aliases in full; inside: number of its
+        nodes that are already counted."""
         self._nodes += 1
         self._written_out += size
         if self._nodes > MAX_NODES:
@@ -391,7 +392,7 @@ class _Builder:
         self._items.append(node)
 
     def _entries(self, items: list[Node]) -> tuple[tuple[Scalar, Node], ...]:
-        """Those of a mapping, from its keys and values in turn."""
+        """The entries of a mapping, from its keys and values in turn."""
         pairs = tuple(zip(items[::2], items[1::2], strict=True))
         if _sound(pairs):
             return pairs

@@ -1,7 +1,7 @@
 """A half-open interval of time: [start, end). A sample at `start` belongs to it, a sample at `end` to the next interval.
 
-Played-back recordings, still spans and detected segments all use this definition, so that neighbours share no sample and n samples with the
-period T last n·T.
+Played-back recordings, still spans and detected segments all use this definition. Neighbours therefore share no sample, and n
+samples with the period T last n·T.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ decimals, and for time stamps scaled from other units than seconds."""
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """start ≤ time < end, s; `end` may be infinite."""
+    """An interval start ≤ time < end, s; `end` may be infinite."""
 
     start: float
     end: float
 
     @property
     def seconds(self) -> float:
-        """Duration, s."""
+        """Duration of the interval, s."""
         return self.end - self.start
 
     def of(self, time: Array, period: float) -> slice:
-        """Which of the increasing times, (n,) s, lie in the interval. period: s between samples, NaN if not known."""
+        """The slice of the ascending times (n,), s, that lie in the interval. period: s between samples, NaN if not known."""
         rounding = 0.0 if math.isnan(period) else ROUNDING * period
         first, last = np.searchsorted(time, [self.start - rounding, self.end - rounding], side="left").tolist()
         return slice(first, last)

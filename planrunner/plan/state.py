@@ -42,7 +42,7 @@ class Tolerated(Record):
     )
 
     def stated(self) -> dict[str, Quantity]:
-        """Reading → largest value, for the given readings."""
+        """The stated limits for the given readings: reading → largest value."""
         return {name: getattr(self, name) for name in READINGS if getattr(self, name) is not None}
 
 

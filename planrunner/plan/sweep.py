@@ -42,7 +42,7 @@ from planrunner.plan.quantity import (
 
 @dataclass(frozen=True, slots=True)
 class SweepValue:
-    """One value of a sweep: name: its part of the label; short: text that replaces a label's {placeholder}."""
+    """One value of a sweep. name: its part of the label; short: text that replaces a label's {placeholder}."""
 
     name: str
     short: str
@@ -94,10 +94,10 @@ def _product(axes: tuple[SweepAxis, ...], serpentine: bool) -> Iterator[tuple[Sw
 class StateTraits:
     """Properties of a key of a state in addition to its value.
 
-    swept: whether `for_each` accepts it. directed: the sign of its quantity is a direction, so that labels show + as well as −. decisive:
-    if its value cannot be read, nothing else of the segment can be judged. replaces: the key that says the same in another form; a segment
-    has only one of the two, and setting one replaces an inherited value of the other. sweep_example: an example of a sweep, if the example
-    of one value does not show it.
+    swept: whether `for_each` accepts it. directed: whether the sign of its quantity is a direction, so that labels show + as well
+    as −. decisive: whether the rest of the segment cannot be checked if its value cannot be read. replaces: the key that states the
+    same thing in another form. A segment has only one of the two, and setting one replaces an inherited value of the other.
+    sweep_example: an example of a sweep, if the example of one value does not show it.
     """
 
     swept: bool = False
@@ -268,7 +268,7 @@ def _quantity_kind(kind: Kind) -> QuantityOf | None:
 
 
 def _is_exact(quantity: QuantityOf, node: source.Scalar, text: str, log: Findings) -> bool:
-    """Whether no value of a sweep states an uncertainty; adds a finding otherwise, because it would not be used."""
+    """Whether no value of a sweep states an uncertainty. If one does, it adds a finding, because the uncertainty would not be used."""
     piece = uncertain_piece(text)
     if piece is not None:
         refuse_uncertainty(piece, quantity.elsewhere, node.mark, log)
@@ -278,7 +278,7 @@ def _is_exact(quantity: QuantityOf, node: source.Scalar, text: str, log: Finding
 def _check_signs(
     key: SweptKey, quantities: list[Quantity], node: source.Scalar, log: Findings
 ) -> tuple[SweepValue, ...] | None:
-    """The values that the swept key accepts: no negative dwell, for example."""
+    """The values that the swept key accepts. For example, a dwell cannot be negative."""
     sign = "any" if key.quantity is None else key.quantity.sign
     for quantity in quantities:
         if (sign == "positive" and quantity.value <= 0) or (sign == "not negative" and quantity.value < 0):
@@ -312,7 +312,7 @@ def _named(kind: Kind, node: source.Mapping, log: Findings) -> tuple[SweepValue,
 
 
 def _labelled(key: SweptKey, values: list[tuple[object, Mark]]) -> tuple[SweepValue, ...]:
-    """The values with labels made from their figures and units; repeated values are numbered."""
+    """The values with labels made from their numbers and units. Repeated values get numbers."""
     rows: list[SweepValue] = []
     for index, (value, mark) in enumerate(values, start=1):
         if isinstance(value, Quantity):
@@ -330,7 +330,7 @@ def _labelled(key: SweptKey, values: list[tuple[object, Mark]]) -> tuple[SweepVa
 
 
 def _figure(key: SweptKey, quantity: Quantity) -> str:
-    """The figure of a swept quantity for its label, in the unit as written. For signs see the docstring of the module."""
+    """The number of a swept quantity for its label, in the unit as written. For signs see the docstring of the module."""
     figure = f"{quantity.unit.from_si(quantity.value):.9g}"
     if float(figure) == 0:
         return "0"

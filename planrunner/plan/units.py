@@ -1,8 +1,8 @@
-"""Units: interpretation of unit texts by pint, with the project's definitions.
+"""Units: interpretation of unit texts by pint with the project's definitions.
 
-The project has definitions for three reasons: in this field `g` is standard gravity, not gram; an angle is a dimension, so that a frequency
-in Hz differs from a rate in deg/s; and outputs come in pulses. Common units are listed in `_DAILY`, so that checking a plan need not import
-pint; a test compares the list with pint.
+The project has its own definitions for three reasons: in this field `g` is standard gravity, not gram; an angle is a dimension, so
+that a frequency in Hz differs from a rate in deg/s; and outputs are in pulses. Common units are listed in `_DAILY`, so that
+checking a plan need not import pint; a test compares the list with pint.
 """
 
 from __future__ import annotations
@@ -260,7 +260,8 @@ _OTHERWISE = {
 
 
 def suggestion(text: str, dimension: Dimension | None = None) -> str:
-    """The unit that an invalid text probably means: the same letters in another case, or the closest common unit; or ''.
+    """The unit that an invalid text probably means: the same letters in another case, or the closest common unit; '' if there is
+    none.
 
     dimension: only units of this dimension are suggested.
     """

@@ -1,7 +1,7 @@
 """Kinds of value: scalars and collections. Each kind reads a node and describes itself as JSON Schema.
 
-A kind's `read` returns None when it has added a finding. The reader adds a finding with a code beginning with `form-` exactly where the
-schema rejects the node. Faults that a schema cannot detect (units, directions, references) have other codes.
+A kind's `read` returns None when it has added a finding. The reader adds a finding with a code beginning with `form-` if and only
+if the schema rejects the node. Faults that a schema cannot detect (units, directions, references) have other codes.
 """
 
 from __future__ import annotations
@@ -196,8 +196,8 @@ class Boolean:
 class QuantityOf:
     """A number with a unit of the named dimension (None: any). `sign` may be 'any', 'positive' or 'not negative'.
 
-    uncertain: whether an uncertainty may be stated, because results use it. elsewhere: if not, a text that says where to state the
-    uncertainty.
+    uncertain: whether an uncertainty may be stated because results use it. elsewhere: if it may not, a text that says where to
+    state the uncertainty.
     """
 
     dimension: str | None
@@ -330,7 +330,7 @@ class ByShape:
 
 @dataclass(frozen=True, slots=True)
 class WordOr:
-    """One of a few words, or else another kind."""
+    """One of a few words, or a value of another kind."""
 
     words: tuple[str, ...]
     other: Kind

@@ -1,4 +1,5 @@
-"""Another evaluation of a run by a named person, for a stated reason. It is stored as a new analysis that names the one it amends."""
+"""Another evaluation of a run by a named person, for a stated reason. It is stored as a new analysis that names the analysis it
+amends."""
 
 from __future__ import annotations
 
@@ -25,8 +26,8 @@ MAY_DIFFER = ("estimates", "limits", "report", "diagnosis")
 
 @dataclass(frozen=True, slots=True)
 class Amendment:
-    """by: who makes it; why: the reason; plan: a plan with other estimates or limits, or None for those of the run. amends: the analysis,
-    by default the newest."""
+    """An amendment. by: who makes it; why: the reason; plan: a plan with other estimates or limits, or None for those of the run.
+    amends: the analysis to amend, by default the newest."""
 
     by: str
     why: str
@@ -34,7 +35,7 @@ class Amendment:
     amends: int | None = None
 
     def to_json(self, amended: StoredAnalysis) -> JsonObject:
-        """See schemas/amendment.schema.json."""
+        """JSON data according to schemas/amendment.schema.json."""
         return {
             "planrunner_amendment": FORMAT,
             "amends": amended.number,
@@ -67,7 +68,8 @@ def amended_analysis(reader: RunReader, amendment: Amendment) -> StoredAnalysis:
 
 
 def require_same_measurement(run: Sound, evaluated: Sound) -> None:
-    """Raises `InputError` if another plan differs in more than its evaluation: the samples were recorded under the plan of the run."""
+    """Raises `InputError` if another plan differs in more than its evaluation, because the samples were recorded with the plan of
+    the run."""
     differ = [name for name, meaning in _measured(evaluated.plan).items() if meaning != _measured(run.plan).get(name)]
     if differ:
         message = f"this plan differs from that of the run in: {', '.join(differ)}"
@@ -80,12 +82,12 @@ def _measured(plan: Plan) -> JsonObject:
 
 
 def stored_amendment(analysis: StoredAnalysis) -> JsonObject | None:
-    """The amendment that an analysis contains; None for an ordinary one. Raises `IntegrityError`."""
+    """The amendment that an analysis contains; None for an ordinary analysis. Raises `IntegrityError`."""
     if AMENDMENT not in analysis.files:
         return None
     return analysis.read_json(AMENDMENT, "amendment", "planrunner_amendment", FORMAT)
 
 
 def in_words(amendment: Mapping[str, object]) -> str:
-    """One line for reports and the terminal."""
+    """The amendment in one line, for reports and the terminal."""
     return f"amends analysis {amendment['amends']}, by {amendment['by']}: {amendment['why']}"

@@ -1,6 +1,7 @@
-"""Whether a plan has the approvals that a bench requires: before it runs, when a run is resumed, and afterwards.
+"""Checks whether a plan has the approvals that a bench requires: before it runs, when a run is resumed, and afterwards.
 
-A bench that requires approvals refuses everything else: `running.start` executes only plans for which `required_approvals` found enough.
+On a bench that requires approvals, nothing else runs: `running.start` executes only plans for which `required_approvals` found
+enough approvals.
 """
 
 from __future__ import annotations
@@ -61,13 +62,13 @@ class RingFile:
 
 
 def ring_of(rule: ApprovalRule, bench_file: Path) -> RingFile:
-    """The key ring that a bench names. Raises `InputError` if it cannot be read, or if `by` or a key is not as the rule needs it."""
+    """The key ring that a bench names. Raises `InputError` if it cannot be read, or if `by` or a key does not fit the rule."""
     return _ring(rule, bench_file.parent / rule.keys)
 
 
 def ring_of_run(rule: ApprovalRule, kept: KeptApprovals, bench_file: Path | None) -> RingFile:
-    """The key ring with which a run is continued: the one that its bench named, which is not in the run folder. bench_file: of a bench that
-    replaces the one in the folder. Raises `InputError` as `ring_of`."""
+    """The key ring with which a run is continued. The bench names it; it is not in the run folder. bench_file: of a bench that
+    replaces the one in the folder. Raises `InputError` like `ring_of`."""
     return _ring(rule, Path(kept.keys) if bench_file is None else bench_file.parent / rule.keys)
 
 
@@ -93,7 +94,8 @@ def _ring(rule: ApprovalRule, path: Path) -> RingFile:
 
 @dataclass(frozen=True, slots=True)
 class _Reason:
-    """How a finding reports a standing. code: of the finding; hint: what to do; key: of the rule that it concerns, if any."""
+    """How a finding reports that an approval does not count. code: of the finding; hint: what to do; key: of the rule that it
+    concerns, if any."""
 
     code: str
     hint: str
@@ -122,9 +124,11 @@ _REASONS: dict[ApprovalStanding, _Reason] = {
 def required_approvals(
     plan_file: Path, plan_bytes: bytes, plan: Plan, bench: Bench, moment: datetime, log: Findings
 ) -> KeptApprovals | None:
-    """What the run folder is to keep, if the plan has the approvals that its bench requires; otherwise None, and findings say why.
+    """The approval data that the run folder must keep, if the plan has the approvals that its bench requires; otherwise None, and
+    findings give the reasons.
 
-    The approvals are beside the plan, and the key ring is beside the bench file. moment: when it is to run, with a time zone.
+    The approvals are beside the plan, and the key ring is beside the bench file. moment: time at which the plan is to run, with a
+    time zone.
     """
     rule = bench.approvals
     if rule is None:
@@ -159,14 +163,14 @@ def _require_authors(rule: ApprovalRule, plan: Plan, ring: KeyRing, log: Finding
 
 @dataclass(frozen=True, slots=True)
 class _Differences:
-    """Says how plans that were approved differ from the present one."""
+    """Describes how approved plans differ from the present one."""
 
     folder: Path
     plan: Plan
     data: bytes
 
     def words(self, approval: StatedApproval) -> str:
-        """How the approved plan differs, if it is at hand and has the approved meaning."""
+        """The difference from the approved plan, if this plan is at hand and has the approved meaning."""
         data = approved_text(self.folder, approval)
         if data is None:
             return ""
@@ -191,7 +195,8 @@ def _tell(
     differences: _Differences | None = None,
     remedy: str = "",
 ) -> None:
-    """One error, and for each key another that says why its newest approval does not count. remedy: by default to approve the plan."""
+    """Adds one error, and for each key a further error with the reason why its newest approval does not count. remedy: text of the
+    remedy, by default to approve the plan."""
     persons = sorted({one.person for one in found if one.standing == "counts"})
     counted = (
         f"only the approval by {persons[0]} counts"
@@ -225,11 +230,12 @@ def _tell(
 def still_approved(
     reader: RunReader, plan: Plan, bench: Bench, bench_file: Path | None, further: Path | None = None
 ) -> tuple[JsonObject, ...]:
-    """Further approvals under which a run is to continue, as entries for its journal. Raises `InputError` if too few count today.
+    """Further approvals under which a run is to continue, as entries for its journal. Raises `InputError` if too few of them count
+    today.
 
-    bench_file: of a bench that replaces the one in the folder. further: plan file beside which approvals are that were given since the run
-    began; without it, only those count under which it began or was continued. Approvals that expired or were withdrawn since, and keys
-    that were revoked, count no more.
+    bench_file: of a bench that replaces the one in the folder. further: plan file next to which approvals are that were given after
+    the run began. Without it, only the approvals count with which it began or was continued. Approvals that have expired or been
+    withdrawn since then, and keys that have been revoked, no longer count.
     """
     rule = bench.approvals
     if rule is None:
@@ -266,7 +272,7 @@ def still_approved(
 def _renewals(
     state: JournalState,
 ) -> list[tuple[datetime, tuple[tuple[StatedApproval, ...], tuple[DamagedApproval, ...]]]]:
-    """When a run was continued under further approvals, and these; also the entries that are none."""
+    """The times at which a run was continued with further approvals, and these approvals; also the entries that are not approvals."""
     return [(datetime.fromisoformat(at), entries_of(given)) for at, given in state.renewals]
 
 
@@ -275,14 +281,14 @@ def _renewals(
 
 @dataclass(frozen=True, slots=True)
 class RunApproval:
-    """An approval under which a plan ran. verified: whether a key ring was given to verify it with; otherwise it was judged with the ring
-    that the run folder keeps, which proves nothing about the owner of the key."""
+    """An approval under which a plan ran. verified: whether a key ring was given to verify it. If not, it was checked with the ring
+    in the run folder, which proves nothing about the owner of the key."""
 
     judged: JudgedApproval
     verified: bool
 
     def words(self) -> str:
-        """Who approved, when, until when, with which key."""
+        """Who approved, when, until when, and with which key, in words."""
         stated = self.judged.stated
         if not isinstance(stated, StatedApproval):
             return stated.file
@@ -291,7 +297,7 @@ class RunApproval:
 
 
 def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, ...]:
-    """The approvals of a run, judged for the moment when it began; what is wrong with them becomes findings. ring: the known keys."""
+    """The approvals of a run, checked for the moment when the run began. Faults become findings. ring: the known keys."""
     path = found.folder.path
     if not {PLAN, BENCH} <= found.given.keys() or not found.run:
         return ()
@@ -344,7 +350,7 @@ def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, .
 
 
 def _check_override(found: Examined, kept: KeptApprovals, ring: KeyRing) -> None:
-    """Whether the signed overrides of the check standard with which the run began, or was continued, counted then."""
+    """Checks whether the signed overrides of the check standard were valid when the run began or was continued with them."""
     begun = found.run.get("check_standard", {})
     created = datetime.fromisoformat(str(found.run["created"]))
     judged_then = [(RUN, created, kept.day, begun)]
@@ -365,7 +371,7 @@ def _check_override(found: Examined, kept: KeptApprovals, ring: KeyRing) -> None
 def _tell_invalid(
     found: Examined, where: Path, seen: Sequence[JudgedApproval], outdated: Sequence[ApprovalStanding], *, met: bool
 ) -> None:
-    """Reports approvals that do not count, except for reasons that later approvals make up for. met: whether enough count."""
+    """Reports approvals that do not count, except if later approvals replace them. met: whether enough approvals count."""
     why = "; ".join(f"{_name(one)}: {one.why}" for one in seen if one.standing not in ("counts", *outdated))
     if not met or why:
         lacking = "the approvals that the bench requires are not all valid"
@@ -410,8 +416,8 @@ def _name(one: JudgedApproval) -> str:
 
 
 def approved_by(reader: RunReader) -> Iterator[tuple[str, str]]:
-    """Name of each person whose approval the run keeps, and what reports print about it. They were verified when the run began, or was
-    continued under further ones."""
+    """The name of each person whose approval the run keeps, and the text that reports print about it. They were verified when the
+    run began or was continued with further approvals."""
     if reader.approvals is None:
         return
     kept, _ = kept_approvals(reader.approvals, reader.path)

@@ -47,8 +47,8 @@ _ANYBODY = ApprovalRule(keys="", author_may_approve=True)
 
 @dataclass(frozen=True, slots=True)
 class PreparedApproval:
-    """What an approval would state. sound: the plan on each bench; last: the newest approval of a plan with another meaning, with how the
-    present plan differs from it, if that plan is at hand."""
+    """The content of an approval before it is signed. sound: the plan on each bench; last: the newest approval of a plan with
+    another meaning, with the difference from the present plan if that plan is at hand."""
 
     plan: Path
     what: Approved
@@ -58,7 +58,8 @@ class PreparedApproval:
 
 @dataclass(frozen=True, slots=True)
 class BenchApprovals:
-    """The approvals of a plan on one bench. rule: of the bench, None if it requires none; met: whether they are enough."""
+    """The approvals of a plan on one bench. rule: rule of the bench, None if it requires no approvals; met: whether there are
+    enough."""
 
     bench: str
     rule: ApprovalRule | None
@@ -69,7 +70,7 @@ class BenchApprovals:
 def prepare(
     plan: Path, benches: Sequence[str] = (), until: date | None = None, *, foresee: bool = True
 ) -> PreparedApproval:
-    """What an approval of a plan would state. benches: shipped names or files, by default the bench of the plan; until: last day.
+    """Prepares an approval of a plan. benches: shipped names or files, by default the bench of the plan; until: last day.
 
     foresee: whether the difference to the last approved version contains the consequences. Raises `InputError` for a plan that does not
     pass its checks on every bench, or a day in the past.
@@ -108,7 +109,7 @@ def _last(
 def approve(
     prepared: PreparedApproval, signer: Signer, name: str, statement: str = "", storage: Storage | None = None
 ) -> str:
-    """Signs what was prepared; returns the name of the new file. Raises `InputError`."""
+    """Signs the prepared approval; returns the name of the new file. Raises `InputError`."""
     require_line(str(prepared.plan), "name", name, 1)
     require_line(str(prepared.plan), "statement", statement)
     signed = utc_now()
@@ -136,7 +137,8 @@ def withdraw(plan: Path, signer: Signer, name: str, why: str, storage: Storage |
 
 
 def approvals_on(plan: Path, sound: Sound, ring: KeyRing | None = None) -> BenchApprovals:
-    """The approvals of a plan on a bench as they count now. ring: used instead of the one that the bench names. Raises `InputError`."""
+    """The approvals of a plan on a bench that are valid now. ring: key ring to use instead of the one that the bench names. Raises
+    `InputError`."""
     rule = sound.bench.approvals
     if ring is None:
         ring = KeyRing({}) if rule is None else ring_of(rule, Path(sound.bench.origin.mark.file)).ring

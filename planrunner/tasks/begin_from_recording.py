@@ -1,4 +1,4 @@
-"""A bench and a plan to begin with, made from a recording that has no description yet."""
+"""Makes a first bench and plan from a recording that has no description yet."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STILL = 0.9
 
 
 def _quoted(text: str) -> str:
-    """A text in YAML."""
+    """A text as a YAML value."""
     return text if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./]*", text) else "'" + text.replace("'", "''") + "'"
 
 

@@ -1,4 +1,4 @@
-"""Issuing a calibration certificate of a run: its contents, and the obstacles to issuing it."""
+"""Issues a calibration certificate of a run: its contents, and the obstacles to issuing it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def facts(
     before: Mapping[str, Estimate] | None = None,
     before_run: str = "",
 ) -> CertificateFacts:
-    """Contents of a certificate of this run. given: run information supplied at the issue, which takes precedence over that of the run."""
+    """Contents of a certificate of this run. given: run information given at the issue; it takes precedence over that of the run."""
     recorded = recorded_information(reader)
     segments = tuple(recording)
     bench = sound.bench
@@ -191,7 +191,8 @@ def _check_estimates(sound: Sound, shown: CertificateFacts, mark: Mark, log: Fin
 
 
 def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log: Findings) -> None:
-    """7.8.8: an issued certificate is replaced by a new one with a different number that names the replaced certificate and the reason."""
+    """Checks ISO/IEC 17025, 7.8.8: an issued certificate is replaced by a new one with a different number that names the replaced
+    certificate and the reason."""
     told = shown.told
     earlier = [one for one in reader.analyses if any(map(is_certificate, one.files))]
     numbers = [_number_of(one) for one in earlier]
@@ -222,7 +223,7 @@ def issued_as(shown: CertificateFacts) -> JsonObject:
 
 
 def _number_of(analysis: StoredAnalysis) -> str | None:
-    """The number of the certificate that was issued with an analysis; None if that was not stored. Raises `IntegrityError`."""
+    """The number of the certificate that was issued with an analysis; None if no number was stored. Raises `IntegrityError`."""
     if ISSUED not in analysis.files:
         return None
     number = analysis.read_json(ISSUED, "issued", "planrunner_issued", 1).get("certificate_number")
@@ -230,7 +231,7 @@ def _number_of(analysis: StoredAnalysis) -> str | None:
 
 
 def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader) -> list[Finding]:
-    """Obstacles to using a run as the one before the adjustment: it is the certified run itself, or was made on another item."""
+    """Obstacles to using a run as the run before the adjustment: it is the certified run itself, or was made on another item."""
     if (reader.run["run"], reader.run["created"]) == (certified.run["run"], certified.run["created"]):
         message = "this is the run to be certified; it cannot also be the run before the adjustment"
         hint = "give the run of the same item before its adjustment"
@@ -246,5 +247,5 @@ def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader)
 
 
 def names() -> list[str]:
-    """The run information that certificates use."""
+    """Names of the run information that certificates use."""
     return [item.name for item in ASKED]

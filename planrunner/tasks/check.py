@@ -48,8 +48,8 @@ HOPELESS = 1e6
 
 @dataclass(slots=True)
 class Checked:
-    """A plan as far as it could be read and checked. plan_bytes, bench_bytes: the exact bytes read, with the values that were given for
-    parameters. approvals: those that the bench requires, if the plan has them."""
+    """A plan as far as it could be read and checked. plan_bytes, bench_bytes: the exact bytes read, including the values given for
+    parameters. approvals: the approvals that the bench requires, if the plan has them."""
 
     file: str
     findings: Findings
@@ -66,7 +66,7 @@ class Checked:
 
     @property
     def name(self) -> str:
-        """The name under which its runs are kept."""
+        """The name of the plan in the archive."""
         return variant_name(Path(self.file).stem, self.parameters)
 
     @property
@@ -87,8 +87,8 @@ class Checked:
 
     @property
     def portable(self) -> bool:
-        """Whether another computer would find the same on this day: it has no signing key, perhaps other runs and another time, and may
-        lack files."""
+        """Whether another computer would have the same result on this day. Another computer has no signing key, may have other runs
+        and another time, and may lack files."""
         bench = self.bench
         if bench is None or not self.ok:
             return False
@@ -124,8 +124,8 @@ class Checked:
 
 @dataclass(frozen=True, slots=True)
 class Sound:
-    """A plan that passed its checks (warnings may remain in `findings`). parameters: values that were given for parameters. approvals:
-    those that the bench requires; a plan without them does not run on such a bench."""
+    """A plan that passed its checks (warnings may remain in `findings`). parameters: values that were given for parameters.
+    approvals: the approvals that the bench requires. On such a bench, a plan without approvals does not run."""
 
     file: str
     findings: Findings
@@ -143,7 +143,7 @@ class Sound:
 
     @property
     def name(self) -> str:
-        """The name under which its runs are kept."""
+        """The name of the plan in the archive."""
         return variant_name(Path(self.file).stem, self.parameters)
 
 
@@ -163,11 +163,11 @@ def check_plan(
 ) -> Checked:
     """All checks of a plan before it runs. Never raises because of the content of the files.
 
-    plan_file: path of the plan, or the plan itself; its bench is then sought relative to the shown name. Approvals are sought beside a
-    path only: without it, a plan for a bench that requires approvals passes, but does not run. bench: replaces the plan's bench:
-    a shipped name or a file relative to the working folder, exactly this path, or the bench itself. today: the day on which calibrations
-    must be valid, by default the current day. parameters: values for parameters of the plan; what is wrong with such a value is found where
-    it was given.
+    plan_file: path of the plan, or the plan itself. For a plan itself, the bench is searched relative to the shown name. Approvals
+    are searched only next to a path. A plan without path for a bench that requires approvals passes, but does not run. bench: bench
+    that replaces the plan's bench: a shipped name, a file relative to the working folder (exactly this path), or the bench itself.
+    today: the day on which calibrations must be valid, by default the current day. parameters: values for parameters of the plan.
+    Findings about such a value name the place where it was given.
     """
     file = plan_file.shown if isinstance(plan_file, Document) else str(plan_file)
     checked = Checked(file, Findings(), {name: given.value for name, given in parameters.items()})
@@ -231,7 +231,7 @@ def _check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
 
 
 def _check_approvals(checked: Checked, plan_file: Path, plan: Plan, bench: Bench, today: date | None) -> None:
-    """A plan with errors is not judged: it cannot run, and correcting it may change its meaning."""
+    """Checks the approvals of a plan without errors. A plan with errors cannot run, and correcting it may change its meaning."""
     if bench.approvals is None or checked.findings.errors:
         return
     from planrunner.tasks.approvals import required_approvals
@@ -373,7 +373,7 @@ def _alike(judged: Sequence[Identifiability]) -> list[list[Identifiability]]:
 
 
 def _report(name: str, alike: Sequence[Identifiability], mark: Mark, log: Findings) -> None:
-    """One finding for a group of outputs with the same judgement, if one is necessary."""
+    """One finding for a group of outputs with the same result, if a finding is necessary."""
     judged, names = alike[0], [one.output for one in alike]
     outputs = f"output {names[0]}" if len(names) == 1 else f"outputs {', '.join(names[:-1])} and {names[-1]}"
     if not judged.sound:
@@ -435,7 +435,7 @@ def _other_dimension(limit: Limit, key: str, given: str, wanted: str, log: Findi
 
 
 def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
-    """Warns about a guarded limit that is narrower than the expected uncertainty: no value could pass it."""
+    """Warns about a guarded limit that is narrower than the expected uncertainty, because no value could pass it."""
     if limit.rule != "guarded":
         return
     try:

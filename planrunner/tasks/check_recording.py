@@ -1,6 +1,6 @@
 """Checks of the recording of a plan before the run: the whole file, then a trial of every estimate.
 
-Findings are added to those of the plan. No value is kept: the check shows only whether a run will complete.
+Findings are added to those of the plan. No value is kept. The check only shows whether a run would complete.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from planrunner.tasks.check import Checked, Sound
 
 
 def check_recording(checked: Checked, data_root: Path, notice: Announce | None = None) -> None:
-    """Adds findings about the recording that a plan's bench plays back; nothing for other benches. notice: receives the
+    """Adds findings about the recording that a plan's bench plays back. For other benches it does nothing. notice: receives the
     progress. Never raises because of the content of the files."""
     bench, models, log = checked.bench, checked.models, checked.findings
     if bench is None or models is None:

@@ -1,4 +1,4 @@
-"""The check standard of a bench before a run: its state from the archive, and whether the run may begin."""
+"""The check standard of a bench before a run: its state according to the archive, and whether the run may begin."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ CODE = "bench-check-standard"
 
 @dataclass(frozen=True, slots=True)
 class Override:
-    """A person lets a run begin although the check standard is not in control, and says why."""
+    """The decision of a person to let a run begin although the check standard is not in control, with the reason."""
 
     by: str
     why: str
 
 
 def override_file(bench_file: Path) -> Path:
-    """Where the signed override of a bench is: beside its file."""
+    """Path of the signed override of a bench, next to its file."""
     return bench_file.with_name(f"{bench_file.stem}.override.json")
 
 
 def sign_override(bench: Bench, override: Override, until: date, signer: Signer) -> Path:
-    """Signs an override of the check standard of a bench, and writes it beside the bench file, in place of an earlier one. Raises
-    `InputError` unless it counts for runs now."""
+    """Signs an override of the check standard of a bench and writes it next to the bench file. It replaces an earlier one. Raises
+    `InputError` unless it is valid for runs now."""
     rule = bench.check_standard
     if rule is None or bench.approvals is None:
         message = f"bench '{bench.name}' needs `check_standard`, and `approvals` with a key ring, for a signed override"
@@ -79,8 +79,8 @@ def sign_override(bench: Bench, override: Override, until: date, signer: Signer)
 
 
 def signature_of(bench: Bench, override: Override) -> JsonObject | None:
-    """The signed statement of an override; None if the bench has no key ring, so that the name cannot be authenticated. Raises `InputError`
-    if the bench has a key ring, and there is no signed override beside its file that counts now."""
+    """The signed statement of an override; None if the bench has no key ring, so that its author cannot be authenticated. Raises
+    `InputError` if the bench has a key ring and no valid signed override is next to its file."""
     rule = bench.check_standard
     if rule is None or bench.approvals is None:
         return None
@@ -111,14 +111,14 @@ def _require_named(bench: Bench, rule: CheckStandardRule, override: Override) ->
 
 
 def shown_name(override: JsonObject) -> str:
-    """Who gave an override of run.json, and whether this is authenticated."""
+    """The author of an override in run.json, and whether this name is authenticated."""
     name = str(override["by"])
     return name if "signature" in override else f"{name} (name not authenticated)"
 
 
 @dataclass(frozen=True, slots=True)
 class Admission:
-    """A run may begin. record: what run.json keeps about the check standard. findings: warnings."""
+    """Permission for a run to begin. record: data about the check standard that run.json keeps. findings: warnings."""
 
     record: JsonObject | None = None
     findings: tuple[Finding, ...] = ()
@@ -145,7 +145,7 @@ def control_state(
 
 
 def check_in_control(bench: Bench, state: ControlState, log: Findings) -> None:
-    """Adds a finding at the rule in the bench file if the check standard is not in control, and one for folders that are left out."""
+    """Adds a finding at the rule in the bench file if the check standard is not in control, and one for folders that are omitted."""
     rule = bench.check_standard
     if rule is None:
         return
@@ -177,7 +177,7 @@ def _restore(damaged: Sequence[FaultRow]) -> str:
 
 
 def check_before_run(bench: Bench, plan_name: str, archive: Path, log: Findings) -> None:
-    """The check of a plan: the plan that measures the check standard may always run."""
+    """Checks the check standard as part of the check of a plan. The plan that measures the check standard may always run."""
     rule = bench.check_standard
     if rule is None or plan_name == rule.plan_name:
         return
@@ -195,8 +195,9 @@ def admit(
     notice: Announce | None = None,
     signature: JsonObject | None = None,
 ) -> Admission:
-    """Whether a run may begin on a bench. Raises `InputError` if its check standard is not in control and nobody who is authorised lets the
-    run begin, or if an override does not apply. signature: of the override, if it was verified when the run began."""
+    """Checks whether a run may begin on a bench. Raises `InputError` if its check standard is not in control and no authorised
+    person lets the run begin, or if an override does not apply. signature: signature of the override, if it was verified when the
+    run began."""
     rule = bench.check_standard
     if rule is None:
         if override is not None:
@@ -236,9 +237,9 @@ def admit_again(
     notice: Announce | None = None,
     bench_file: Path | None = None,
 ) -> Admission:
-    """Whether a run may be continued: the check standard is judged as now, in the archive of the run. An override with which it began is
-    one for the whole run. bench: on which it is continued; bench_file: its file, if it replaces the one in the run folder. Raises
-    `InputError` as `admit`."""
+    """Checks whether a run may be continued. The state of the check standard is its present state in the archive of the run. An
+    override with which the run began applies to the whole run. bench: the bench on which it is continued; bench_file: its file, if
+    it replaces the file in the run folder. Raises `InputError` like `admit`."""
     signature: JsonObject | None = None
     rule, began = bench.check_standard, run.run.get("check_standard", {}).get("override")
     own = None if began is None else Override(str(began["by"]), str(began["why"]))
@@ -254,8 +255,8 @@ def admit_again(
 
 
 def _signature_kept(bench: Bench, run: RunReader, began: JsonObject, bench_file: Path | None) -> JsonObject | None:
-    """The signature of the override with which a run began. Raises `InputError` if it did not count then; None without a key ring or a
-    signature."""
+    """The signature of the override with which a run began. Raises `InputError` if the signature was not valid then. None without a
+    key ring or a signature."""
     if bench.approvals is None or run.approvals is None or "signature" not in began:
         return None
     kept, created = kept_approvals(run.approvals, run.path)[0], datetime.fromisoformat(str(run.run["created"]))

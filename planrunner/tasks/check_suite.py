@@ -1,4 +1,4 @@
-"""The checks of a suite, all in one run: its own form and names, every plan on every bench that it will run on, and the timetable."""
+"""The checks of a suite, all in one run: its own form and names, every plan on every bench on which it will run, and the timetable."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from planrunner.tasks.check import Checked, Document, check_plan
 
 @dataclass(frozen=True, slots=True)
 class PlanOnBench:
-    """What the check of a plan on a bench found. seconds: planned duration; None if a recording gives it. size: largest number of bytes of
-    the run. asks: run information that the plan asks for, each with whether it is required."""
+    """Result of the check of a plan on a bench. seconds: planned duration; None if the length of a recording determines it. size:
+    largest number of bytes of the run. asks: run information that the plan asks for, and for each item whether it is required."""
 
     findings: tuple[Finding, ...]
     ok: bool
@@ -59,11 +59,11 @@ class CheckedSuite:
 
     @property
     def durations(self) -> tuple[float | None, ...]:
-        """Planned seconds of each test."""
+        """Planned duration of each test, s."""
         return tuple(self.plans[test.measurement].seconds for test in self.tests)
 
     def sound(self) -> SoundSuite:
-        """The suite with everything that a night needs. Raises `InputError` with the findings if there are errors."""
+        """The suite with all data that a night needs. Raises `InputError` with the findings if there are errors."""
         if self.findings.errors or self.suite is None or self.forecast is None:
             raise InputError(self.findings)
         asks = tuple(dict(self.plans[test.measurement].asks) for test in self.tests)
@@ -91,12 +91,12 @@ class SoundSuite:
     size: int
 
     def bench_of(self, test: PlannedTest) -> str:
-        """The bench of a test as `planrunner run --bench` takes it."""
+        """The bench of a test in the form of `planrunner run --bench`."""
         return bench_file(self.suite, self.file, test.bench)
 
 
 def is_suite(file: Path) -> bool:
-    """Whether a file is a suite, by its key `planrunner_suite`. A file that cannot be read is not."""
+    """Whether a file is a suite, by its key `planrunner_suite`. False for a file that cannot be read."""
     try:
         data = source.read_bytes(file)
         # The whole text is parsed only if it contains the key.
@@ -118,9 +118,9 @@ def check_suite(
 ) -> CheckedSuite:
     """All checks of a suite before a night. Never raises because of the content of the files.
 
-    at: the local time from which the night may begin, in the zone of the suite (ISO 8601), by default now. workers: share the
-    plans; by default processes of this machine. archive: with the runs of the check standards of the benches;
-    without it, their state is not checked.
+    at: the local time from which the night may begin, in the zone of the suite (ISO 8601), by default now. workers: processes that
+    share the plans, by default on this machine. archive: contains the runs of the check standards of the benches; without it, their
+    state is not checked.
     """
     checked = CheckedSuite(file.shown if isinstance(file, Document) else str(file), Findings())
     log = checked.findings
@@ -160,7 +160,7 @@ def check_suite(
 
 
 def _rules(suite: Suite, file: str) -> dict[str, tuple[Bench, Path]]:
-    """Bench of the suite → the bench, and the folder of its file, for benches with a check standard. What is wrong with a bench is found
+    """For each bench of the suite that has a check standard: the bench, and the folder of its file. Faults of a bench are reported
     with its plans."""
     found = {}
     for name in suite.benches:
@@ -211,7 +211,8 @@ def _standards(suite: Suite, rules: Mapping[str, tuple[Bench, Path]], log: Findi
 def _check_standards(
     checked: CheckedSuite, suite: Suite, rules: Mapping[str, tuple[Bench, Path]], archive: Path | None
 ) -> None:
-    """The plan of a check standard says which device it measured. A check standard that no test of the suite measures is in control now."""
+    """Checks that the plan of a check standard states which device it measures. Also checks that a check standard that no test of
+    the suite measures is in control now."""
     log = checked.findings
     for name, (bench, _) in rules.items():
         rule, own = bench.check_standard, [test for test in checked.tests if test.bench == name]
@@ -237,7 +238,7 @@ def _check_standards(
 
 
 def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
-    """Checks every plan on every bench that it runs on with every combination of its parameters, each once."""
+    """Checks every plan on every bench with every combination of its parameters. Each case is checked once."""
     log = checked.findings
     first: dict[Measurement, PlannedTest] = {}
     for test in checked.tests:
@@ -270,13 +271,13 @@ def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
 
 
 def _of_variant(finding: Finding, test: PlannedTest) -> Finding:
-    """A finding in a plan that it has with some values of its parameters only."""
+    """A finding in a plan that occurs only with some values of its parameters."""
     values = ", ".join(f"{name} = {value}" for name, value in test.parameter_values.items())
     return replace(finding, message=f"{finding.message} (with {values})")
 
 
 def _plan_of(test: PlannedTest) -> Mark:
-    """Where the suite names the plan of a test."""
+    """The place where the suite names the plan of a test."""
     return test.mark if test.standard else test.plan.at("plan")
 
 
@@ -285,7 +286,8 @@ _Item = tuple[Path, str, Mapping[str, Given]]
 
 
 def _look_elsewhere(today: date, given: tuple[_Item, Path, Path]) -> PlanOnBench | None:
-    """On a worker of a cluster: None if this computer does not decide it. given: the item, and its plan and bench as paths."""
+    """Checks a plan on a worker of a cluster. Returns None if the result depends on the computer. given: the item, and its plan and
+    bench as paths."""
     file, bench, parameters = given[0]
     found = check_plan(file, bench, today=today, parameters=parameters)
     return _seen(found) if found.portable else None
@@ -315,7 +317,7 @@ def _seen(found: Checked) -> PlanOnBench:
 
 
 def _check_information(checked: CheckedSuite, suite: Suite) -> None:
-    """The run information that the plans ask for is given, and what is given is asked for."""
+    """Checks that the run information that the plans ask for is given, and that no other information is given."""
     log = checked.findings
     asked: set[str] = set()
     for test in checked.tests:
@@ -350,7 +352,7 @@ def _check_information(checked: CheckedSuite, suite: Suite) -> None:
 
 
 def _check_devices(checked: CheckedSuite, suite: Suite) -> None:
-    """Nobody moves a device from one real bench to another at night."""
+    """Checks that no device is on two real benches, because nobody moves it at night."""
     real = {bench for (_, bench, _), answer in checked.plans.items() if answer.ok and not answer.virtual}
     for name, device in suite.devices.items():
         places = sorted({test.bench for test in checked.tests if test.device == name} & real)

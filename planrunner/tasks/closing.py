@@ -1,7 +1,8 @@
 """Closing the gap: the effects that a diagnosis finds are entered into the simulation, the plan is simulated again, and the recording is
 compared with the simulations without and with them. A recording that is played back is simulated at its recorded motion, without a bench.
 
-`close` repeats this: effects found are subtracted from the recording, which is diagnosed again, until nothing is left that has a name.
+`close` repeats this: the effects found are subtracted from the recording, which is diagnosed again, until no remaining effect has a
+name.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class Ending(Enum):
 
 @dataclass(frozen=True)
 class ClosingRound:
-    """One round of `close`: the diagnosis of what was left, and the comparison after entering its effects."""
+    """One round of `close`: the diagnosis of the remaining gap, and the comparison after its effects are entered."""
 
     made: Diagnosed
     comparison: GapComparison
@@ -64,8 +65,8 @@ class ClosingRound:
 
 @dataclass(frozen=True)
 class Closed:
-    """first: diagnosis of the recording; last: of what is left. bench: text of the bench with all effects entered; empty if there are
-    none, or if no bench simulated the plan."""
+    """Result of `close`. first: diagnosis of the recording; last: diagnosis of the remaining gap. bench: text of the bench with all
+    effects entered; empty if there are no effects, or if no bench simulated the plan."""
 
     first: Diagnosed
     rounds: tuple[ClosingRound, ...]
@@ -78,9 +79,10 @@ class Closed:
 def comparison(
     made: Diagnosed, stop: StopRequest, simulation: str | None = None, stated: Stated | None = None
 ) -> GapComparison:
-    """Compare the recording of a diagnosis with two simulations, without and with effects. simulation: the virtual bench that simulates the
-    plan, by name or file; by default that of the recording. A bench that plays recordings simulates nothing: the simulations are then
-    computed for the recorded motion. stated: the effects, as in the diagnosis; by default those of the verdict.
+    """Compares the recording of a diagnosis with two simulations, without and with effects. simulation: the virtual bench that
+    simulates the plan, by name or file; by default that of the recording. A bench that plays recordings cannot simulate, so the
+    simulations are then computed for the recorded motion. stated: the effects in the form of the diagnosis; by default those of the
+    verdict.
 
     The noise of both simulations is independent of that of the recording. Raises `InputError` if the bench cannot simulate the plan.
     """
@@ -118,8 +120,8 @@ def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: St
 
 
 def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
-    """The samples of the nominal simulation at the recorded motion, without and with effects, each with white noise of its own. Its level
-    is that of the recording, but the declared one in the simulation without an effect that acts on it."""
+    """The samples of the nominal simulation at the recorded motion, without and with effects. Each has its own white noise. The
+    noise level is that of the recording. It is the declared level in the simulation without an effect that changes the noise."""
     from planrunner.error_model.effects.interface import ActsOnNoise, triad_of
 
     weighing = made.diagnosis.grounds.weighing
@@ -157,7 +159,7 @@ def close(
     rounds: int = ROUNDS,
     notice: Announce | None = None,
 ) -> Closed:
-    """Diagnose, enter the effects found, simulate and compare, until nothing is left that has a name. Raises `InputError`."""
+    """Diagnoses, enters the effects found, simulates and compares, until no remaining effect has a name. Raises `InputError`."""
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
 
     computed = computed_from_recording(recorded, simulation)
@@ -202,7 +204,7 @@ def close(
 
 
 def _merged(entered: Stated, further: Stated) -> Stated | None:
-    """All effects; of one that is named again and is linear, the sum of the amplitudes. None if one that is not linear is named again."""
+    """Combines effects. If a linear effect is named again, its amplitudes are added. None if a nonlinear effect is named again."""
     from planrunner.error_model.effects.interface import HasShape
 
     merged = dict(entered)
@@ -231,8 +233,8 @@ def _without(made: Diagnosed, stated: Stated) -> Observed:
 
 
 def _additions(made: Diagnosed, stated: Stated) -> list[Addition]:
-    """The effects with all their parameters. What every simulated world contains is missing from a nominal simulation without it, so its
-    whole share counts."""
+    """The effects with all their parameters. A nominal simulation lacks the effects that every simulated world contains, so the
+    whole share of such an effect counts."""
     from planrunner.error_model.added import SHARE, addition
     from planrunner.error_model.effects.interface import InEveryWorld
 
@@ -248,7 +250,7 @@ def _additions(made: Diagnosed, stated: Stated) -> list[Addition]:
 
 
 def _plus(made: Diagnosed, fitted: Array, additions: Sequence[Addition]) -> Array:
-    """The output of the nominal simulation (N, K), SI, with effects."""
+    """The output of the nominal simulation (N, K), SI, plus effects."""
     from planrunner.error_model.added import added
 
     return added(replace(made.diagnosis.grounds.weighing.declared, fitted=fitted), fitted, additions, 0)
@@ -279,7 +281,7 @@ def _base(recorded: Recorded, simulation: str | None) -> Sound:
 
 
 def _absent(nominal: Sequence[str], stated: Stated) -> Stated:
-    """What every simulated world contains and the nominal simulation of the diagnosis lacks, removed."""
+    """Removals of the effects that every simulated world contains but the nominal simulation of the diagnosis lacks."""
     from planrunner.error_model.effects.interface import InEveryWorld
 
     known = {*nominal, *(name for name, _ in stated)}
@@ -291,7 +293,7 @@ def _absent(nominal: Sequence[str], stated: Stated) -> Stated:
 
 
 def _with(base: Sound, stated: Stated, mark: Mark) -> Sound:
-    """The plan on the bench with these effects."""
+    """The plan on the bench with the given effects."""
     if not stated:
         return base
     shown = base.bench.origin.mark.file

@@ -1,7 +1,7 @@
 """Designing the rotation cycle of a segment: the residual of a constant horizontal error for the planned cycle, and cycles with zero
 residual.
 
-Angles and turns of a study have the sense of the plan, clockwise if the plan states it.
+Angles and rotations of a study are positive in the sense of the plan, clockwise if the plan states it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ def has_cycle_alone(checked: Checked) -> bool:
 
 
 def design_cycle(checked: Checked, asked: Asked) -> FoundCycles:
-    """Raises `InputError` with the plan's findings, and `EstimationError` if there is no cycle to design."""
+    """Designs the rotation cycle of a plan. Raises `InputError` with the plan's findings, and `EstimationError` if there is no
+    cycle to design."""
     if asked.time is not None:
         raise EstimationError("--time distributes dwell times; the length of a cycle follows from its turns and stops")
     if checked.findings.errors or checked.schedule is None or checked.models is None or checked.plan is None:
@@ -86,7 +87,7 @@ def _find(segments: Sequence[Segment], label: str | None) -> Segment:
 
 
 def _turned(cycle: RotationCycle, sign: float) -> RotationCycle:
-    """The cycle, with all turns reversed if `sign` is −1."""
+    """The cycle, with all rotations reversed if `sign` is −1."""
     return replace(cycle, turns=tuple(sign * turn for turn in cycle.turns))
 
 
@@ -102,7 +103,7 @@ def _cable(axes: Sequence[TableAxis], segment: Segment, azimuth: float, sign: fl
 
 
 def _sense(plan: model.Plan, label: str) -> float:
-    """−1 if the plan counts angles clockwise."""
+    """−1 if the plan counts angles clockwise, otherwise 1."""
     return -1.0 if _motion(plan, label).sense == "clockwise" else 1.0
 
 

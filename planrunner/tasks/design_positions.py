@@ -1,4 +1,5 @@
-"""Designing the positions of a plan on its bench: the information from the planned positions, from the best set found, and the bound."""
+"""Designs the positions of a plan on its bench: the information from the planned positions, that from the best set found, and the
+upper bound."""
 
 from __future__ import annotations
 
@@ -50,7 +51,8 @@ _WITH_BOUND = ("D", "A", "I")  # criteria whose continuous optimum is solved for
 def design_positions(
     checked: Checked, asked: Asked, progress: SearchProgress | None = None, workers: Workers = ALONE
 ) -> FoundPositions:
-    """workers: share the free search. Raises `InputError` with the plan's findings, and `EstimationError` if there is nothing to design."""
+    """Designs the positions of a plan. workers: processes that share the search over free orientations. Raises `InputError` with
+    the plan's findings, and `EstimationError` if there is nothing to design."""
     if any(finding.code not in _REPAIRED for finding in checked.findings.errors) or checked.schedule is None:
         raise InputError(checked.findings)
     if asked.restarts < 1 or asked.seed < 0:
@@ -59,7 +61,7 @@ def design_positions(
 
 
 def _rows_of(rows: direction_cosines.RowsAt, axes: tuple[TableAxis, ...], azimuth: float, settings: Array) -> Array:
-    """The rows at a table's settings (m, k)."""
+    """The design rows at a table's settings (m, k)."""
     return rows(positions.attitudes(axes, settings, azimuth))
 
 
@@ -186,13 +188,13 @@ class _Designer:
 
     @property
     def _decimals(self) -> int:
-        """Decimals of the angles [deg] in written orientations: two if the table reaches any attitude; more if axes are missing or limited,
-        because a rounded orientation might be out of reach."""
+        """Number of decimals of the angles [deg] in written orientations. It is two if the table reaches any attitude, and more if
+        axes are missing or limited, because a rounded orientation might be out of reach."""
         anywhere = len(self.axes) == 3 and all(axis.continuous for axis in self.axes)
         return DECIMALS if anywhere else 7
 
     def _rounded(self, settings: Array) -> Array:
-        """Joint angles on whole hundredths of a degree within their limits, as an operator would set them."""
+        """Joint angles rounded to hundredths of a degree within their limits, as an operator would set them."""
         step = math.radians(10.0**-DECIMALS)
         low, high = np.array([(axis.lowest, axis.highest) for axis in self.axes]).T
         return np.clip(np.round(settings / step) * step, low, high)
@@ -201,7 +203,7 @@ class _Designer:
         return np.array([joint_angles(self.axes, one, np.zeros(len(self.axes)), self.azimuth) for one in attitudes])
 
     def _weighting(self, criterion: str) -> Array | None:
-        """The linear criterion for the search; sets for G are improved from those for D."""
+        """The linear criterion for the search. Sets for G are improved from those for D."""
         if criterion in "DG":
             return None
         return np.eye(self.terms) if criterion == "A" else region_moment(self.region_rows)
@@ -217,7 +219,7 @@ class _Designer:
         return exchange.choose(rows, self.count, weighting, seed=self.asked.seed, fixed=self.fixed, progress=tell)
 
     def _flattened(self, rows: Array, indices: exchange.Indices) -> exchange.Indices:
-        """For G, the choice after exchanges that lower the worst variance; otherwise the choice itself."""
+        """For G, the choice after exchanges that reduce the largest variance; otherwise the choice itself."""
         if self.asked.criterion != "G":
             return indices
         return worst_variance.exchange(
@@ -236,7 +238,8 @@ class _Designer:
     def _references(
         self, region: optimal.Region, cardinal_rows: Array, free: Array, found: Mapping[str, Sequence[Array]]
     ) -> tuple[dict[str, Merit], dict[str, Bounds]]:
-        """Best found and bounds, over cardinal and over all reachable orientations, each criterion from a search of its own."""
+        """The best sets found and their bounds, over cardinal and over all reachable orientations. Each criterion has its own
+        search."""
         merits = [self._merit(self.sight.rows(np.array(attitudes))) for attitudes in found.values()]
         continuous_ones = {}
         for number, criterion in enumerate(_WITH_BOUND):
@@ -319,7 +322,7 @@ class _Designer:
         )  # fmt: skip
 
     def _dwells(self, chosen: PositionSet) -> tuple[tuple[float, ...], float]:
-        """Dwells within the time budget, by place, and the D-efficiency of equal dwells relative to them."""
+        """Dwells within the time budget, by place, and the D-efficiency of equal dwells relative to these."""
         if self.asked.time is None:
             return (), 1.0
         used = [chosen.schedule.segments[segment.index] for place in self.places for segment in place.segments]
@@ -341,8 +344,8 @@ class _Designer:
 
 
 def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> tuple[Schedule, dict[str, Design]]:
-    """The plan with other orientations, given as attitudes (3, 3) by their place in the plan: its schedule with real transition times, and
-    the information for its estimates. Raises `EstimationError` if the bench cannot execute it."""
+    """The plan with other orientations, given as attitudes (3, 3) by their place in the plan. The result contains its schedule with
+    real transition times and the information for its estimates. Raises `EstimationError` if the bench cannot execute it."""
     assert checked.plan is not None and checked.models is not None and checked.models.sensor is not None
     new = {
         place: Orientation(in_words(attitude), tuple(map(tuple, attitude.tolist())))

@@ -1,8 +1,8 @@
-"""Designing the rates of a plan: the pairs of rates with most information about a scale factor, and their recording times within a time
-budget.
+"""Designs the rates of a plan: the pairs of rates with the most information about a scale factor, and their recording times within
+a time budget.
 
-The estimator gives the information of each rate: one sweep of the plan is changed, and everything else stays. For a straight line only the
-largest rates would be chosen. By default the columns |rate| and rate³ are therefore added to the estimator's terms, for asymmetry and
+The estimator gives the information of each rate. Only one sweep of the plan is changed. For a straight line only the largest rates
+would be chosen. By default the columns |rate| and rate³ are therefore added to the estimator's terms, for asymmetry and
 nonlinearity, which a scale-factor test also reports.
 """
 
@@ -58,8 +58,8 @@ def _used(checked: Checked, name: str) -> tuple[Segment, ...]:
 
 
 def design_rates(checked: Checked, asked: Asked, bench: str | None = None) -> FoundRates:
-    """Raises `InputError` with the plan's findings, and `EstimationError` if there are no rates to design. bench: as for
-    `check_plan`."""
+    """Designs the rates of a plan. Raises `InputError` with the plan's findings, and `EstimationError` if there are no rates to
+    design. bench: as for `check_plan`."""
     if checked.findings.errors or checked.schedule is None:
         raise InputError(checked.findings)
     if asked.criterion not in ("D", "A"):
@@ -195,7 +195,8 @@ class _RateDesigner:
         return np.asarray(weighted.T @ weighted)
 
     def _bundles(self, rates: Sequence[float], dwells: Sequence[float] | None = None) -> Array:
-        """Information (n, p, p) from all repeats of the pair at each rate: copies of the planned largest pair, moved to these rates."""
+        """Information (n, p, p) from all repeats of the pair at each rate. The rows are copies of the planned pair at the largest
+        rate, moved to these rates."""
         copies = []
         for number, rate in enumerate(rates):
             seconds = self._dwell(rate) if dwells is None else dwells[number]
@@ -213,7 +214,7 @@ class _RateDesigner:
         )
 
     def _dwell(self, rate: float) -> float:
-        """The value that the plan states for its largest rate, at a different rate."""
+        """The dwell that the plan states for its largest rate, converted to a different rate."""
         stated = self.stated[self.pattern[0].label].dwell
         if isinstance(stated, Turns):
             period = 2 * math.pi / rate
@@ -224,7 +225,7 @@ class _RateDesigner:
         return self.pattern[0].dwell
 
     def _overhead(self, rate: float) -> float:
-        """Seconds that one segment at a rate takes in addition to its dwell."""
+        """Time [s] that one segment at a rate takes in addition to its dwell."""
         return 2 * spin_up_time(self.axis, rate) + self.pattern[0].settle
 
     # -- the study -----------------------------------------------------------------------------------------------------
@@ -292,7 +293,7 @@ class _RateDesigner:
         return math.exp((reference - loss) / len(self.terms)) if self.asked.criterion == "D" else reference / loss
 
     def _allotted(self, rates: Sequence[float]) -> tuple[float, ...] | None:
-        """Whole turns per rate within the time budget, largest rate first; None without a budget."""
+        """Whole turns for each rate within the time budget, largest rate first; None without a budget."""
         if self.asked.time is None:
             return None
         assert self.checked.schedule is not None

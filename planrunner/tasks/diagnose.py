@@ -2,7 +2,8 @@
 
 The layers are independent of one another; they are combined here, for the command line and for programs.
 
-Recordings of one sensor made one after the other, such as of a plan and of what was proposed after it, are joined to one recording.
+Recordings of one sensor that were made one after the other are joined to one recording, for example those of a plan and of the plan
+that was proposed after it.
 """
 
 from __future__ import annotations
@@ -52,8 +53,8 @@ DIAGNOSIS_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A recording with its plan. where: the run folder or the file, for messages; bench: name or file of the bench, for use in another
-    plan. created: start of the run; remarks: notes on its folder. several: of several runs, joined."""
+    """A recording with its plan. where: the run folder or the file, for messages; bench: name or file of the bench, for use in
+    another plan. created: start of the run; remarks: notes on its folder. several: whether it is joined from several runs."""
 
     sound: Sound
     segments: tuple[RecordedSegment, ...]
@@ -66,9 +67,9 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosed:
-    """A diagnosis with remarks on the recording, the recording itself, and what to measure next, None if nothing is open. declarations:
-    wrong ones, which were corrected before the diagnosis. stated: parameters of effects that are known to act, with their stated values;
-    the key '' means the only parameter, or all amplitudes."""
+    """A diagnosis with remarks on the recording, the recording itself, and the proposal what to measure next, None if nothing is
+    open. declarations: wrong declarations, which were corrected before the diagnosis. stated: parameters of effects that are known
+    to act, with their stated values; the key '' means the only parameter, or all amplitudes."""
 
     recorded: Recorded
     diagnosis: Diagnosis
@@ -78,7 +79,7 @@ class Diagnosed:
     stated: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def advice(self) -> list[Advice]:
-        """What to do about each effect of the verdict."""
+        """The remedy for each effect of the verdict."""
         from planrunner.reporting.advice import advice
 
         fitted = self.diagnosis.parameters
@@ -99,7 +100,7 @@ class Diagnosed:
 
 
 def _declaration(wrong: WrongDeclaration) -> JsonObject:
-    """According to `declarations` of `schemas/diagnosis.schema.json`."""
+    """JSON data according to `declarations` of `schemas/diagnosis.schema.json`."""
     from planrunner.error_model.effects.about import about
 
     told = about(_loaded(wrong.effect))
@@ -126,10 +127,10 @@ def diagnose_recorded(
     notice: Announce | None = None,
     given: Sequence[str] = (),
 ) -> Diagnosed:
-    """Diagnoses how a recording differs from its simulation. options: by default those of the plan; jobs: threads of the linear algebra;
-    with many small systems more than one rarely helps. notice: receives the progress of reading. given: effects that are known to act, as
-    `EFFECT` (fitted), `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` (subtracted); the rest is diagnosed beside them.
-    Raises `InputError` with all obstacles to a diagnosis."""
+    """Diagnoses how a recording differs from its simulation. options: by default those of the plan; jobs: threads of the linear
+    algebra (more than one rarely helps, because the systems are small). notice: receives the progress of reading. given: effects
+    that are known to act, as `EFFECT` (fitted), `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` (subtracted). The remaining gap
+    is diagnosed. Raises `InputError` with all obstacles to a diagnosis."""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=jobs, user_api="blas"):
@@ -159,7 +160,7 @@ GIVEN = "--given"
 
 
 def _known(given: Sequence[str]) -> tuple[list[str], dict[str, Mapping[str, str]]]:
-    """Effects that are known to act: names of those to be fitted, and the stated values of the others. Raises `InputError`."""
+    """Effects that are known to act: the names of those to be fitted, and the stated values of the others. Raises `InputError`."""
     from planrunner.tasks.simulate import parsed
 
     fitted: list[str] = []
@@ -197,9 +198,9 @@ _CLEARLY = 2.0
 
 
 def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
-    """Warnings for values of the nominal terms outside the specification in the bench file, or outside what is usual for the grade that
-    the noise shows, whether the simulation fits them or the diagnosis names them. A value whose uncertainty is larger than the usual limit
-    is not determined by the plan, and says nothing about the sensor."""
+    """Warnings about values of the nominal terms outside the specification in the bench file, or outside the usual range of the
+    grade that the noise indicates. The values come from the simulation's fit or from the diagnosis. If the uncertainty of a value
+    is larger than the usual limit, the plan does not determine the value, and it gives no information about the sensor."""
     from planrunner.bench.grades import SENSES, grade_of
     from planrunner.gap.answer.nominal_values import nominal_values
     from planrunner.reporting.rounding import rounded
@@ -229,7 +230,8 @@ def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findi
 
 
 def _noise(found: Diagnosis) -> dict[Sense, float]:
-    """White noise of gyros and accelerometers as in `Grade.quietest`, the declared one where there is one: of the median channel."""
+    """White noise of gyros and accelerometers in the form of `Grade.quietest`: of the median channel, declared if there is a
+    declaration."""
     import math
 
     from planrunner.bench.grades import Sense
@@ -245,8 +247,8 @@ def _noise(found: Diagnosis) -> dict[Sense, float]:
 
 
 def diagnosed_again(made: Diagnosed, observed: Observed, options: DiagnosisOptions) -> Diagnosed:
-    """The diagnosis of the same recording with changed samples, from which effects were subtracted, without what to measure next. Raises
-    `InputError`."""
+    """The diagnosis of the same recording after effects were subtracted from its samples. It contains no proposal what to measure
+    next. Raises `InputError`."""
     from planrunner.gap.answer.diagnosis import diagnose
     from planrunner.observation.refusals import ObservationError
 
@@ -257,8 +259,8 @@ def diagnosed_again(made: Diagnosed, observed: Observed, options: DiagnosisOptio
 
 
 def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | None:
-    """What to measure next, for recordings whose orientations were planned. If no plan can be proposed, the log reports it and the
-    diagnosis stays valid."""
+    """The proposal what to measure next, for recordings with planned orientations. If no plan can be proposed, the log reports it
+    and the diagnosis stays valid."""
     from planrunner.tasks.propose import DEFAULT_SOAK, Frame, propose_next
 
     segments = tuple(map(_lasting, _chosen(recorded)))
@@ -293,8 +295,8 @@ def _lasting(item: RecordedSegment) -> RecordedSegment:
 
 
 def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple[Observed, Findings]:
-    """The samples with their planned states, and warnings; wrong declarations are corrected. nominal: terms that the simulation fits.
-    Raises `InputError` with the obstacles to a diagnosis."""
+    """The samples with their planned states, and warnings. Wrong declarations are corrected. nominal: terms that the simulation
+    fits. Raises `InputError` with the obstacles to a diagnosis."""
     seen, _, findings = corrected_observation(recorded, nominal)
     return seen, findings
 
@@ -302,7 +304,7 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
 def corrected_observation(
     recorded: Recorded, nominal: Sequence[str]
 ) -> tuple[Observed, tuple[WrongDeclaration, ...], Findings]:
-    """As `observe`, with the wrong declarations that were corrected."""
+    """The same as `observe`, together with the wrong declarations that were corrected."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
     from planrunner.gap.hypotheses.declarations import corrected
     from planrunner.observation.poses import poses, unknown_orientations
@@ -367,8 +369,8 @@ def _warned(wrong: WrongDeclaration) -> tuple[str, str]:
 
 
 def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> Recorded:
-    """The recording without spikes and repeated samples, as estimates use it; the log names them. Bursts, clipped and stuck stretches stay:
-    the diagnosis explains them."""
+    """The recording without spikes and repeated samples, as estimates use it; the log names them. Bursts, clipped and stuck
+    stretches are kept, because the diagnosis explains them."""
     from planrunner.observation.left_out import without_bad
     from planrunner.observation.screening import screened
 
@@ -405,7 +407,8 @@ def _outputs(plan: Plan) -> tuple[str, ...]:
 
 
 def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
-    """The segments that the plan's `diagnosis` means, in the order of time: by their labels, or still spans that are found in them."""
+    """The segments that the plan's `diagnosis` selects, in the order of time: by their labels, or still spans that are found in
+    them."""
     return in_time_order(_meant(recorded))
 
 
@@ -437,7 +440,7 @@ def _meant(recorded: Recorded) -> tuple[RecordedSegment, ...]:
 
 
 def _stretch(item: RecordedSegment, number: int, span: Span) -> RecordedSegment:
-    """The samples of a segment within a span, as a segment of its own."""
+    """The samples of a segment within a span, as a separate segment."""
 
     def blocks(channels: Sequence[str]) -> Iterator[Block]:
         for block in item.blocks(channels):
@@ -461,7 +464,7 @@ def _unfit(recorded: Recorded, error: Exception) -> InputError:
 
 
 def recorded_run(run: Path, notice: Announce | None = None) -> Recorded:
-    """A run folder. notice: receives the progress of reading. Raises `InputError` and `IntegrityError`."""
+    """Reads a run folder. notice: receives the progress of reading. Raises `InputError` and `IntegrityError`."""
     from planrunner.observation.screening import watch_of
 
     reader = RunReader.open(run)
@@ -482,8 +485,9 @@ def recorded_run(run: Path, notice: Announce | None = None) -> Recorded:
 def recorded_file(
     plan: Path, bench: str | None, recording: Path, segments: Path | None = None, notice: Announce | None = None
 ) -> Recorded:
-    """A recording in a file. bench: maps its columns; by default the bench of the plan. segments: table of labels with beginnings and ends;
-    by default the table in the bench file, next to the recording. notice: receives the progress of reading. Raises `InputError`."""
+    """Reads a recording in a file. bench: maps its columns; by default the bench of the plan. segments: table of labels with
+    beginnings and ends; by default the table in the bench file, next to the recording. notice: receives the progress of reading.
+    Raises `InputError`."""
     sound = check_plan(plan, bench=bench, today=date.today()).sound()
     parameters = _parameters(sound.bench, sound.file)
     columns = parameters.segments
@@ -537,16 +541,17 @@ def _with_axis(outputs: Sequence[str]) -> tuple[str, ...] | None:
 
 
 def only_channel(units: Mapping[str, str], dimension: str) -> str | None:
-    """The one channel of a dimension; None without one or with several."""
+    """The only channel of a dimension; None if there is no channel or several."""
     found = [name for name, text in units.items() if unit(text).dimension == DIMENSIONS[dimension]]
     return found[0] if len(found) == 1 else None
 
 
 def joined(first: Recorded, runs: Sequence[Path], notice: Announce | None = None) -> Recorded:
-    """A recording and later runs of the same sensor, which stayed switched on in between.
+    """Joins a recording and later runs of the same sensor, which stayed switched on between them.
 
-    Times continue: a later run is delayed by the difference of the start times in the run folders, but begins not before the end of the
-    previous one. notice: receives the progress of reading. Raises `InputError` if a run has other channels or cannot be read.
+    Times continue: a later run is delayed by the difference between the start times in the run folders, but never begins before the
+    end of the previous run. notice: receives the progress of reading. Raises `InputError` if a run has other channels or cannot be
+    read.
     """
     whole, origin = first, first.created
     for run in runs:

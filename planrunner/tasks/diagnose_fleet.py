@@ -1,5 +1,5 @@
-"""Diagnosing several runs together: each run alone, then all effects that any of them names fitted in every run, then the attribution of
-every amplitude to device, bench or occasion.
+"""Diagnoses several runs together. Each run is diagnosed alone. Then all effects that any run names are fitted in every run.
+Finally every amplitude is attributed to device, bench or occasion.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ _LEAST = 1e-12  # probability with which a run counts that gives an effect none
 
 @dataclass(frozen=True, slots=True)
 class RunOrigin:
-    """A run with the labels of its device, bench and occasion. created: when it was made, UTC, ISO 8601. lot: of the device, if stated.
-    seal: SHA-256 of the seal; empty for a run that is not sealed."""
+    """A run with the labels of its device, bench and occasion. created: time of the run, UTC, ISO 8601. lot: of the device, if
+    stated. seal: SHA-256 of the seal; empty for a run that is not sealed."""
 
     run: Path
     labels: Mapping[Source, str]
@@ -65,9 +65,9 @@ class RunOrigin:
 
 @dataclass(frozen=True, slots=True)
 class RunVerdict:
-    """Diagnosis of one run. plan: its title; sensor: its kind. effects: those that the verdict names; members: those that the plan
-    cannot distinguish, sets as 'a+b'. probability: of every set of effects. shapes: effect → its best shape in its unit, and the evidence
-    for it in nats. origin: of the samples."""
+    """Diagnosis of one run. plan: its title; sensor: its kind. effects: effects that the verdict names; members: effects that the
+    plan cannot distinguish, sets as 'a+b'; probability: of every set of effects. shapes: effect → its best shape in its unit, and
+    the evidence for it in nats. origin: origin of the samples."""
 
     plan: str
     sensor: str
@@ -95,8 +95,8 @@ class Attributed:
 
 @dataclass(frozen=True)
 class FleetDiagnosis:
-    """effects: those that were fitted in every run, beside the nominal terms; not_attributed: effects that a run names, with the reason.
-    shared: lots whose devices have an amplitude in common."""
+    """Diagnosis of a fleet. effects: effects that were fitted in every run in addition to the nominal terms; not_attributed:
+    effects that a run names but that are not attributed, with the reason. shared: lots whose devices have an amplitude in common."""
 
     origins: tuple[RunOrigin, ...]
     verdicts: tuple[RunVerdict, ...]
@@ -108,12 +108,12 @@ class FleetDiagnosis:
 
     @property
     def origin(self) -> DataOrigin:
-        """Origin of the samples: simulated if those of any run are."""
+        """Origin of the samples: simulated if the samples of any run are simulated."""
         found = {one.origin for one in self.verdicts}
         return next(one for one in ("simulated", "replayed", "measured") if one in found)
 
     def to_json(self) -> JsonObject:
-        """According to `schemas/fleet.schema.json`."""
+        """JSON data according to `schemas/fleet.schema.json`."""
         return {
             "planrunner_fleet": FLEET_FORMAT,
             "runs": [
@@ -192,7 +192,7 @@ def _words(one: Contribution) -> tuple[str, ...]:
 
 
 def _plain(one: Contribution, devices: Sequence[str]) -> JsonObject:
-    """devices: of the runs (n)."""
+    """A result as plain JSON data. devices: devices of the runs (n)."""
     return {
         "sources": list(_words(one)),
         "probability": one.probability,
@@ -230,10 +230,10 @@ def diagnose_fleet(
     skip: bool = False,
     kept: KeptDiagnoses | None = None,
 ) -> FleetDiagnosis:
-    """Diagnoses runs together. nominal: terms that the simulations fit, by default those of the plans; origins: a CSV table that states
-    device, bench or occasion of runs; workers: share the runs, by default processes of this machine. notice: receives the progress. skip:
-    runs that cannot be diagnosed are left out with a note, instead of being an error. kept: results of sealed runs from before, which are
-    used and added to.
+    """Diagnoses runs together. nominal: terms that the simulations fit, by default those of the plans; origins: a CSV table with
+    the device, bench or occasion of runs; workers: processes that share the runs, by default on this machine. notice: receives the
+    progress. skip: whether runs that cannot be diagnosed are omitted with a note instead of being an error. kept: stored results of
+    sealed runs from earlier diagnoses; they are used, and new results are added.
 
     Raises `InputError` with all obstacles and, without `skip`, `IntegrityError`.
     """
@@ -297,7 +297,7 @@ def diagnose_fleet(
 
 
 def _key(origin: RunOrigin, kind: str, asked: Json) -> str:
-    """Under which a result is kept; empty for a run that is not sealed, which may change."""
+    """The key under which a result is stored; empty for a run that is not sealed, because it may change."""
     return key_of(kind, origin.seal, asked) if origin.seal else ""
 
 
@@ -308,8 +308,8 @@ def _from_kept(
     plain: Callable[[T], Json],
     of_plain: Callable[[Json], T],
 ) -> list[T]:
-    """The results for all keys: those from before, and those of `compute` for the other places, which are then kept. plain: a result as
-    JSON data; null for one that is not kept."""
+    """The results for all keys: stored ones, and for the other keys those of `compute`, which are then stored. plain: converts a
+    result to JSON data; null for a result that is not stored."""
     found: dict[int, T] = {}
     for place, key in enumerate(keys):
         held = kept.get(key) if key else None
@@ -326,7 +326,7 @@ def _from_kept(
 
 
 def _verdict_plain(one: RunVerdict | Obstacles) -> Json:
-    """Obstacles are not kept: they may vanish, for example when a package is installed."""
+    """A verdict as JSON data. Obstacles are not stored because they may disappear, for example when a package is installed."""
     if not isinstance(one, RunVerdict):
         return None
     made: JsonObject = {item.name: getattr(one, item.name) for item in fields(one)}
@@ -414,8 +414,8 @@ def _opened(run: Path) -> _Opened:
 
 
 def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[RunOrigin | Obstacles]:
-    """Every run with its labels, from the run folder and from the table, which takes precedence, or the obstacles to it. skip: see
-    `_attempted`. Raises `InputError` for runs given twice and a wrong table, and without `skip` for all obstacles."""
+    """Every run with its labels from the run folder and from the table, which takes precedence; or the obstacles. skip: see
+    `_attempted`. Raises `InputError` for runs that are given twice and for a wrong table, and without `skip` for all obstacles."""
     log = Findings()
     resolved = [run.resolve() for run in runs]
     for index, run in enumerate(runs):
@@ -442,7 +442,7 @@ def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[Ru
 
 
 def _labelled(run: Path, opened: _Opened, stated: Mapping[Source, str], several: Set[str]) -> RunOrigin | Obstacles:
-    """several: names of benches with different tables; their labels contain the table."""
+    """The runs with their labels. several: names of benches with different tables; their labels contain the table."""
     info = opened.run.get("info", {})
     table = f" (table {opened.table or 'without a number'})" if opened.bench in several else ""
     device = stated.get(Source.DEVICE) or device_of(info)
@@ -498,7 +498,8 @@ def _stated(path: Path, runs: Sequence[Path], log: Findings) -> dict[Path, dict[
 
 
 def _attempted(make: Callable[[Path], T], run: Path, *, skip: bool) -> T | Obstacles:
-    """What is made of a run, or the obstacles to it. A run folder that was changed is an obstacle with `skip`, and else an error."""
+    """The result of an operation on a run, or the obstacles to it. A changed run folder is an obstacle with `skip`, and an error
+    without it."""
     from planrunner.observation.refusals import ObservationError
 
     try:
@@ -556,7 +557,7 @@ def _shapes(made: Diagnosis) -> dict[str, tuple[float, float]]:
 def _fitted(
     nominal: tuple[str, ...], effects: tuple[tuple[str, float | None], ...], run: Path
 ) -> list[AmplitudeEstimate]:
-    """The amplitudes of the nominal terms and of effects in a run that was diagnosed before."""
+    """The amplitudes of the nominal terms and of effects in a run that has already been diagnosed."""
     from threadpoolctl import threadpool_limits
 
     from planrunner.gap.hypotheses.candidates import Weighing
@@ -599,8 +600,8 @@ def _compare(runs: Sequence[Path], verdicts: Sequence[RunVerdict], log: Findings
 
 
 def _named(verdicts: Sequence[RunVerdict]) -> tuple[str, ...]:
-    """The effects named in any run. Of effects that the plan of a run cannot distinguish, one that another run names for certain, or else
-    the one that all runs together make likeliest."""
+    """The effects named in any run. If the plan of a run cannot distinguish some effects, the effect is used that another run names
+    with certainty, otherwise the effect that is most probable according to all runs together."""
     certain = {name for one in verdicts if not one.members for name in one.effects}
     chosen = set(certain)
     for one in verdicts:
@@ -652,7 +653,8 @@ def _attributed(
 def _one_attributed(
     origins: Sequence[RunOrigin], amplitudes_: int, given: tuple[AmplitudeKey, Sequence[tuple[int, float, float]]]
 ) -> Attributed:
-    """amplitudes_: number of all amplitudes that are examined. A device or bench that changed counts as another one from then on."""
+    """The attribution of one amplitude. amplitudes_: number of all amplitudes that are examined. After a change, a device or bench
+    counts as a different one."""
     from threadpoolctl import threadpool_limits
 
     key, listed = given
@@ -669,7 +671,7 @@ def _one_attributed(
 
 
 def _shared(attributed: Sequence[Attributed], origins: Sequence[RunOrigin]) -> tuple[SharedByLot, ...]:
-    """What the devices of one lot have in common, and no other device has."""
+    """The amplitudes that the devices of one lot have in common and that no other device has."""
     lots = {one.labels[Source.DEVICE]: one.lot for one in origins if one.lot}
     found: list[SharedByLot] = []
     for one in attributed:

@@ -1,4 +1,5 @@
-"""The diagnosis after a night: the runs of the night together with recent runs of the same plans, and what became of device and bench."""
+"""The diagnosis after a night: the runs of the night together with recent runs of the same plans. It shows how device and bench
+have changed."""
 
 from __future__ import annotations
 
@@ -25,8 +26,8 @@ LEAST = 4
 def diagnose_night(
     archive: Path, runs: Sequence[str], asked: NightDiagnosis, workers: Workers | None = None
 ) -> Iterator[tuple[JsonObject | None, str]]:
-    """For each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json), and why there is none or which runs are left out;
-    the last remarks name runs of the night that name no device, and the damaged runs of the archive.
+    """For each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json), and the reason why there is none or which
+    runs are omitted. The last remarks name runs of the night without a device, and the damaged runs of the archive.
 
     runs: names of the folders of the night's runs. Raises `InputError` if the index cannot be used.
     """

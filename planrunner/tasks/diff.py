@@ -1,4 +1,4 @@
-"""Two plans, two benches or two runs, compared by meaning; for the command line, pages and other programs.
+"""Compares two plans, two benches or two runs by meaning, for the command line, pages and other programs.
 
 compared = compare(Path("old.yaml"), Path("new.yaml"))
 compared.different          whether they mean different things
@@ -34,10 +34,11 @@ from planrunner.tasks.run import stored_results
 def compare(
     before: Path, after: Path, bench: str | None = None, *, foresee: bool = True, today: date | None = None
 ) -> Compared:
-    """The difference of two files or folders of one kind: plans, benches (also by their shipped names) or run folders.
+    """The difference between two files or folders of one kind: plans, benches (also by their shipped names) or run folders.
 
-    bench: for plans: check both on this bench instead of their own. foresee: whether the plans are checked on their benches, which takes as
-    long as two `check`. Raises `InputError` if a file cannot be read or has errors of form or meaning, and `IntegrityError` for a run.
+    bench: for plans, the bench on which both are checked instead of their own. foresee: whether the plans are checked on their
+    benches, which takes as long as two runs of `check`. Raises `InputError` if a file cannot be read or has errors of form or
+    meaning, and `IntegrityError` for a run.
     """
     kinds = kind_of(before), kind_of(after)
     if kinds[0] != kinds[1]:
@@ -57,7 +58,7 @@ def compare(
 def compare_plans(
     before: Document, after: Document, bench: str | None = None, *, foresee: bool = True, today: date | None = None
 ) -> Compared:
-    """The difference of two plans; see `compare`."""
+    """The difference between two plans; see `compare`."""
     sides = [_Side.of(document, bench) for document in (before, after)]
     known = all(side.bench is not None for side in sides)
     benches = [meaning_of_bench(side.bench) if known and side.bench is not None else None for side in sides]
@@ -83,7 +84,7 @@ def compare_plans(
 
 
 def kind_of(path: Path) -> ComparedKind:
-    """What a file or folder is. Raises `InputError` if it cannot be read."""
+    """The kind of a file or folder. Raises `InputError` if it cannot be read."""
     if path.is_dir():
         return "run"
     if _is_shipped(path):
@@ -93,7 +94,7 @@ def kind_of(path: Path) -> ComparedKind:
 
 
 def meaning_of_file(path: Path) -> Meaning:
-    """The meaning of a plan or bench file; a plan's bench is in it by name. Raises `InputError`."""
+    """The meaning of a plan or bench file. A plan contains the name of its bench. Raises `InputError`."""
     if kind_of(path) == "bench":
         return meaning_of_bench(_bench(path))
     return meaning_of_plan(_plan(source.read_bytes(path), str(path)))
@@ -116,7 +117,7 @@ def _plan(data: bytes, shown: str) -> Plan:
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """A plan and its bench; missing: why there is no bench."""
+    """A plan and its bench. missing: the reason why there is no bench."""
 
     plan: Plan
     bench: Bench | None
@@ -190,7 +191,7 @@ def _bench_in(reader: RunReader) -> Bench:
 
 
 def _facts(one: RunReader, other: RunReader) -> list[Fact]:
-    """Versions, run information and instruments that differ."""
+    """Versions, run information and instruments that differ between two runs."""
     pairs: dict[str, list[str]] = {}
     for k, reader in enumerate((one, other)):
         stated: JsonObject = {"created": reader.run["created"], "seed": reader.run.get("seed")}
@@ -204,7 +205,8 @@ def _facts(one: RunReader, other: RunReader) -> list[Fact]:
 
 
 def _conditions(one: Sequence[Mapping[str, object]], other: Sequence[Mapping[str, object]]) -> list[Fact]:
-    """Readings of the instruments that differ most: for each kind of reading, the segment with the largest difference; and lost data."""
+    """Readings of the instruments that differ most between two runs: for each kind of reading, the segment with the largest
+    difference; and lost data."""
     found = []
     pairs = {str(item["label"]): item for item in other}
     largest: dict[str, tuple[float, str, float, float]] = {}

@@ -1,5 +1,5 @@
-"""Whether the evaluation of an analysis is covered by approvals: that of the run's own plan by those of the run, and that of an amendment
-with other estimates or limits by approvals of the amended plan, which its analysis keeps (`approvals.json`)."""
+"""Checks whether approvals cover the evaluation of an analysis. The approvals of the run cover the evaluation by the run's own
+plan. For an amendment with other estimates or limits, its analysis keeps approvals of the amended plan (`approvals.json`)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ from planrunner.tasks.approvals import ring_of
 
 @dataclass(frozen=True, slots=True)
 class EvaluationApproval:
-    """analysis: its number; covered: whether approvals cover its evaluation; words: by whom, or why not; fault: what was changed."""
+    """Coverage of one analysis. analysis: its number; covered: whether approvals cover its evaluation; words: who approved, or why
+    it is not covered; fault: what was changed."""
 
     analysis: int
     covered: bool
@@ -35,7 +36,8 @@ class EvaluationApproval:
 
 
 def approvals_of_amended(reader: RunReader, plan: Plan, bench: Bench, file: Path) -> bytes | None:
-    """What the analysis of an amended plan is to keep; None if its bench requires no approvals, or too few beside the plan file count.
+    """The approval data that the analysis of an amended plan must keep; None if its bench requires no approvals, or if too few next
+    to the plan file are valid.
 
     Raises `InputError` if approvals or key ring cannot be read, and `IntegrityError`.
     """
@@ -59,8 +61,8 @@ def approvals_of_amended(reader: RunReader, plan: Plan, bench: Bench, file: Path
 
 
 def evaluation_approvals(found: Examined, ring: KeyRing | None) -> Iterator[EvaluationApproval]:
-    """For every analysis of a run whose bench requires approvals. ring: the known keys. Analyses that cannot be read are left out: they are
-    reported elsewhere."""
+    """The coverage of every analysis of a run whose bench requires approvals. ring: the known keys. Analyses that cannot be read
+    are omitted, because other checks report them."""
     data, path = found.given.get(APPROVALS), found.folder.path
     if data is None or BENCH not in found.given:
         return

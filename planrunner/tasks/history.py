@@ -21,15 +21,15 @@ RUNS_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class RunList:
-    """runs: those that pass the filter, the newest first; total: their number without its limit; faults: folders that are not in the
-    index."""
+    """A list of runs. runs: those that pass the filter, the newest first; total: their number without the limit; faults: folders
+    that are not in the index."""
 
     runs: tuple[RunRow, ...]
     total: int
     faults: tuple[FaultRow, ...]
 
     def to_json(self) -> JsonObject:
-        """See schemas/runs.schema.json."""
+        """JSON data according to schemas/runs.schema.json."""
         return {
             "planrunner_runs": RUNS_FORMAT,
             "total": self.total,
@@ -50,7 +50,7 @@ class Freshness:
 
 
 def opened(archive: Path, index: str | None, fresh: Freshness) -> Index:
-    """The index of an archive, up to date. Close it. Raises `InputError`."""
+    """Opens the index of an archive and updates it. The caller must close it. Raises `InputError`."""
     found = Index.open(archive, index)
     try:
         if fresh.refresh or fresh.rebuild:
@@ -66,7 +66,7 @@ def list_runs(index: Index, wanted: RunFilter) -> RunList:
 
 
 def coefficients_of(index: Index, device: str) -> list[str]:
-    """The coefficients that any run of a device has. Raises `InputError` for an unknown device."""
+    """The names of all coefficients in the runs of a device. Raises `InputError` for an unknown device."""
     known = index.quantities(device)
     if not known:
         devices = [one.device for one in index.devices() if one.device]

@@ -1,8 +1,8 @@
-"""What diagnoses of sealed runs gave, kept on this computer, so that the next night computes only what is new.
+"""Stored results of diagnoses of sealed runs on this computer. The next night computes only new diagnoses.
 
-A diagnosis of a run is a function of the run, of the program with its libraries and plug-ins, and of what is asked. The digest of all three
-is the name of the file with its result; any change gives another name. The files are in a folder that only the user can change, and can be
-deleted at any time.
+A diagnosis of a run is a function of the run, of the program with its libraries and plug-ins, and of the options. The digest of all
+three is the name of the file with its result, so any change gives another name. The files are in a folder that only the user can
+change, and can be deleted at any time.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ _KEY = re.compile("[0-9a-f]{64}")
 
 @dataclass(frozen=True, slots=True)
 class KeptDiagnoses:
-    """The folder of kept results; None if there is no folder that only the user can change: nothing is kept then."""
+    """The folder of stored results; None if there is no folder that only the user can change. Nothing is then stored."""
 
     folder: GuardedFolder | None
 
     @classmethod
     def of_user(cls) -> KeptDiagnoses:
-        """Results that are too old are removed."""
+        """The folder of the user. Results that are too old are removed."""
         place = _place()
         try:
             make_private(place)
@@ -56,7 +56,7 @@ class KeptDiagnoses:
         return cls(folder)
 
     def get(self, key: str) -> Json:
-        """The result under a key; None without one."""
+        """The stored result for a key; None if there is none."""
         if self.folder is None:
             return None
         try:
@@ -65,20 +65,20 @@ class KeptDiagnoses:
             return None
 
     def put(self, key: str, result: Json) -> None:
-        """A result that cannot be written is not kept."""
+        """Stores a result. If it cannot be written, it is silently omitted."""
         if self.folder is not None:
             with contextlib.suppress(OSError, ValueError):
                 Storage("flushed").write_whole(self.folder, key, to_bytes(result))
 
 
 def key_of(kind: str, run: str, asked: Json) -> str:
-    """run: SHA-256 of the seal of the run. asked: all else that the result depends on."""
+    """The key of a result. run: SHA-256 of the seal of the run. asked: all options on which the result depends."""
     return hashlib.sha256(to_bytes([kind, run, asked, _program()])).hexdigest()
 
 
 @cache
 def _program() -> Json:
-    """The program, its libraries, and the packages with plug-ins."""
+    """Identifies the program, its libraries, and the packages with plug-ins."""
     found = dict(versions())
     for group in (plugins.EFFECTS, plugins.ESTIMATORS, plugins.INSTRUMENTS):
         for entry in entry_points(group=group):

@@ -1,4 +1,5 @@
-"""What a diagnosis named, put to use: as an estimate in the plan, with uncertainty and budget, or as effects of the simulated bench."""
+"""Uses the effects that a diagnosis named: as an estimate in the plan, with uncertainty and budget, or as effects of the simulated
+bench."""
 
 from __future__ import annotations
 
@@ -30,10 +31,11 @@ ESTIMATE = "diagnosed"
 
 
 def plan_with_estimate(made: Diagnosed) -> Checked:
-    """The plan of a diagnosis with one more estimate: for each output the terms that its simulation fits, and the named effects.
+    """The plan of a diagnosis with one more estimate. For each output, it has the terms that its simulation fits, and the named
+    effects.
 
-    The checked plan has the text in `plan_bytes`, and says whether its segments can separate the effects. Raises `InputError` if none
-    of the named effects can be estimated.
+    The checked plan contains the text in `plan_bytes` and shows whether its segments can separate the effects. Raises `InputError`
+    if none of the named effects can be estimated.
     """
     recorded, named = made.recorded, made.diagnosis.verdict.effects
     sound, where = recorded.sound, Mark(recorded.where)
@@ -56,7 +58,7 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
 
 
 def _channels(recorded: Recorded, effects: Sequence[Effect]) -> dict[str, object]:
-    """Keys of an estimate for the channels that show the supply voltage and the pressure which effects follow, as in the diagnosis."""
+    """Keys of an estimate for the channels of supply voltage and pressure that effects follow, as in the diagnosis."""
     from planrunner.tasks.diagnose import only_channel
 
     followed = {effect.follows for effect in effects if isinstance(effect, FollowsSurroundings)}
@@ -72,8 +74,8 @@ def _channels(recorded: Recorded, effects: Sequence[Effect]) -> dict[str, object
 
 
 def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:
-    """The text of a bench with the named effects at the sizes found. simulation: a virtual bench, by name or file; by default that of the
-    recording. Raises `InputError` if it cannot simulate them."""
+    """The text of a bench with the named effects at their estimated sizes. simulation: a virtual bench, by name or file; by default
+    that of the recording. Raises `InputError` if it cannot simulate them."""
     base = simulated_by(made.recorded, simulation)
     shown = base.bench.origin.mark.file
     observed = made.diagnosis.grounds.weighing.observed
@@ -83,7 +85,7 @@ def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:
 
 def simulated_by(recorded: Recorded, simulation: str | None = None) -> Sound:
     """The plan of a recording on a virtual bench. simulation: the bench, by name or file; by default that of the recording. Raises
-    `InputError` if the bench simulates nothing or cannot run the plan."""
+    `InputError` if the bench cannot simulate or cannot run the plan."""
     sound = recorded.sound
     if simulation is not None:
         sound = check_plan(Document(sound.plan_bytes, sound.file), simulation).sound()
@@ -92,7 +94,7 @@ def simulated_by(recorded: Recorded, simulation: str | None = None) -> Sound:
 
 
 def stated_effects(made: Diagnosed) -> Stated:
-    """The named effects with their parameters as texts, orientations numbered as in the diagnosis."""
+    """The named effects with their parameters as texts. Orientations are numbered as in the diagnosis."""
     return [
         (
             name,
@@ -107,8 +109,8 @@ def stated_effects(made: Diagnosed) -> Stated:
 
 
 def as_planned(stated: Stated, observed: Observed, segments: Sequence[Segment]) -> Stated:
-    """Effects of a diagnosis with the orientations numbered as in a simulation of these segments: in the order of first use. A diagnosis
-    numbers those of its own segments."""
+    """Effects of a diagnosis with their orientations numbered as in a simulation of these segments, in the order of first use. A
+    diagnosis numbers the orientations of its own segments."""
     seen = list(dict.fromkeys(map(orientation_key, observed.attitude)))
     planned = list(dict.fromkeys(orientation_key(np.array(s.attitude)) for s in segments if s.attitude is not None))
     return [
@@ -132,7 +134,7 @@ def _loaded(name: str) -> Effect:
 
 
 def _why_not(effect: Effect, observed: Observed) -> str:
-    """Why an effect has no place in an estimate; empty where it has."""
+    """The reason why an estimate cannot contain an effect; empty if it can."""
     from planrunner.error_model.effects.interface import is_whole
     from planrunner.error_model.segment_columns import estimable
 
@@ -158,7 +160,7 @@ def _outputs(observed: Observed, effects: Mapping[str, Effect]) -> dict[str, lis
 
 
 def _with_estimate(text: str, entry: Mapping[str, object]) -> str:
-    """The plan's text with one more estimate behind the others, in the form in which they stand."""
+    """The plan's text with one more estimate after the others, in the same notation."""
     root = yaml.compose(text)
     assert isinstance(root, yaml.MappingNode)  # a plan that was read
     nodes = {key.value: value for key, value in root.value}
@@ -174,7 +176,7 @@ def _with_estimate(text: str, entry: Mapping[str, object]) -> str:
 
 
 def _block(name: str, entry: Mapping[str, object], column: int) -> str:
-    """A mapping in block style, whose first line stands at a column."""
+    """A mapping in block style. Its first line begins at the given column."""
     pad = "\n" + " " * (column + 2)
     lines = []
     for key, value in entry.items():

@@ -1,8 +1,9 @@
-"""A night: every test of a suite in a process of its own, unattended, and continued where it stopped.
+"""A night: every test of a suite runs in a separate process, unattended. A night that was interrupted is continued where it
+stopped.
 
-The rules of the night are those of `planrunner.night.timetable`. What happens is written to the journal of the night before the night goes
-on; after a kill or a power failure, the journal and the run folders say where it stopped. The id of a run folder is in the journal before
-its process starts, so that no run folder is lost.
+The rules of the night are those of `planrunner.night.timetable`. Each event is written to the journal of the night before the night
+continues. After a kill or a power failure, the journal and the run folders show where it stopped. The id of a run folder is in the
+journal before its process starts, so that no run folder is lost.
 """
 
 from __future__ import annotations
@@ -69,8 +70,9 @@ CONTINUED_WITHIN = 24 * 3600.0
 class NightClock:
     """The time of a night: it never goes back.
 
-    Simulated: it goes on by `advance` only. Real: the monotonic clock of the computer from the beginning of this session; if the computer's
-    clock is set forward it follows, if it is set back it does not. jump: called with the seconds by which the clock was set.
+    Simulated time advances only by `advance`. Real time is the monotonic clock of the computer from the beginning of this session.
+    If the computer's clock is set forward, it follows; if it is set back, it does not. jump: called with the number of seconds by
+    which the clock was set.
     """
 
     def __init__(
@@ -105,7 +107,7 @@ class NightClock:
 
 @dataclass(frozen=True, slots=True)
 class NightOptions:
-    """runs: the archive. tell: receives a line of progress. program: the command that runs a plan."""
+    """Options of a night. runs: the archive. tell: called with a line of progress. program: the command that runs a plan."""
 
     runs: Path
     data: Path | None = None
@@ -118,7 +120,8 @@ class NightOptions:
 
 @dataclass(frozen=True, slots=True)
 class NightResult:
-    """folder: of the night. trouble: why the record could not be written; empty if it was."""
+    """Result of a night. folder: folder of the night. trouble: the reason why the record could not be written; empty if it was
+    written."""
 
     folder: Path
     record: JsonObject
@@ -139,7 +142,7 @@ class _Child:
 
 
 def run_night(sound: SoundSuite, options: NightOptions, stop: StopRequest) -> NightResult:
-    """Run the tests of a suite, or continue its unfinished night. Raises `InputError` if the night cannot begin."""
+    """Runs the tests of a suite, or continues its unfinished night. Raises `InputError` if the night cannot begin."""
     folder, storage = _archive(options), Storage("flushed" if options.flushed else "durable")
     digest = hashlib.sha256(sound.data).hexdigest()
     with _Lock(folder, f".{digest[:24]}.lock", sound.file):
@@ -162,7 +165,7 @@ def _archive(options: NightOptions) -> GuardedFolder:
 
 
 class _Lock:
-    """One night of a suite at a time in an archive; different suites may run at once."""
+    """A lock that allows one night of a suite at a time in an archive. Different suites may run at the same time."""
 
     def __init__(self, folder: GuardedFolder, name: str, shown: str):
         note = f"process {os.getpid()}, since {datetime.now().astimezone().isoformat(timespec='seconds')}"
@@ -253,7 +256,7 @@ def _created(nights: GuardedFolder, digest: str, sound: SoundSuite, options: Nig
 def _unfinished(
     nights: GuardedFolder, digest: str, sound: SoundSuite, options: NightOptions, storage: Storage
 ) -> _Night | None:
-    """The newest night of this suite that has no end, if it can be continued. Others are closed."""
+    """The newest night of this suite that has no end, if it can be continued. Other unfinished nights are closed."""
     found: _Night | None = None
     for name, entry in reversed(nights.entries().items()):
         if entry.kind != "folder":
@@ -276,7 +279,7 @@ def _unfinished(
 def _reopened(
     folder: GuardedFolder, digest: str, sound: SoundSuite, options: NightOptions, storage: Storage
 ) -> _Night | None:
-    """The night in a folder; None if it is of another suite or has an end."""
+    """The night in a folder; None if it belongs to another suite or has an end."""
     record = NightRecord(sound.zone)
     scan = JournalScan(folder, name=JOURNAL)
     for event in scan:
@@ -341,12 +344,12 @@ class _Night:
     # -- the whole night -------------------------------------------------------------------------------------------------
 
     def can_go_on(self) -> bool:
-        """Whether a night that was interrupted still has time."""
+        """Whether a night that was interrupted still has time left."""
         now = self._clock.now()
         return now < self._course.hours.closes and (self._sound.virtual or now - self._record.now < CONTINUED_WITHIN)
 
     def give_up(self) -> None:
-        """Close a night that nobody continued."""
+        """Closes a night that nobody continued."""
         for index, test in enumerate(self._record.tests):
             if test.state in ("waiting", "running"):
                 self._log("not_run", {"test": index, "reason": "the night was interrupted and not continued"})
@@ -368,7 +371,8 @@ class _Night:
         return NightResult(self._folder.path, self._record.to_json(), code, self._trouble)
 
     def _diagnose(self) -> None:
-        """The runs of the night together with recent runs. It is no test: whatever happens in it, the night has its results."""
+        """Diagnoses the runs of the night together with recent runs. It is not a test: if it fails, the night still has its
+        results."""
         asked = self._sound.suite.diagnosis
         if asked is None or self._trouble or self._record.fleet:
             return
@@ -390,7 +394,7 @@ class _Night:
             self._remark(f"the runs could not be diagnosed: {what}")
 
     def _tell_overrides(self) -> None:
-        """On the record, and so on the wall: who lets tests run although a check standard is not in control."""
+        """Records on the wall display and in the record who lets tests run although a check standard is not in control."""
         for name, about in self._sound.suite.benches.items():
             given = about.override_check_standard
             if given is None:
@@ -422,7 +426,7 @@ class _Night:
             self._options.tell(f"waiting until {shown_time(self._course.hours.begins, self._sound.zone)}")
 
     def _replay(self) -> None:
-        """Bring the rules to the state that the journal describes."""
+        """Restores the state of the rules that the journal describes."""
         for index, test in enumerate(self._record.tests):
             for attempt in test.attempts:
                 self._course.begun(index, attempt.begins)
@@ -470,7 +474,8 @@ class _Night:
                 self._log("not_run", {"test": index, "reason": reason})
 
     def _wait(self, moment: float, stop: StopRequest) -> None:
-        """Until a test ends, or until an instant. In simulated time, the test with the earliest planned end is the next to end."""
+        """Waits until a test ends, or until a given instant. In simulated time, the test with the earliest planned end is the next
+        to end."""
         first = min(self._children, key=lambda index: self._children[index].ends, default=None)
         if self._sound.virtual:
             if first is None or self._children[first].ends > moment:
@@ -564,7 +569,7 @@ class _Night:
         return next(self._options.runs.glob(f"*-{identity}"), None)
 
     def _end(self, index: int) -> None:
-        """The process of a test has ended."""
+        """Handles the end of the process of a test."""
         child = self._children.pop(index)
         self._gone.discard(index)
         child.output.close()
@@ -587,7 +592,7 @@ class _Night:
         self._conclude(index, now, ending, code, reason, child.identity, document)
 
     def _answer(self, index: int) -> JsonObject:
-        """What the process printed as JSON."""
+        """The JSON data that the process printed."""
         name = Path(self._record.tests[index].attempts[-1].log).stem + ".json"
         try:
             found = from_bytes(self._logs.read(name, MOST_RECORD))
@@ -654,7 +659,7 @@ class _Night:
         self._write_reports()
 
     def _judge_standard(self, test: PlannedTest, ending: EndOfTest, reason: str) -> tuple[EndOfTest, str]:
-        """How the test of a check standard ended: it passed if the check standard is in control now."""
+        """The outcome of the test of a check standard: it passed if the check standard is in control now."""
         try:
             state = control_state(read_bench(self._sound.bench_of(test), Path())[0], self._options.runs)
         except InputError as error:
@@ -667,7 +672,8 @@ class _Night:
     # -- stopping --------------------------------------------------------------------------------------------------------
 
     def _pass_on(self, stop: StopRequest) -> None:
-        """The first request to stop reaches every test, which ends after its segment; the second ends it at once."""
+        """Forwards requests to stop. The first request reaches every test, which ends after its segment; the second ends it at
+        once."""
         wanted_ = 2 if stop.at_once else 1 if stop.after_segment else 0
         if wanted_ > self._told_to_stop:
             self._told_to_stop = wanted_
@@ -684,7 +690,7 @@ class _Night:
                 _tell(child.process, at_once=True)
 
     def _end_children(self) -> None:
-        """After an unexpected error: no process is left without a night."""
+        """Ends all processes after an unexpected error, so that no process continues without a night."""
         for child in self._children.values():
             _tell(child.process, at_once=True)
         for child in self._children.values():
@@ -706,7 +712,7 @@ class _Night:
         self._remark(f"the clock of the computer was set {way} by {abs(seconds):.0f} s; {follows}")
 
     def _log(self, event: str, data: JsonObject) -> None:
-        """Write an event to the journal, and to the record. If the disk is full, nothing further begins."""
+        """Writes an event to the journal and to the record. If the disk is full, no further test begins."""
         given = {"now": self._clock.now() if event != "remark" else self._record.now, **data}
         self._record.take({"event": event, **given})
         for attempt in range(2):
@@ -735,7 +741,7 @@ class _Night:
                 self._options.tell(f"error: {self._trouble}; no further test begins")
 
     def _finish(self, state: str, code: int) -> None:
-        """Write the end, send the notifications, and write the reports."""
+        """Writes the end of the night, sends the notifications, and writes the reports."""
         if self._trouble:
             self._record.remarks.append(self._trouble)
         self._log("finished", {"state": state, "exit_code": code})
@@ -773,7 +779,8 @@ class _Night:
 
 
 def judged(code: int, document: JsonObject, *, asked: bool, overdue: bool = False) -> tuple[EndOfTest | None, str]:
-    """How a test ended, from the exit code and the JSON output of its process, and the reason in words. None: stopped on request.
+    """The outcome of a test, from the exit code and the JSON output of its process, and the reason in words. None if it was stopped
+    on request.
 
     asked: whether the processes were asked to stop; overdue: whether this one was stopped because it took too long.
     """

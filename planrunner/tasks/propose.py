@@ -1,8 +1,9 @@
-"""The plan to settle the open questions of a diagnosis: possible segments on the bench, the choice among them, and the plan's text.
+"""Makes the plan that settles the open questions of a diagnosis: the possible segments on the bench, the choice among them, and the
+plan's text.
 
-A segment is an option if the plan language can express it and the schedule has no findings for it on the bench. Its cost is the scheduled
-time of its transition. For a bench that only plays recordings back, only the recording is known: options stay within its rates and
-temperatures, and moves take as long as those in the recording.
+A segment is an option if the plan language can express it and scheduling it on the bench gives no findings. Its cost is the
+scheduled time of its transition. For a bench that only plays recordings back, only the recording is known. Options stay within its
+rates and temperatures, and moves take as long as those in the recording.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ class Next:
     text: str
 
     def to_json(self) -> dict[str, object]:
-        """`next` of the diagnosis as `schemas/diagnosis.schema.json` has it."""
+        """JSON data according to `next` of `schemas/diagnosis.schema.json`."""
         found = self.proposal
         expected: dict[str, object] = {
             "rivals": [name for name, _ in found.rivals],
@@ -102,7 +103,7 @@ def words(found: SegmentProposal, planned: bool) -> str:
 def propose_next(
     diagnosis: Diagnosis, recording: Sequence[RecordedSegment], models: BenchModels, frame: Frame
 ) -> Next | None:
-    """What to measure next on a bench; None if nothing is open. Raises `InputError` if no plan can express it."""
+    """Proposes what to measure next on a bench; None if nothing is open. Raises `InputError` if no plan can express it."""
     from planrunner.gap.answer.next import propose
 
     options, grounds = _Options(recording, models, frame), diagnosis.grounds
@@ -161,7 +162,7 @@ class _Options:
         return self._of[segment.label][1]
 
     def seconds(self, before: Segment | None, segment: Segment) -> float:
-        """Test time of a segment after another one, or as the first."""
+        """Test time [s] of a segment after another one, or as the first."""
         key = ("" if before is None else before.label, segment.label)
         if key not in self._known:
             self._known[key] = self._following(before, segment)
@@ -206,7 +207,7 @@ def _end(segment: Segment) -> float | None:
 
 
 def _pauses(recording: Sequence[RecordedSegment]) -> tuple[float, float]:
-    """Seconds between recorded segments at one temperature, and additional seconds for a change of temperature."""
+    """Time [s] between recorded segments at one temperature, and additional time [s] for a change of temperature."""
     moves, changes = list[float](), list[float]()
     for before, after in pairwise(recording):
         pause = after.statistics.start - (before.statistics.start + before.statistics.duration)

@@ -28,9 +28,10 @@ two digits of the uncertainty, so that a hundredth of the last digit remains."""
 class Proof:
     """Comparison of recomputed results with those of an analysis.
 
-    verdict: `identical` if every number has the same bits; `within tolerance` only if other versions computed the results. largest: largest
-    change of a value, and of a standard uncertainty, as a fraction of the stored standard uncertainty (∞ if something is missing), with the
-    name of the coefficient. changed: versions that differ, as (stored, now); stored None if the analysis does not contain them.
+    verdict: `identical` if every number has the same bits; `within tolerance` only if other versions computed the results. largest:
+    largest change of a value, and of a standard uncertainty, in units of the stored standard uncertainty (∞ if something is
+    missing), with the name of the coefficient. changed: versions that differ, as (stored, now); stored is None if the analysis does
+    not contain the version.
     """
 
     analysis: int
@@ -51,9 +52,9 @@ class Proof:
 
 
 def prove(run: Path, number: int | None = None, notice: Announce | None = None) -> Proof:
-    """Recompute an analysis of a run with its own settings, by default the newest; nothing is written.
+    """Recomputes an analysis of a run with its own settings, by default the newest analysis. Nothing is written.
 
-    Raises `InputError` if the run does not have it, and `IntegrityError`.
+    Raises `InputError` if the run does not have this analysis, and `IntegrityError`.
     """
     reader = RunReader.open(run)
     known = {one.number: one for one in reader.analyses}
@@ -100,7 +101,7 @@ def _change(stored: float, now: float, uncertainty: float) -> float:
 
 
 def _outline(results: Results) -> Json:
-    """What must be equal although numbers may change in their last digits: names and verdicts."""
+    """The data that must be equal even if numbers change in their last digits: names and verdicts."""
     return [
         [[name, [one.name for one in item.coefficients]] for name, item in results.estimates.items()],
         [[limit.quantity, limit.verdict] for limit in results.limits],

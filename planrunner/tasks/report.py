@@ -1,4 +1,4 @@
-"""Makes the context of a report from a run folder, its plan and bench, and its estimates."""
+"""Collects the data of a report from a run folder, its plan and bench, and its estimates."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def report_context(
     amendment: str = "",
     ring: KeyRing | None = None,
 ) -> ReportContext:
-    """All data that a report shows for one analysis. ring: the known keys, with which signatures of the run are verified.
+    """All data that a report shows for one analysis. ring: the known keys, which verify the signatures of the run.
 
-    amendment: which analysis it amends, by whom and why, in words.
+    amendment: who amends which analysis and why, in words.
 
     analysis: its number, if known; analysed: time of the analysis, UTC in ISO 8601, by default now.
     """
@@ -99,12 +99,13 @@ def _identity(sound: Sound, name: str, said: Mapping[str, str]) -> dict[str, str
 
 
 def _seeded(sound: Sound) -> bool:
-    """Whether the seed of the run had any influence, that is, whether this program simulated an instrument."""
+    """Whether the seed of the run had any influence, which is so if this program simulated an instrument."""
     return sound.models.origin == "simulated" and sound.bench.simulation is None
 
 
 def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str) -> Iterator[tuple[str, str]]:
-    """Item, operator, date, duration from the first sample to the last, and the number of the analysis among those existing at its time."""
+    """The data at the top of a report: item, operator, date, duration from the first sample to the last, and the number of the
+    analysis among those that existed at its time."""
     info = {name: _text(value) for name, value in reader.run["info"].items()}
     for name in ("device_serial", "item_identification"):
         if info.get(name):
@@ -123,12 +124,12 @@ def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str
 
 
 def _approvals(reader: RunReader) -> dict[str, str]:
-    """The approvals of the plan, under which it ran."""
+    """The approvals with which the plan ran."""
     return {f"approval {number} of the plan": text for number, (_, text) in enumerate(approved_by(reader), 1)}
 
 
 def _minute(moment: str, before: str = "") -> str:
-    """`2026-03-01 08:11` of an ISO time; without the date if it is that of `before`."""
+    """An ISO time in the form `2026-03-01 08:11`, without the date if it is equal to that of `before`."""
     text = moment[:16].replace("T", " ")
     return text[11:] if before[:10] == moment[:10] else text
 

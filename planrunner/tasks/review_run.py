@@ -35,7 +35,8 @@ def review_of(
 ) -> ReviewContext:
     """Data of the review page of a run and one of its analyses, by default the newest. ring: the known keys.
 
-    Raises `InputError` if the run has no such analysis, and `IntegrityError` if the folder was changed: then `planrunner verify` says how.
+    Raises `InputError` if the run has no such analysis, and `IntegrityError` if the folder was changed; `planrunner verify` then
+    shows the changes.
     """
     found = examine(open_run(run), samples="digests")
     reader = RunReader.of(found)

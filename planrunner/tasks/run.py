@@ -1,4 +1,4 @@
-"""Running a plan from start to finish: check → open the bench → execute → estimate → report.
+"""Runs a plan from start to finish: check → open the bench → execute → estimate → report.
 
 The layers are independent of one another; they are combined here, for the command line and for programs.
 """
@@ -69,9 +69,9 @@ RESULTS = NAME
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """An analysis of a run: its folder and its results. withheld: why certificates requested by the plan were not written; remarks:
-    notes on the run folder; before: number of the previous analysis, if any, and whether its numbers are equal. unsigned: why the bench did
-    not sign it, although it must."""
+    """An analysis of a run: its folder and its results. withheld: the reasons why certificates requested by the plan were not
+    written; remarks: notes on the run folder; before: number of the previous analysis, if any, and whether its numbers are equal.
+    unsigned: the reason why the bench did not sign it, if it should have."""
 
     folder: Path
     results: Results
@@ -86,8 +86,8 @@ class Analysis:
 
 @dataclass(frozen=True, slots=True)
 class Evaluated:
-    """An analysis that is not written yet. bench: signs it, if it signs its runs. basis: the data that it was made from; files: its
-    contents by file name; reports: the names of those that are reports; the others as in `Analysis`."""
+    """An analysis that is not written yet. bench: the bench that signs it, if it signs its runs. basis: the data from which it was
+    made; files: its contents by file name; reports: the names of the files that are reports; the others as in `Analysis`."""
 
     run: Path
     bench: Bench
@@ -112,8 +112,8 @@ class Retake:
 
 @dataclass(frozen=True, slots=True)
 class Issue:
-    """Request for reports after a run: their names, run information supplied at that time, and the run folder of the same item before
-    its adjustment. ring: the known keys, with which the printed signatures are verified."""
+    """Request for reports after a run: their names, run information supplied at that time, and the run folder of the same item
+    before its adjustment. ring: the known keys, which verify the printed signatures."""
 
     reports: tuple[str, ...] = ()
     given: Mapping[str, str] = field(default_factory=dict)
@@ -135,12 +135,12 @@ def start(
     identity: str | None = None,
     admission: Admission | None = None,
 ) -> tuple[Path, Outcome]:
-    """Execute a sound plan in a new run folder in `runs`; returns the folder and the outcome.
+    """Executes a sound plan in a new run folder in `runs`; returns the folder and the outcome.
 
-    Disk space is checked and every instrument connected before the folder is made and anything moves. operator: answers the plan's prompts;
-    None for an unattended run. identity: end of the folder's name, hexadecimal digits. admission: from the check standard of the
-    bench; by default it is sought in `runs`. Raises `InputError` and `InstrumentError` for
-    obstacles to the start.
+    Before the folder is made and anything moves, it checks the disk space and connects every instrument. operator: answers the
+    plan's prompts; None for an unattended run. identity: end of the folder's name, hexadecimal digits. admission: permission from
+    the check standard of the bench; by default it is determined from the archive `runs`. Raises `InputError` and `InstrumentError`
+    for obstacles to the start.
     """
     kept = _approved(sound, runs)
     operator = _attended(sound, operator)
@@ -180,12 +180,13 @@ def resume(
     override: Override | None = None,
     notice: Announce | None = None,
 ) -> Outcome:
-    """Continue an interrupted run with its plan and bench, or repeat segments of a finished or unfinished run.
+    """Continues an interrupted run with its plan and bench, or repeats segments of a finished or unfinished run.
 
-    bench: a shipped name or a file that replaces the bench in the folder; it may differ only in the connections of instruments. A folder
-    that was not made on this computer needs such a bench, or `trust_bench` to use its own, because the bench names the devices to connect
-    to. override: of the check standard of the bench, whose state is judged again; an override with which the run began still applies.
-    approvals: plan file beside which approvals are that were given since the run began; they are recorded in the journal.
+    bench: a shipped name or a file that replaces the bench in the folder; it may differ only in the connections of instruments. A
+    folder that was not made on this computer needs such a bench, or `trust_bench` to use its own bench, because a bench names the
+    devices to connect to. override: override of the check standard of the bench, whose state is checked again. An override with
+    which the run began still applies. approvals: plan file next to which approvals are that were given after the run began. The
+    journal records them.
 
     The folder is locked first, then the bench, and only then are instruments connected. If two processes resume a run, one is refused
     before it connects to any instrument.
@@ -218,7 +219,7 @@ def resume(
 def _approved(sound: Sound, runs: Path) -> bytes | None:
     """The approvals that the run folder in `runs` keeps; None if the bench requires none.
 
-    Raises `InputError` if they are lacking: every run comes here, however its plan was checked.
+    Raises `InputError` if they are missing. Every run passes this check, however its plan was checked.
     """
     bench = sound.bench
     if bench.approvals is None:
@@ -231,7 +232,7 @@ def _approved(sound: Sound, runs: Path) -> bytes | None:
 
 
 def _lock(run: GuardedFolder) -> FolderLock:
-    """Raises `InputError` if another process writes to the folder, or if it cannot be written."""
+    """Locks the folder. Raises `InputError` if another process writes to it, or if it cannot be written."""
     try:
         return FolderLock(run)
     except OSError as error:
@@ -255,7 +256,7 @@ def _resume(
     override: Override | None,
     notice: Announce | None,
 ) -> Outcome:
-    """file: the bench to use instead of that in the folder."""
+    """Continues a run while the folder is locked. file: the bench to use instead of the bench in the folder."""
     if reader.sealed and retake is None:
         raise InputError.at(
             Mark(str(reader.path)), "run-finished", "this run is finished and sealed", "use `planrunner estimate`"
@@ -289,7 +290,7 @@ def _resume(
 
 
 def _stand_in(reader: RunReader, bench: str) -> Document:
-    """A bench to be used instead of the run's. Raises `InputError` if the run would not be the same on it."""
+    """A bench that replaces the bench of the run. Raises `InputError` if the run would differ on it."""
     path, shown = locate(bench, Path())
     data = source.read_bytes(path, shown)
     other = other_than_reached(reader.bench_bytes, data, (str(reader.path / "bench.yaml"), shown))
@@ -305,7 +306,7 @@ def _stand_in(reader: RunReader, bench: str) -> Document:
 
 
 def _require_made_here(reader: RunReader, sound: Sound) -> None:
-    """Raises `InputError` for a folder of unknown origin: its bench file decides which devices are connected and commanded."""
+    """Raises `InputError` for a folder of unknown origin, because its bench file decides which devices are connected and commanded."""
     why = foreign(reader.folder, reader.first)
     if not why:
         return
@@ -327,8 +328,8 @@ def _carry_out(
     progress: ProgressCallback | None,
     operator: Operator | None,
 ) -> tuple[Path, Outcome]:
-    """Connect the bench, open the run folder and execute what is not yet recorded; the outcome is recorded even if the bench cannot be made
-    safe."""
+    """Connects the bench, opens the run folder and executes everything that is not yet recorded. The outcome is recorded even if
+    the bench cannot be made safe."""
     ended: tuple[Path, Outcome] | None = None
     try:
         with _ready(sound, data_root, seed, progress) as bench, open_writer() as writer:
@@ -421,13 +422,13 @@ def analyse_run(
     notice: Announce | None = None,
     amendment: Amendment | None = None,
 ) -> Analysis:
-    """Estimate from a run's recording only; write results and reports as a new analysis.
+    """Makes estimates from a run's recording alone, and writes results and reports as a new analysis.
 
     checked: the plan as checked for this run; it is not checked again if the folder contains the same plan and bench. notice: receives the
     progress of reading.
 
-    issue: the reports and the information for them; by default those of the plan. If a certificate requested by the plan cannot be issued
-    it is withheld; if it is requested by the issue, `InputError` is raised with all obstacles.
+    issue: the reports and the information for them; by default those of the plan. If a certificate that the plan requests cannot be
+    issued, it is withheld. If the issue requests it, `InputError` is raised with all obstacles.
 
     amendment: who makes the analysis and why, stored with it; its plan, if any, replaces the estimates and limits of the run's plan.
     """
@@ -441,7 +442,7 @@ def evaluate_run(
     notice: Announce | None = None,
     amendment: Amendment | None = None,
 ) -> Evaluated:
-    """As `analyse_run`, but nothing is written: `keep` makes it an analysis of the run. It can be computed by another process."""
+    """The same as `analyse_run`, but nothing is written: `keep` makes it an analysis of the run. Another process can compute it."""
     issue = issue or Issue()
     amendment = None if amendment is None else checked_amendment(amendment)
     made = _analyse(run, issue, checked, notice, kept=True, amendment=amendment)
@@ -477,7 +478,8 @@ def evaluate_run(
 
 
 def keep(made: Evaluated, *, elsewhere: bool = False) -> Analysis:
-    """Writes an evaluation to its run, as a new analysis. elsewhere: another computer made it, so that the bench does not sign it."""
+    """Writes an evaluation to its run, as a new analysis. elsewhere: whether another computer made it, so that the bench does not
+    sign it."""
     reader = RunReader.open(made.run)
     stored = add_analysis(reader.folder, made.files, made.basis)
     reader = replace(reader, basis=made.basis)
@@ -497,7 +499,7 @@ def stored_results(analysis: StoredAnalysis) -> Results:
 
 
 def _read_results(analysis: StoredAnalysis) -> Json:
-    """As JSON data: results of older versions lack keys that the present schema requires. Raises `IntegrityError`."""
+    """The results as JSON data. Results of older versions lack keys that the present schema requires. Raises `IntegrityError`."""
     try:
         return from_bytes(analysis.read(RESULTS))
     except ValueError as error:
@@ -517,7 +519,8 @@ def recompute(reader: RunReader, analysis: StoredAnalysis, notice: Announce | No
 
 
 def evaluated_as(reader: RunReader, analysis: StoredAnalysis) -> Sound:
-    """The run under the plan that an analysis used. Raises `InputError` if it no longer passes the check, and `IntegrityError`."""
+    """The run with the plan that an analysis used. Raises `InputError` if this plan no longer passes the check, and
+    `IntegrityError`."""
     if EVALUATED_PLAN not in analysis.files:
         return sound_run(reader)
     return _evaluated(reader, Document(analysis.read(EVALUATED_PLAN), str(analysis.path / EVALUATED_PLAN)))
@@ -540,7 +543,7 @@ class _Made:
 
 
 def _evaluated(reader: RunReader, plan: Document) -> Sound:
-    """The run under a plan with other estimates or limits. Raises `InputError` for any other difference."""
+    """The run with a plan that has other estimates or limits. Raises `InputError` for any other difference."""
     made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
     bench = Document(reader.bench_bytes, str(reader.path / "bench.yaml"))
     sound = check_plan(plan, bench, made).sound()
@@ -570,7 +573,7 @@ def _analyse(
     kept: bool = False,
     amendment: Amendment | None = None,
 ) -> _Made:
-    """kept: whether it becomes the next analysis of the run; its reports then show this number."""
+    """Analyses a run. kept: whether it becomes the next analysis of the run; its reports then show this number."""
     reader = RunReader.open(run)
     same = checked is not None and (checked.plan_bytes, checked.bench_bytes) == (reader.plan_bytes, reader.bench_bytes)
     sound = checked if checked is not None and same else sound_run(reader)

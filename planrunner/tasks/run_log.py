@@ -1,4 +1,4 @@
-"""The log of an archive compared with the runs in it: which runs were removed, added outside the log or replaced."""
+"""Compares the log of an archive with the runs in it: which runs were removed, added outside the log or replaced."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ PROOF_FORMAT = 1
 
 @dataclass
 class LogVerification:
-    """Result of the verification of a log. content: None if it cannot be read. signed: the signed head in the log, if any. findings:
-    errors are changes, the others remarks."""
+    """Result of the verification of a log. content: content of the log, None if it cannot be read. signed: the signed head in the
+    log, if any. findings: errors are changes; the others are remarks."""
 
     path: Path
     content: LogContent | None = None
@@ -54,7 +54,7 @@ class LogVerification:
         return tuple(one for one in self.findings if one.severity != "error")
 
     def to_json(self) -> JsonObject:
-        """See schemas/log-verification.schema.json."""
+        """JSON data according to schemas/log-verification.schema.json."""
         content, signed = self.content, self.signed
         return {
             "log": str(self.path),
@@ -96,7 +96,7 @@ def require_log(archive: Path) -> RunLog:
 def missing_log(
     archive: Path, runs: Sequence[LoggedRun], remembered: Mapping[str, RememberedHead]
 ) -> LogVerification | None:
-    """The verification of an archive without a log; None if nothing says that it had one."""
+    """The verification of an archive without a log; None if nothing indicates that it had one."""
     found = LogVerification(archive / FOLDER)
     if remembered:
         message = f"the archive has no log, but {next(iter(remembered))} is a tree head of its log"
@@ -156,8 +156,8 @@ def _check_head(found: LogVerification, content: LogContent, name: str, one: Rem
 
 @dataclass(slots=True)
 class _History:
-    """What the log says about one run. begun: whether it was made in this archive. journals: number of events → digest of the last one.
-    seals: SHA-256 of each seal."""
+    """The entries of the log about one run. begun: whether the run was made in this archive. journals: number of events → digest of
+    the last one. seals: SHA-256 of each seal."""
 
     begun: bool = False
     journals: dict[int, str] = field(default_factory=dict)
@@ -182,8 +182,9 @@ def _histories(entries: Iterable[LogEntry]) -> dict[str, _History]:
 
 @dataclass(frozen=True, slots=True)
 class LoggedRun:
-    """What of a run is compared with the log. name: in its journal, or else in run.json, or else of the folder. told: the tree head that
-    run.json remembers. events: of its journal, None if it cannot be read; heads: number of events → digest of the last one."""
+    """The data of a run that are compared with the log. name: from its journal, otherwise from run.json, otherwise the name of the
+    folder. told: the tree head that run.json remembers. events: number of events in its journal, None if it cannot be read; heads:
+    number of events → digest of the last one."""
 
     name: str
     path: Path
@@ -195,7 +196,7 @@ class LoggedRun:
 
 
 def logged_run(run: Examined) -> LoggedRun:
-    """The part of an examined run that the log is compared with."""
+    """The data of an examined run that are compared with the log."""
     path, scan = run.folder.path, run.scan
     name = run.state.created["run"] if run.state is not None else run.run.get("run", path.name)
     heads = {} if scan is None else {**scan.heads, scan.count: scan.head}
@@ -258,7 +259,7 @@ def _check_memory(found: LogVerification, content: LogContent, run: LoggedRun, h
 
 
 def _unlogged(found: LogVerification, run: LoggedRun) -> None:
-    """A run that the log does not name. One without any data may be the remainder of a start that was cut short."""
+    """A finding about a run that the log does not name. A run without any data may be left over from a start that was interrupted."""
     message = f"{run.path}: this run is not in the log"
     if run.empty:
         found.warning("log-run-empty", f"{message}; it has no data: planrunner ended before the run began", "remove it")
@@ -268,7 +269,7 @@ def _unlogged(found: LogVerification, run: LoggedRun) -> None:
 
 
 def _contradiction(history: _History, run: LoggedRun) -> str:
-    """What in a run contradicts the log; empty if nothing does. The journal must begin with every journal in the log."""
+    """The contradiction between a run and the log; empty if there is none. The journal must begin with every journal in the log."""
     if run.events is None:
         return "its journal cannot be read"
     for events, head in history.journals.items():
@@ -283,8 +284,8 @@ def _contradiction(history: _History, run: LoggedRun) -> str:
 
 
 def begin_log(archive: Path, runs: Sequence[Path]) -> TreeHead:
-    """A new log with the runs that the archive has: sealed ones with their seal, others as begun. Raises `InputError`, and `IntegrityError`
-    for a run that was changed."""
+    """Makes a new log of the runs in the archive. Sealed runs are entered with their seal, others as begun. Raises `InputError`,
+    and `IntegrityError` for a run that was changed."""
     present = [_examined(run, *MENDED) for run in runs]
     log = RunLog.create(archive)
     try:
@@ -299,7 +300,7 @@ def begin_log(archive: Path, runs: Sequence[Path]) -> TreeHead:
 
 
 def append_run(log: RunLog, run: Path) -> TreeHead | None:
-    """Adds the present seal of a run; None if it is in the log already. Raises `InputError` and `IntegrityError`."""
+    """Adds the present seal of a run to the log; None if the log already contains it. Raises `InputError` and `IntegrityError`."""
     found = _examined(run)
     if found.seal_digest is None:
         message = "only a finished, sealed run can be added to the log"
@@ -326,7 +327,7 @@ def _enter(log: RunLog, run: Examined) -> TreeHead:
 
 
 def retire_run(log: RunLog, run: str, why: str) -> TreeHead:
-    """Records that a run is taken out of the archive. run: its name. Raises `InputError`, and `IntegrityError` for a changed log."""
+    """Records that a run is removed from the archive. run: its name. Raises `InputError`, and `IntegrityError` for a changed log."""
     if not why.strip() or not why.isprintable() or len(why) > 1000:
         message = "the reason must be one line of printable text with at most 1000 characters"
         raise InputError.at(Mark(str(log.path)), "log-why", message, "say who has the run now, and why")
@@ -340,7 +341,7 @@ def retire_run(log: RunLog, run: str, why: str) -> TreeHead:
 
 
 def _examined(run: Path, *but: str) -> Examined:
-    """Raises `IntegrityError` for a run that was changed. but: codes of accepted faults."""
+    """An examined run. Raises `IntegrityError` if it was changed. but: codes of accepted faults."""
     found = examine(open_run(run), samples="digests")
     found.require_whole(*but)
     return found
@@ -350,7 +351,8 @@ def _examined(run: Path, *but: str) -> Examined:
 
 
 def inclusion_proof(log: RunLog, run: str) -> JsonObject:
-    """Shows that the newest seal of a run is in the log; see schemas/log-proof.schema.json. Raises `InputError`, `IntegrityError`."""
+    """Makes a proof that the newest seal of a run is in the log; see schemas/log-proof.schema.json. Raises `InputError`,
+    `IntegrityError`."""
     content = _whole(log)
     entry = next((one for one in reversed(content.entries) if one.run == run and one.event == "sealed"), None)
     if entry is None:
@@ -368,7 +370,7 @@ def inclusion_proof(log: RunLog, run: str) -> JsonObject:
 
 
 def growth_proof(log: RunLog, first: TreeHead) -> JsonObject:
-    """Shows that the log begins with the entries of a remembered head. Raises `IntegrityError` if it does not."""
+    """Makes a proof that the log begins with the entries of a remembered head. Raises `IntegrityError` if it does not."""
     content = _whole(log)
     for code, fault in head_faults(content, first, "the remembered tree head"):
         raise IntegrityError(f"{log.path}: {fault}", code)
@@ -388,8 +390,9 @@ def _whole(log: RunLog) -> LogContent:
 
 
 def check_proof(proof: Json, path: Path, head: TreeHead | None, seal: str | None = None) -> str:
-    """Verifies a proof without the log; returns what it shows. proof: matches its schema. head: the tree head that the verifier trusts, by
-    default the one in the proof. seal: SHA-256 of the seal that the proof must be about. Raises `IntegrityError`."""
+    """Verifies a proof without the log; returns a description of what it proves. proof: matches its schema. head: the tree head
+    that the verifier trusts, by default the one in the proof. seal: SHA-256 of the seal that the proof must be about. Raises
+    `IntegrityError`."""
     stated = TreeHead.from_json(proof["head"])
     if head is not None and (head.size, head.root) != (stated.size, stated.root):
         message = f"the proof is for a tree of size {stated.size} with another root than the given tree head"

@@ -1,7 +1,7 @@
-"""Validating this installation: reference recordings with known answers pass through the whole pipeline on the user's machine.
+"""Validates this installation: reference recordings with known answers pass through the whole pipeline on the user's machine.
 
-Each reference plan in `plans/self_test` is checked, played back, recorded, estimated and compared with `answers.yaml`. Then one byte of a
-recorded file is changed, which must be detected.
+Each reference plan in `plans/self_test` is checked, played back, recorded, estimated and compared with `answers.yaml`. Then one
+byte of a recorded file is changed, and the program must detect it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from planrunner.tasks.run import analyse_run, start
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """One known answer and the value found by this installation. `difference` is relative, in absolute value."""
+    """One known answer and the value found by this installation. difference: relative, absolute value."""
 
     case: str
     quantity: str
@@ -38,7 +38,7 @@ class Comparison:
 
 
 def validate(folder: Path) -> Iterator[Comparison]:
-    """Runs every reference beneath `folder`, which must be empty, and yields the comparisons as they are made."""
+    """Runs every reference in `folder`, which must be empty, and yields each comparison when it is made."""
     references = shipped("plans") / "self_test"
     answers: JsonObject = source.plain(source.load(references / "answers.yaml"))
     run = folder
@@ -71,7 +71,7 @@ def _compare(
 
 
 def _tamper(run: Path) -> Comparison:
-    """Whether a changed byte in a recorded file is noticed."""
+    """Whether the program detects a changed byte in a recorded file."""
     file = sorted((run / "segments").glob("*.parquet"))[0]
     data = bytearray(file.read_bytes())
     data[len(data) // 2] ^= 1

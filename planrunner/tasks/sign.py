@@ -1,4 +1,5 @@
-"""Signing a sealed run: the run is verified, its result read from the newest analysis, and the signature written into its folder."""
+"""Signs a sealed run: the run is verified, its result is read from the newest analysis, and the signature is written into its
+folder."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ from planrunner.tasks.run import stored_results
 
 
 def sign(run: Path, signer: Signer, meaning: PersonMeaning, name: str, comment: str = "") -> RunSignature:
-    """Signs a run with its samples verified; returns the signature as it is then read, without a key ring.
+    """Verifies the samples of a run and signs it. Returns the signature as it reads without a key ring.
 
     Raises `InputError` for a run that is not sealed or has no analysis or for a key that must not sign, and `IntegrityError` for a changed
     run.
@@ -53,10 +54,12 @@ def sign(run: Path, signer: Signer, meaning: PersonMeaning, name: str, comment: 
 
 
 def sign_later(run: Path, signer: Signer | None = None) -> tuple[RunSignature, ...]:
-    """Signs with the key of its bench what a run that was made here lacks; returns the new signatures, none if it lacks nothing.
+    """Signs what is still unsigned in a run that was made on this computer, with the key of its bench. Returns the new signatures;
+    none if everything is signed.
 
-    The whole run is verified first. An analysis is signed only if its results are recomputed from the samples. signer: the key, if the
-    user gives it; by default it is searched on this computer, which must have made the run. Raises `InputError` and `IntegrityError`.
+    The whole run is verified first. An analysis is signed only if its results are recomputed from the samples. signer: the key, if
+    the user gives it. By default, it is searched on this computer, which must have made the run. Raises `InputError` and
+    `IntegrityError`.
     """
     folder = open_run(run)
     with locked(folder):
@@ -92,7 +95,8 @@ def sign_later(run: Path, signer: Signer | None = None) -> tuple[RunSignature, .
 
 
 def _verified(folder: GuardedFolder) -> Examined:
-    """A sealed run without changes; only signatures that its bench must make may be missing. Raises `IntegrityError` and `InputError`."""
+    """Verifies that a sealed run is unchanged. Only signatures that its bench must make may be missing. Raises `IntegrityError` and
+    `InputError`."""
     found = examine(folder, samples="digests")
     run_approvals(found, None)
     found.require_whole()
@@ -111,6 +115,6 @@ def _verified(folder: GuardedFolder) -> Examined:
 
 
 def _require_made_here(reader: RunReader) -> None:
-    """Raises `BenchKeyError` for a run of unknown origin: its bench file must not decide which key signs it."""
+    """Raises `BenchKeyError` for a run of unknown origin, because its bench file must not decide which key signs it."""
     if why := foreign(reader.folder, reader.first):
         raise BenchKeyError(why)

@@ -1,7 +1,7 @@
-"""Simulating a plan with added effects: the bench gets one more instrument, and everything else is as in any run.
+"""Simulates a plan with added effects: the bench has one more instrument, and everything else is as in any run.
 
-The added effects are in the bench file of the run folder, so that resuming, estimating and diagnosing use them, and the bench file
-reproduces them later.
+The bench file of the run folder contains the added effects. Resuming, estimating and diagnosing therefore use them, and the bench
+file reproduces them later.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Simulation:
     additions: tuple[Addition, ...]
 
     def words(self) -> list[str]:
-        """A line for each effect."""
+        """A description of each effect in one line."""
         return [
             f"{item.id}: " + ", ".join(f"{name} {value}" for name, value in stated(item).items())
             for item in self.additions
@@ -77,13 +77,13 @@ def simulation(
 
 
 def stated(item: Addition) -> dict[str, str]:
-    """All parameters of an effect with their units, as a bench file has them."""
+    """All parameters of an effect with their units, in the form of a bench file."""
     units = {name: "" if text == "1" else f" {text}" for name, text in item.units.items()}
     return {name: f"{value:.12g}{units[name]}" for name, value in item.values.items()}
 
 
 def check_virtual(sound: Sound) -> None:
-    """Raises `InputError` for a bench that simulates nothing."""
+    """Raises `InputError` for a bench that cannot simulate."""
     hint = "choose a virtual bench with --bench; `planrunner bench` lists the shipped ones"
     if sound.models.replays or not runs_on_virtual_clock(sound.bench):
         what = "plays back recordings" if sound.models.replays else "has real instruments"
@@ -93,7 +93,8 @@ def check_virtual(sound: Sound) -> None:
 
 
 def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]], mark: Mark) -> tuple[Addition, ...]:
-    """The effects, each with all its parameters. effects: names and stated parameters. mark: where they are stated. Raises `InputError`."""
+    """The effects with all their parameters. effects: names and stated parameters. mark: place where they are stated. Raises
+    `InputError`."""
     from planrunner.error_model.added import addition
     from planrunner.error_model.scheduled import scheduled, sensor_channels
 
@@ -124,8 +125,8 @@ def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]],
 
 
 def parsed(text: str, option: str = OPTION.file) -> tuple[str, dict[str, str]]:
-    """`EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` as name and values; a value without a name has the key ''. option: of
-    the command line, for messages."""
+    """Splits `EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` into name and values. A value without a name has the key
+    ''. option: option of the command line, for messages."""
     name, equals, rest = (part.strip() for part in text.partition("="))
     values: dict[str, str] = {}
     for piece in rest.split(",") if equals else ():
@@ -141,7 +142,7 @@ def parsed(text: str, option: str = OPTION.file) -> tuple[str, dict[str, str]]:
 
 
 def with_effects(text: str, additions: Sequence[Addition]) -> str:
-    """A bench file's text with one more instrument that adds effects, made safe last."""
+    """The text of a bench file with one more instrument that adds effects. It is the last to be made safe."""
     entry = {"driver": "added_effects", "effects": {item.id: stated(item) for item in additions}}
     return _with_instrument(text, INSTRUMENT, _flow(entry))
 

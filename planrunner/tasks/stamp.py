@@ -26,13 +26,14 @@ def authority_of(spec: TimeStampsSpec) -> StampAuthority:
 
 
 def stamper_of(bench: Bench) -> Stamper | None:
-    """The stamper for a run on a bench; None if the bench has no authority."""
+    """The stamper for a run on a bench; None if the bench names no authority."""
     spec = bench.time_stamps
     return None if spec is None else Stamper(spec.url, authority_of(spec), spec.every.value)
 
 
 def stamp_seal(folder: GuardedFolder, url: str, authority: StampAuthority, storage: Storage | None = None) -> str:
-    """Stamps the present seal of a run whose lock the caller holds; returns the time of the stamp. Raises `StampError` and `OSError`."""
+    """Stamps the present seal of a run. The caller must hold the lock of the run. Returns the time of the stamp. Raises
+    `StampError` and `OSError`."""
     seal = folder.read(seals.NAME, seals.MOST_BYTES)
     token, at = request_stamp(url, seal, digest(seal), authority)
     keep_stamp(folder, storage or Storage(), f"seal-{digest(token)[:DIGITS]}", token)
@@ -40,7 +41,8 @@ def stamp_seal(folder: GuardedFolder, url: str, authority: StampAuthority, stora
 
 
 def after_sealing(folder: GuardedFolder, bench: Bench, stamper: Stamper | None) -> tuple[Finding, ...]:
-    """Stamps the seal of a run that has just been sealed; returns what the user must know. Nothing here spoils the run."""
+    """Stamps the seal of a run that has just been sealed; returns a message for the user if it fails. An error here never spoils
+    the run."""
     spec, mark = bench.time_stamps, Mark(str(folder.path))
     if spec is None:
         return ()
@@ -95,7 +97,7 @@ def stamp_run(run: Path, url: str | None = None) -> str:
 
 
 def _require_origin(reader: RunReader, url: str) -> None:
-    """The bench file of a stranger's folder must not choose what is connected to."""
+    """Checks the origin of a folder, because the bench file in a folder from elsewhere must not choose the address to connect to."""
     why = foreign(reader.folder, reader.first)
     if not why:
         return

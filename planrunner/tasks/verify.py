@@ -1,4 +1,4 @@
-"""Verifying runs: what was changed since they were written, for an auditor who has only the folders."""
+"""Verifies runs for an auditor who has only the folders: what was changed since they were written."""
 
 from __future__ import annotations
 
@@ -41,11 +41,10 @@ FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """Result of the verification of a run folder. changes: each change with the finding that describes it; remarks: findings that are not
-    changes, such as that the run is not sealed; amendments: number of an analysis → who amended which analysis, and why;
-    evaluations: whether approvals cover the evaluation of each analysis, if the bench requires approvals;
-    signatures, stamps, approvals: all electronic signatures, time stamps, and approvals under which the plan ran; an invalid one is a
-    change too."""
+    """Result of the verification of a run folder. changes: each change with the finding that describes it; remarks: findings that
+    are not changes, such as that the run is not sealed; amendments: number of an analysis → who amended which analysis, and why;
+    evaluations: whether approvals cover the evaluation of each analysis, if the bench requires approvals; signatures, stamps,
+    approvals: all electronic signatures, time stamps, and approvals under which the plan ran; an invalid one is a change too."""
 
     found: Examined
     changes: tuple[tuple[Change, Finding], ...]
@@ -62,7 +61,7 @@ class Verification:
         return self.found.seal is not None and self.found.state is not None and self.found.state.finished
 
     def to_json(self) -> JsonObject:
-        """See schemas/verification.schema.json."""
+        """JSON data according to schemas/verification.schema.json."""
         found = self.found
         parts = found.files.values()
         return {
@@ -94,8 +93,8 @@ class Verification:
 
 
 def verify_run(run: Path, ring: KeyRing | None = None, authority: StampAuthority | None = None) -> Verification:
-    """Verifies a run folder with all samples, signatures and time stamps. ring: the known keys; authority: the certificates that time
-    stamps are verified with. Raises `InputError` if it is not a run folder."""
+    """Verifies a run folder with all samples, signatures and time stamps. ring: the known keys; authority: the certificates that
+    verify time stamps. Raises `InputError` if it is not a run folder."""
     found = examine(open_run(run), samples="digests")
     signatures = verify_signatures(found, ring)
     stamps: tuple[RunStamp, ...] = ()
@@ -109,7 +108,7 @@ def verify_run(run: Path, ring: KeyRing | None = None, authority: StampAuthority
 
 
 def verify_evaluations(found: Examined, ring: KeyRing | None) -> tuple[EvaluationApproval, ...]:
-    """Whether approvals cover the evaluation of each analysis; what is wrong with them becomes findings."""
+    """Whether approvals cover the evaluation of each analysis. Faults become findings."""
     evaluations = tuple(evaluation_approvals(found, ring))
     for one in evaluations:
         if one.fault:
@@ -122,7 +121,7 @@ def verify_evaluations(found: Examined, ring: KeyRing | None) -> tuple[Evaluatio
 
 
 def verify_signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignature, ...]:
-    """The signatures; what is wrong with them becomes findings."""
+    """The signatures of a run. Faults become findings."""
     path = found.folder.path / SIGNATURES
     try:
         for fault in signature_faults(found.folder):
@@ -175,7 +174,7 @@ def runs_beneath(archive: Path) -> list[Path]:
 
 
 def runs_in(archive: Path) -> list[Path]:
-    """As `runs_beneath`, but there may be none, and the folder need not exist."""
+    """The same as `runs_beneath`, but there may be none, and the folder need not exist."""
     if not archive.exists():
         return []
     try:

@@ -43,7 +43,7 @@ def suite_schema() -> Schema:
 
 
 def _document(title: str, schema: Schema, definitions: dict[str, Schema]) -> Schema:
-    """The whole schema; parts common to many keys, such as a quantity of time, are in `$defs` once."""
+    """The whole schema. Parts that many keys use, such as a quantity of time, are defined once in `$defs`."""
     shared = _shared()
     names = {json.dumps(part, sort_keys=True): name for name, part in shared.items()}
     used: set[str] = set()
@@ -76,7 +76,8 @@ def _shared() -> dict[str, Schema]:
 
 
 def _with_references(schema: Json, names: dict[str, str], used: set[str]) -> Json:
-    """`schema` with every part that `names` knows replaced by a reference; descriptions and examples stay next to it."""
+    """A copy of `schema` in which references replace all parts that `names` contains. Descriptions and examples stay next to the
+    references."""
     if isinstance(schema, list):
         return [_with_references(item, names, used) for item in schema]
     if not isinstance(schema, dict):
@@ -91,7 +92,7 @@ def _with_references(schema: Json, names: dict[str, str], used: set[str]) -> Jso
 
 
 def text(schema: JsonObject) -> str:
-    """The file's text."""
+    """The text of the file."""
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 
 
