@@ -1,1 +1,2 @@
-"""Benches: the equipment and site that a plan runs on. Bench files, the models made from them, the connected bench and its clock."""
+"""Benches: the equipment and site that a plan runs on. It contains bench files, the models made from them, the connected bench and
+its clock."""

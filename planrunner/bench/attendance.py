@@ -1,4 +1,4 @@
-"""Checks if a plan can run unattended: prompts on a real bench need an operator at a terminal."""
+"""Checks whether a plan can run unattended: prompts on a real bench need an operator at a terminal."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Calibrations of the parts of a bench: the record, checks of its dates, and its validity on the day of a run; and the
-laboratory that the bench belongs to, as a calibration certificate names it (ISO/IEC 17025:2017, 7.8).
+"""Calibrations of the parts of a bench: the record, checks of its dates, and its validity on the day of a run. Also the laboratory
+of the bench, as a calibration certificate names it (ISO/IEC 17025:2017, 7.8).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ SOON = timedelta(days=30)  # time before the due date from which `check` gives a
 
 
 class Calibration(Record):
-    """Source of uncertainties and how long they are valid."""
+    """Source of uncertainties and their period of validity."""
 
     certificate: str = key(
         Text(LINE, "a certificate"), "Certificate or report that gives the values.", "RT-0042 / 2026-117"
@@ -81,7 +81,7 @@ def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date,
 
 
 def parsed_day(text: str | None) -> date | None:
-    """A calendar date; None if the text is none."""
+    """A calendar date; None if the text is not a date."""
     try:
         return date.fromisoformat(text) if text else None
     except ValueError:

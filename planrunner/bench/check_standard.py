@@ -1,4 +1,4 @@
-"""The check standard of a bench: a device that stays in the laboratory and is measured again and again, which shows whether the measurement
+"""The check standard of a bench: a device that stays in the laboratory and is measured repeatedly. It shows whether the measurement
 process is in control (NIST/SEMATECH e-Handbook of Statistical Methods, 2.2; NIST SOP 17, NISTIR 7383)."""
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class CheckStandardRule(Record):
 
     @property
     def plan_name(self) -> str:
-        """The name that the runs of the plan have."""
+        """The name of its plan in the archive."""
         return Path(self.plan).stem
 
     def measured_by(self, plan_name: str, info: Mapping[str, object]) -> bool:

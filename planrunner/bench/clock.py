@@ -1,4 +1,4 @@
-"""Clocks: simulated and real time with the same methods, so that the executor need not know which it uses."""
+"""Clocks: simulated and real time with the same methods, so that the executor need not know which one it uses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 class VirtualClock:
-    """Simulated time: it advances only by sleeping, which returns at once."""
+    """Simulated time. It advances only by sleeping, which returns at once."""
 
     def __init__(self, start: float = 0.0):
         self._now = start
@@ -21,7 +21,7 @@ class VirtualClock:
             self._now += seconds
 
     def set(self, seconds: float) -> None:
-        """Set the time when a run is resumed."""
+        """Sets the time when a run is resumed."""
         self._now = seconds
 
     def attend(self, callback: Callable[[], bool] | None) -> None:
@@ -29,7 +29,7 @@ class VirtualClock:
 
 
 class WallClock:
-    """Real time, monotonic: it does not jump when the computer's clock is set.
+    """Real time. It is monotonic: it does not jump when the computer's clock is set.
 
     A sleep is interruptible: about every `slice` seconds the callback given to `attend` is called, and the sleep ends early when it returns
     True. speed: seconds of this clock per second of real time, for a bench whose simulated instruments run faster.
@@ -53,9 +53,9 @@ class WallClock:
             time.sleep(min(left, self._slice))
 
     def set(self, seconds: float) -> None:
-        """Continue from a time when a run is resumed."""
+        """Continues from a time when a run is resumed."""
         self._origin = time.monotonic() - seconds / self.speed
 
     def attend(self, callback: Callable[[], bool] | None) -> None:
-        """Call `callback` during sleeps; it returns whether to end the sleep. None: call nothing."""
+        """Sets a callback that is called during sleeps and returns whether to end the sleep. None: no callback."""
         self._attend = callback

@@ -29,8 +29,8 @@ _DESIGN = "`planrunner design` finds cycles without a residual"
 def check_cycle(
     axis: TableAxis, starts: Sequence[float], motion: Cycle, dwell: float | None, site: Site, at: MarkOf, log: Findings
 ) -> tuple[float, float]:
-    """Adds findings about a cycle that begins with the joint at the first of `starts` [rad], or perhaps at another of them. Returns the
-    angle [rad] of the joint at rest after the dwell if it begins at the first, and the time [s] to come to rest."""
+    """Adds findings about a cycle that begins with the joint at the first of `starts` [rad], or perhaps at another of them. Returns
+    the angle [rad] of the joint at rest after the dwell if the cycle begins at the first, and the time [s] to come to rest."""
     start = starts[0]
     excess = next(filter(None, (cycle_excess(axis, begin, motion) for begin in starts)), [])
     for one in excess:

@@ -1,7 +1,7 @@
 """Usual limits of the constant errors of inertial sensors, by the grade of the sensor.
 
-A diagnosis compares with them what it finds, where the bench file declares no limits: the simulation fits biases and scale factors, so that
-a value of any size leaves no gap.
+If the bench file declares no limits, a diagnosis compares its results with these. This is necessary because the simulation fits
+biases and scale factors, so that even a very large value leaves no gap.
 
 Sources. navigation, tactical: P. D. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*, 2nd ed., 2013,
 table 4.1 (biases; a grade reaches to where the next one begins) and section 4.4.2 (scale factors and cross-coupling of 100 to 1000 ppm,
@@ -21,7 +21,7 @@ from planrunner.plan.quantity import Quantity, parse_symmetric
 
 
 class Sense(Enum):
-    """What a term's sensor measures."""
+    """The quantity that a sensor measures, for a term."""
 
     RATE = "angular rate"
     FORCE = "specific force"
@@ -42,8 +42,8 @@ SENSES: Mapping[str, Sense] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Grade:
-    """quietest: least usual white noise of a gyro, angle random walk in deg/√h, and of an accelerometer, one-sided density in µg/√Hz.
-    usual: limits of the terms of `SENSES`, in their order."""
+    """Usual limits of one grade. quietest: smallest usual white noise: of a gyro, angle random walk in deg/√h; of an accelerometer,
+    one-sided density in µg/√Hz. usual: limits of the terms of `SENSES`, in their order."""
 
     name: str
     quietest: Mapping[Sense, float]
@@ -70,5 +70,5 @@ GRADE_NAMES = tuple(grade.name for grade in GRADES)
 
 
 def grade_of(sense: Sense, noise: float) -> Grade:
-    """The loosest grade in which so little noise is usual. noise: as `Grade.quietest`."""
+    """The lowest grade in which such low noise is usual. noise: in the form of `Grade.quietest`."""
     return next(grade for grade in reversed(GRADES) if grade.quietest[sense] <= noise)

@@ -1,4 +1,4 @@
-"""One run per bench: every real instrument is locked for all processes of the computer, under all names of its address.
+"""One run per bench: all processes of the computer lock every real instrument, under all names of its address.
 
 Locks are files in one folder of the computer, which does not depend on the folder for temporary files of a process. The operating system
 releases them when a process ends for any reason. Besides the lock of the run there is a lock of its watchdog, taken before the first
@@ -42,7 +42,7 @@ RESCUE_PATIENCE = 30.0
 
 @contextmanager
 def bench_lock(bench: Bench, shown: str, purpose: str = "a run") -> Iterator[None]:
-    """Lock the bench's real instruments. A bench without real instruments needs no lock.
+    """Locks the bench's real instruments. A bench without real instruments needs no lock.
 
     shown: the bench's file, for messages; purpose: why it is locked, shown to others who want it. Raises `InputError` if another process
     holds one of the instruments. Waits for the watchdog of a run that has ended.
@@ -65,7 +65,7 @@ def bench_lock(bench: Bench, shown: str, purpose: str = "a run") -> Iterator[Non
 
 @contextmanager
 def watchdog_lock(bench: Bench, shown: str) -> Iterator[None]:
-    """Lock the bench's real instruments against every other run while the watchdog of this run lives. Raises `InputError`."""
+    """Locks the bench's real instruments against every other run while the watchdog of this run exists. Raises `InputError`."""
     with ExitStack() as stack:
         _hold_all(
             stack, _names(bench), "watchdog", shown, "the watchdog of another run, which is making the bench safe"
@@ -95,7 +95,8 @@ def lock_folder() -> Path:
 
 
 def _named(folder: Path) -> Path:
-    """The folder named in the environment. It is created if absent: by an administrator for all users, otherwise for the user alone."""
+    """The folder that the environment names. It is created if it does not exist: by an administrator for all users, otherwise for
+    the user alone."""
     if not folder.is_absolute():
         raise UntrustedFolderError(f"{folder} is a different folder for each process: give its absolute path")
     try:
@@ -131,7 +132,7 @@ def _names(bench: Bench) -> Mapping[str, str]:
 
 
 def _hold_all(stack: ExitStack, instruments: Mapping[str, str], kind: str, shown: str, purpose: str) -> None:
-    """Hold all locks of a kind until the stack is closed, or none of them."""
+    """Holds all locks of a kind until the stack is closed, or none of them."""
     if not instruments:
         return
     folder = _usable_folder(shown)

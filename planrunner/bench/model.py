@@ -115,8 +115,8 @@ class SiteSpec(Record):
 
 
 def astronomic_latitude(site: SiteSpec) -> Quantity:
-    """The latitude of the plumb line, rad, which gives the direction of the Earth's rotation relative to gravity: Φ = φ + ξ if the
-    geodetic latitude is stated."""
+    """The latitude of the plumb line [rad], which gives the direction of the Earth's rotation relative to gravity. It is Φ = φ + ξ
+    if the geodetic latitude is stated."""
     stated, deviation = site.latitude, site.deviation_of_vertical
     if deviation is None or site.latitude_kind == "astronomic":
         return stated
@@ -125,7 +125,8 @@ def astronomic_latitude(site: SiteSpec) -> Quantity:
 
 
 def geodetic_latitude(site: SiteSpec) -> float:
-    """The latitude on the ellipsoid, rad, which is used for navigated positions: φ = Φ − ξ if the astronomic latitude is stated."""
+    """The latitude on the ellipsoid [rad], which is used for navigated positions. It is φ = Φ − ξ if the astronomic latitude is
+    stated."""
     deviation = site.deviation_of_vertical
     known = site.latitude_kind == "astronomic" and deviation is not None
     return site.latitude.value - (deviation.north.value if known and deviation is not None else 0.0)
@@ -263,7 +264,7 @@ class Bench(Record):
     )
 
     def calibrations(self) -> tuple[tuple[str, Calibration], ...]:
-        """Name of each calibrated object with its record."""
+        """Name and record of each calibrated object."""
         fixed = self.fixture.calibration if self.fixture else None
         found = [("the site's survey", self.site.survey), ("the fixture", fixed)]
         found += [(f"'{name}'", entry.calibration) for name, entry in self.instruments.items()]
@@ -332,8 +333,8 @@ def models(bench: Bench) -> BenchModels:
 
 
 def _origin(bench: Bench, drivers: Iterable[type[Driver[Record]]], replays: bool) -> DataOrigin:
-    """The origin is simulated if one instrument is: in this program (its state is restored after a crash), or in the process behind its
-    address."""
+    """The origin of the samples. It is simulated if at least one instrument is simulated: in this program (its state is restored
+    after a crash), or in the process behind its address."""
     inside = any(issubclass(driver, Resumable) and not issubclass(driver, PlaysBack) for driver in drivers)
     if inside or bench.simulation is not None or (_virtual(bench, replays) and not replays):
         return "simulated"
@@ -346,7 +347,7 @@ def real_instruments(bench: Bench) -> tuple[str, ...]:
 
 
 def runs_on_virtual_clock(bench: Bench) -> bool:
-    """Whether time is simulated: as the bench states. By default only played-back recordings use simulated time."""
+    """Whether time is simulated, as the bench states it. By default only played-back recordings use simulated time."""
     return _virtual(bench, any(issubclass(driver_of(entry), PlaysBack) for entry in bench.instruments.values()))
 
 
@@ -355,7 +356,7 @@ def _virtual(bench: Bench, replays: bool) -> bool:
 
 
 def safe_order(bench: Bench) -> tuple[str, ...]:
-    """Names of the instruments in the order they are made safe: as declared; by default table, chamber, others."""
+    """Names of the instruments in the order in which they are made safe: as declared; by default table, chamber, others."""
     if bench.safe_order:
         return bench.safe_order
     ranks = {"table": 0, "chamber": 1}
@@ -366,7 +367,7 @@ def safe_order(bench: Bench) -> tuple[str, ...]:
 
 
 def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, bytes, str]:
-    """A bench, the exact bytes of its file, and its name in findings.
+    """Reads a bench; returns it with the exact bytes of its file, and its name in findings.
 
     A bare word names a shipped bench. Anything else is a file, relative to the folder `beside`. Raises `InputError` with every finding in
     the file.

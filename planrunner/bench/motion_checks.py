@@ -48,11 +48,11 @@ def start_motion(
     at: MarkOf,
     log: Findings,
 ) -> tuple[float, TableState]:
-    """Seconds until the table is in motion, and its state after the dwell. A motion that it cannot execute becomes a finding at its place
-    in the plan.
+    """Time [s] until the table is in motion, and its state after the dwell. A motion that it cannot execute becomes a finding at
+    its place in the plan.
 
-    input_axes: (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not known. at: the mark of one
-    of the motion's keys, or, for an empty one, of the motion.
+    input_axes: (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not known. at: the mark
+    of one of the motion's keys, or, for an empty key, of the motion.
     """
     table, mark = models.table, at("")
     if isinstance(motion, Rest):
@@ -83,7 +83,7 @@ def start_motion(
 
 
 def _check_moved(motion: RecordedMotion, models: BenchModels, at: MarkOf, log: Findings) -> None:
-    """Whether a motion that nobody commands is possible on this bench, and whether its sensor has the channels that show it."""
+    """Checks whether a motion that nobody commands is possible on this bench, and whether its sensor has the channels that show it."""
     if models.table is not None:
         message = "the table of this bench moves only on command, so the sensor cannot move in a way that only the recording shows"
         log.error(
@@ -136,7 +136,7 @@ def _complain(excess: Sequence[Excess], mark: Mark, log: Findings) -> None:
 
 
 def _check_sampled(motion: Rock, sampled: float | None, mark: Mark, log: Findings) -> None:
-    """Sampling theorem: a sine at half the sample rate or above is recorded with a wrong frequency."""
+    """Checks the sampling theorem: a sine at half the sample rate or above is recorded with a wrong frequency."""
     if sampled is None or motion.frequency < sampled / 2 * (1 - 1e-9):
         return
     alias = abs(motion.frequency - sampled * round(motion.frequency / sampled))
@@ -191,7 +191,7 @@ def _spin(
 def _elsewhere(
     table: TableModel, motion: Spin, seconds: float | None, state: TableState, models: BenchModels
 ) -> list[Excess]:
-    """Requirements beyond the limits if the spin begins at another angle at which the table may be."""
+    """Additional requirements if the spin begins at another angle at which the table may be."""
     # The angle of a continuous innermost axis makes no difference to a spin.
     matter = len(table.axes) - 1 if table.axes[-1].continuous else len(table.axes)
     starts = {start[:matter].tobytes(): start for start in state.starts()[1:]}
@@ -217,7 +217,7 @@ def _perhaps(excess: Sequence[Excess]) -> list[Excess]:
 def _whole_turns(
     motion: Spin, dwell: float, input_axes: Array | None, models: BenchModels, mark: Mark, log: Findings
 ) -> None:
-    """Warns if a fraction of a turn biases the mean of an axis that is tilted from the rotation axis by Earth rate."""
+    """Warns if a fraction of a turn biases the mean. The Earth rate causes this for an axis that is tilted from the rotation axis."""
     turns = abs(motion.rate) * dwell / (2 * math.pi)
     if abs(turns - round(turns)) < 1e-3 or input_axes is None:
         return

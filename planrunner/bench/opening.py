@@ -4,8 +4,8 @@ Only the instruments that this process took control of are made safe. Connecting
 started must not be stopped. Making safe tries each instrument in the bench's order, even if others fail. Connecting stops at the first
 instrument that fails and releases those already connected.
 
-For a run the bench is locked against other runs, guarded by a watchdog, connected, and left safe, in this order. Without real instruments
-it needs neither lock nor watchdog.
+For a run the bench is locked against other runs, guarded by a watchdog, connected, and finally made safe, in this order. Without
+real instruments it needs neither lock nor watchdog.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class NotSafeError(InstrumentError):
 
 @dataclass(frozen=True, slots=True)
 class SafetyFailure:
-    """An instrument that could not be made safe or closed, and why."""
+    """An instrument that could not be made safe or closed, and the reason."""
 
     instrument: str
     message: str
@@ -53,8 +53,9 @@ class SafetyFailure:
 class OpenBench:
     """A bench whose instruments are connected. A context manager: on exit, the controlled instruments are made safe, then all are closed.
 
-    table, chamber, sensor: the instrument of that role, or None. instruments: all of them by name. limits: limits that the instruments
-    enforce themselves. watchdog: of a guarded bench. safe: whether the last attempt brought all controlled instruments to their safe state.
+    table, chamber, sensor: the instrument of that role, or None. instruments: all of them by name. limits: descriptions of the
+    limits that the instruments enforce themselves. watchdog: the watchdog of a guarded bench. safe: whether the last attempt
+    brought all controlled instruments to their safe state.
     """
 
     def __init__(self, bench: Bench, clock: RunClock, site: Site):
@@ -87,18 +88,19 @@ class OpenBench:
         return own_limits(self.bench.protection)
 
     def sign_of_life(self) -> None:
-        """Tell the watchdog that planrunner is at work. Raises `InstrumentError` when the watchdog is gone."""
+        """Tells the watchdog that planrunner is at work. Raises `InstrumentError` if the watchdog has ended."""
         if self.watchdog is not None:
             self.watchdog.sign_of_life()
 
     def add(self, name: str, role: str, instrument: Instrument) -> None:
-        """Add a connected instrument."""
+        """Adds a connected instrument."""
         self.instruments = {**self.instruments, name: instrument}
         self._roles = {**self._roles, name: role}
 
     def take_control(self, *names: str) -> None:
-        """From now on this process commands these instruments (by default all). It makes them safe; if it no longer can, its watchdog
-        does. Call this before the first command. Raises `InstrumentError` if the watchdog is gone."""
+        """Declares that from now on this process commands these instruments (by default all). The process then makes them safe at
+        the end. If it no longer can, its watchdog does. Call this before the first command. Raises `InstrumentError` if the
+        watchdog has ended."""
         added = set(names or self.instruments) - self._controlled
         if added and self.watchdog is not None:
             self.watchdog.answer_for(added)
@@ -106,18 +108,18 @@ class OpenBench:
 
     @property
     def untouched(self) -> tuple[str, ...]:
-        """The instruments that were never commanded and are therefore left as found."""
+        """The instruments that were never commanded and are therefore left as they were."""
         return tuple(name for name in self.instruments if name not in self._controlled)
 
     def make_safe(self) -> list[SafetyFailure]:
-        """Bring every controlled instrument to its safe state in the bench's order; returns the failures."""
+        """Brings every controlled instrument to its safe state in the bench's order; returns the failures."""
         self.safe = False
         failures = self._each(lambda instrument: instrument.make_safe(), self._controlled)
         self.safe = not failures
         return failures
 
     def close(self) -> list[SafetyFailure]:
-        """Disconnect every instrument; returns those that failed. May be called twice."""
+        """Disconnects every instrument; returns the failures. May be called twice."""
         failures = self._each(lambda instrument: instrument.close(), self.instruments)
         self.instruments = {}
         return failures
@@ -169,7 +171,7 @@ def open_bench(
     clock: RunClock | None = None,
     notice: Announce | None = None,
 ) -> OpenBench:
-    """Connect the instruments of a bench in the order of its file.
+    """Connects the instruments of a bench in the order of its file.
 
     data_root: folder that must contain the recordings. seed: seed of all random numbers of a simulated bench, by default the one in the
     bench. clock: replaces the clock that the bench names. notice: receives the progress of work before the run. Raises
@@ -209,7 +211,7 @@ def guarded_bench(
     seed: int | None = None,
     notice: Announce | None = None,
 ) -> Iterator[OpenBench]:
-    """The connected bench for the duration of a `with` block; safe and closed afterwards.
+    """The connected bench for the duration of a `with` block. At the end it is made safe and closed.
 
     bench_file: the exact bytes of its file, which the watchdog uses to connect; shown: its name in messages. notice: as in
     `open_bench`. Raises `InputError` if another run holds the bench, and `InstrumentError` if the watchdog or an instrument fails.

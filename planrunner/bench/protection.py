@@ -60,7 +60,7 @@ PROTECTION = RecordOf(Protection, _check)
 
 
 def kept_table(table: TableModel, protection: Protection) -> TableModel:
-    """The table as plans may use it."""
+    """The table with the limits that plans must observe."""
     rate = math.inf if protection.rate is None else protection.rate.value
     acceleration = math.inf if protection.acceleration is None else protection.acceleration.value
     axes = tuple(
@@ -75,7 +75,7 @@ def kept_table(table: TableModel, protection: Protection) -> TableModel:
 
 
 def kept_chamber(chamber: ChamberModel, protection: Protection) -> ChamberModel:
-    """The chamber as plans may use it."""
+    """The chamber with the limits that plans must observe."""
     coldest, hottest = protection.coldest, protection.hottest
     return replace(
         chamber,

@@ -24,8 +24,8 @@ _HOST_AND_PORT = re.compile(r"\[?([^\]/]+)\]?:(\d+)/?")
 
 
 def names_of(address: str) -> frozenset[str]:
-    """All names of the instrument at `address`: a VISA resource, a serial port as pyserial names it, or a text that only its driver
-    understands, which is then the name. Never empty; an unknown host keeps its name."""
+    """All names of the instrument at `address`. An address is a VISA resource, a serial port as pyserial names it, or a text that
+    only its driver understands, which is then the only name. Never empty; an unknown host keeps its name."""
     text = address.strip()
     if found := _SOCKET.fullmatch(text):
         return _of_host(found[1], f"port {int(found[2])}")
@@ -67,7 +67,7 @@ def _number(text: str) -> str:
 
 
 def _of_port(name: str, numbered: bool = False) -> frozenset[str]:
-    """numbered: whether a plain number is a Windows port."""
+    """All names of a serial port. numbered: whether a plain number is a Windows port."""
     if url := _URL.fullmatch(name):
         return _of_url(name, url[1].lower(), url[2])
     if sys.platform == "win32":
@@ -87,13 +87,13 @@ def _of_port(name: str, numbered: bool = False) -> frozenset[str]:
 
 
 def windows_port(name: str, numbered: bool = False) -> frozenset[str]:
-    r"""`\\.\com3`, `COM3` and, of a VISA resource, `3` are one port."""
+    r"""The name of a Windows port: `\\.\com3`, `COM3` and, in a VISA resource, `3` are one port."""
     plain = name.upper().removeprefix("\\\\.\\")
     return frozenset({f"COM{plain}" if numbered and plain.isdecimal() else plain})
 
 
 def _calling_out(path: str) -> str:
-    """macOS has two devices for each port; one of them waits for a carrier."""
+    """The device of macOS for outgoing calls. macOS has two devices for each port, and the other one waits for a carrier."""
     return path.replace("/dev/tty.", "/dev/cu.", 1)
 
 

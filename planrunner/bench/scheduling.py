@@ -1,4 +1,4 @@
-"""Plan × bench → schedule: computes transitions and checks every state against the capabilities of the bench.
+"""Makes a schedule from a plan and a bench: computes transitions and checks every state against the capabilities of the bench.
 
 The findings added here concern physics: reach and sampling. Motions are checked in `planrunner.bench.motion_checks`, temperatures in
 `planrunner.bench.temperature_checks`.
@@ -36,7 +36,7 @@ Add = Callable[[str, Mark, str, str], None]
 
 
 def wait_of(stated: Quantity | holding_spec.StabilitySpec | None) -> tuple[float, Stability | None]:
-    """Planned seconds of a `settle` or `soak`, and the quantities that must have settled afterwards, if the plan names any."""
+    """Planned time [s] of a `settle` or `soak`, and the quantities that must have settled afterwards, if the plan names any."""
     if not isinstance(stated, holding_spec.StabilitySpec):
         return (0.0 if stated is None else stated.value), None
     duration = stated.for_.value
@@ -80,7 +80,7 @@ def build_schedule(
     log: Findings,
     mounting: Mapping[str, model.MountedAxis] | None = None,
 ) -> Schedule:
-    """The schedule of the valid segments. A segment with an error is left out; the others are still checked.
+    """The schedule of the valid segments. A segment with an error is omitted; the others are still checked.
 
     mounting: directions of the sensor's input axes in its frame, if stated in the plan; by default the axes of the frame.
     """
@@ -103,7 +103,8 @@ MOST_SAMPLES = 10_000_000_000
 
 
 def _bearable(schedule: Schedule, models: BenchModels, log: Findings) -> bool:
-    """Whether planning can continue. Adds findings if the schedule takes more than a year or gives more samples than can be stored."""
+    """Checks that the size of the schedule allows planning to continue. Adds findings if the schedule takes more than a year or
+    gives more samples than can be stored."""
     if not schedule.segments:
         return True
     before = log.raised
@@ -134,7 +135,7 @@ def _days(seconds: float) -> str:
 
 
 def _lacking(segments: Mapping[Mark, str], key: str) -> tuple[Mark, str]:
-    """The place of the first of some segments, and the key that all of them lack; segments as place → label."""
+    """The place of the first of some segments, and the key that all of them lack. segments: place → label."""
     first, label = next(iter(segments.items()))
     return first, f"the segment '{label}' has no {key}{elsewhere(list(segments), first)}"
 
@@ -234,7 +235,7 @@ class _Planner:
             self.log.error("meaning-no-dwell", *_lacking(self._without_dwell, "dwell"), hint)
 
     def return_time(self) -> float:
-        """From the last segment to the safe state: the chamber back at ambient, the table at rest where it is."""
+        """Time from the last segment to the safe state: the chamber back at ambient, the table at rest at its position."""
         return max(self.state.stopping, self.temperatures.return_time())
 
     # -- keys of a segment ---------------------------------------------------------------------------------------------
@@ -259,7 +260,7 @@ class _Planner:
         return None
 
     def _turns(self, item: StatedSegment, dwell: Turns) -> float | None:
-        """A dwell in whole turns of a spin or whole cycles of turns and stops."""
+        """A dwell [s] in whole turns of a spin or whole cycles of turns and stops."""
         if (dwell.turns is None) == (dwell.cycles is None):
             message = f"the dwell of '{item.label}' has {'both turns and cycles' if dwell.turns else 'neither turns nor cycles'}"
             self._once("meaning-turns", item.marks["dwell"], message, "write for example `dwell: {turns: 1}`")
@@ -293,7 +294,7 @@ class _Planner:
     # -- capabilities of the bench -----------------------------------------------------------------------------------
 
     def _once(self, code: str, mark: Mark, message: str, hint: str) -> None:
-        """One finding per place: a sweep over a wrong state reports it once."""
+        """Adds at most one finding for each place, so that a sweep over a wrong state is reported once."""
         if (code, mark) not in self._complained:
             self._complained.add((code, mark))
             self.log.error(code, mark, message, hint)
@@ -305,7 +306,7 @@ class _Planner:
             self._once("physics-mode", item.marks["mode"], f"the sensor of this bench has no mode '{mode}'", hint)
 
     def _check_surroundings(self, item: StatedSegment) -> None:
-        """A warning for a supply voltage or a pressure that changes although nobody is asked to change it."""
+        """Adds a warning about a supply voltage or a pressure that changes although no prompt asks for the change."""
         for key in ("supply_voltage", "ambient_pressure"):
             stated = getattr(item.state, key)
             before = self._surroundings.setdefault(key, stated)

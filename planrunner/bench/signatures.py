@@ -14,7 +14,7 @@ MOST = 20
 
 
 class ApprovalRule(Record):
-    """Approvals that a plan needs before it may run on this bench. Rules that are not stated restrict nothing."""
+    """Approvals that a plan needs before it may run on this bench. A rule that is not stated has no effect."""
 
     keys: str = key(
         Text(rf"{_PART}(/{_PART}){{0,4}}", "a file in the folder of the bench file or in a folder of it"),
@@ -58,7 +58,7 @@ APPROVALS = RecordOf(ApprovalRule, _check)
 
 
 class SigningSpec(Record):
-    """The bench's own key. The bench file has its public part only."""
+    """The bench's own key. The bench file contains only its public part."""
 
     key: str = key(
         Text(r"ssh-ed25519 [A-Za-z0-9+/=]{20,200}( [^\x00-\x1f]{0,200})?", "a public key of OpenSSH"),

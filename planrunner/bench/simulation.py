@@ -1,4 +1,5 @@
-"""A bench whose instruments are simulated by a separate process: the virtual bench behind its addresses, and requests to that process.
+"""A bench whose instruments are simulated by a separate process: the virtual bench behind the addresses, and requests to that
+process.
 
 A run on such a bench uses the clock of the process, which may run faster than real time. Real instruments never answer at these addresses,
 so nothing real is ever controlled by such a clock.
@@ -41,8 +42,8 @@ class SimulationSpec(Record):
 
 
 def ask(control: str, request: Mapping[str, Json], token: str | None = None) -> JsonObject:
-    """The answer of a simulated bench to one request. token: from its readiness file, for requests that change something. Raises
-    `InstrumentError` if nothing answers or the request is refused."""
+    """Sends one request to a simulated bench and returns the answer. token: from its readiness file, for requests that change
+    something. Raises `InstrumentError` if nothing answers or the request is refused."""
     import json
     import socket
 

@@ -1,4 +1,4 @@
-"""The specification of a sensor: limits of its constant errors, which a diagnosis compares with what it finds."""
+"""The specification of a sensor: limits of its constant errors. A diagnosis compares its results with these limits."""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""Where a table may be: its planned joint angles, by how much a motion may miss them, and what follows for the next orientation.
+"""Where a table may be: its planned joint angles, the possible deviations after a motion, and the consequences for the next
+orientation.
 
-A motion ends at an angle that is known only approximately: the computer ends it, some time after it was due, and the rate has an error.
-Where two ways to the next orientation take almost equally long, this decides which one the table takes. Both are then possible.
+The angle at which a motion ends is known only approximately: the computer ends it with some delay, and the rate has an error. If
+two ways to the next orientation take almost equally long, this deviation decides which one the table takes. Both ways are then
+possible.
 """
 
 from __future__ import annotations
@@ -31,9 +33,9 @@ _STEP = math.pi / 4  # rad; angles at which the choice is tried are at most this
 class TableState:
     """State of the table: joint angles [rad], outermost first, and the time [s] to come to rest.
 
-    roughly: index of a joint that stopped after a motion and is only approximately at its angle, until the next orientation; None if every
-    joint is at its commanded angle. below, above: rad by which each joint may differ from `joints`, negative and positive; empty if they
-    are exact. others: further joint angles at which the table may be instead.
+    roughly: index of a joint that stopped after a motion and is only approximately at its angle, until the next orientation; None
+    if every joint is at its commanded angle. below, above: largest deviations [rad] of each joint from `joints`, negative and
+    positive; empty if the angles are exact. others: further joint angles at which the table may be instead.
     """
 
     joints: Array
@@ -44,7 +46,7 @@ class TableState:
     others: tuple[Array, ...] = ()
 
     def still(self) -> TableState:
-        """The same at rest."""
+        """The same state at rest."""
         return replace(self, stopping=0.0) if self.stopping else self
 
     def starts(self) -> list[Array]:
@@ -56,7 +58,8 @@ class TableState:
     def _around(self, centre: Array) -> Array:
         """Joint angles (n, joints) [rad] at which the table may be instead of `centre`, close enough to meet every choice between two ways.
 
-        A continuous joint that may be anywhere is tried at the same angles whatever its planned one, so that their moves are computed once.
+        A continuous joint that may be at any angle is tried at the same angles, whatever its planned angle is, so that their moves
+        are computed once.
         """
         if not self._inexact:
             return np.empty((0, len(centre)))
@@ -70,7 +73,8 @@ class TableState:
     def ended(
         self, axes: Sequence[TableAxis], joint: int, angle: float, misses: tuple[float, float], stopping: float
     ) -> TableState:
-        """After a motion that turns a joint by `angle` [rad], an end that it may miss by `misses` [rad, negative and positive]."""
+        """The state after a motion that turns a joint by `angle` [rad]. misses: possible deviations of its end [rad], negative and
+        positive."""
         turn = np.zeros(len(self.joints))
         turn[joint] = angle
         low, high = list(self.below or (0.0,) * len(axes)), list(self.above or (0.0,) * len(axes))
@@ -85,9 +89,10 @@ class TableState:
         return TableState(joints, stopping, roughly, tuple(low), tuple(high), others)
 
     def oriented(self, axes: Sequence[TableAxis], attitude: Array, azimuth: float) -> tuple[TableState, float]:
-        """After the move to an attitude (3, 3), and the seconds of the move from the planned angles.
+        """The state after the move to an attitude (3, 3), and the time [s] of the move from the planned angles.
 
-        Raises `Unreachable` with the reason, also if the attitude cannot be reached from an angle at which the table may be.
+        Raises `Unreachable` with the reason, also if the attitude cannot be reached from one of the angles at which the table may
+        be.
         """
         target, seconds = quickest_move(axes, attitude, self.joints, azimuth)
         if not (self._inexact or self.others) or (len(axes) == 1 and axes[0].continuous):
@@ -122,9 +127,10 @@ class TableState:
 
 
 def spin_misses(rate: float, angle: float, sooner: float) -> tuple[float, float]:
-    """The angles [rad], negative and positive, by which a spin at `rate` [rad/s] through `angle` [rad] may miss its planned end.
+    """The largest deviations [rad], negative and positive, of the end of a spin at `rate` [rad/s] through `angle` [rad] from its
+    planned end.
 
-    sooner: s by which it may end earlier, because its settling depends on measurements.
+    sooner: time [s] by which it may end earlier, because its settling depends on measurements.
     """
     missed = abs(rate) * STOPS_LATE + abs(angle) * RATE_ERROR
     early = abs(rate) * sooner
@@ -132,7 +138,7 @@ def spin_misses(rate: float, angle: float, sooner: float) -> tuple[float, float]
 
 
 def _tried(centre: float, low: float, high: float) -> list[float]:
-    """Angles [rad] from `centre + low` to `centre + high`, at most `_STEP` apart."""
+    """Angles [rad] to try, from `centre + low` to `centre + high`, at most `_STEP` apart."""
     if low == 0.0 and high == 0.0:
         return [centre]
     if low <= -math.pi and high >= math.pi:  # only a continuous joint has such a range
@@ -142,7 +148,7 @@ def _tried(centre: float, low: float, high: float) -> list[float]:
 
 
 def _apart(axes: Sequence[TableAxis], first: Array, second: Array) -> Array:
-    """Differences of joint angles [rad], shape (n, joints); whole turns of a continuous axis do not count."""
+    """Differences of joint angles [rad], (n, joints). For a continuous axis, whole turns do not count."""
     off = first - second
     turns = np.array([TURN if axis.continuous else 0.0 for axis in axes])
     return np.asarray(off - turns * np.round(off / TURN))

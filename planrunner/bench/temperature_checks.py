@@ -1,5 +1,5 @@
-"""Checks of temperatures: range of the chamber, ramps that end before the target, and soaks too short for a sensor that lags behind the
-air."""
+"""Checks of temperatures: range of the chamber, ramps that end before the target, and soaks that are too short for a sensor that
+lags behind the air."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _FORGOTTEN = 40.0  # time constants after which the rest of a change is negligib
 
 
 class Temperatures:
-    """Follows the chamber from command to command, and the sensor that lags behind it."""
+    """Follows the commands of the chamber, and the temperature of the sensor that lags behind it."""
 
     def __init__(self, models: BenchModels, log: Findings):
         self._chamber, self._replays, self._log = models.chamber, models.replays, log
@@ -22,13 +22,13 @@ class Temperatures:
         self._warned: float | None = None  # time of the change whose soak was reported as too short
 
     def change(self, kelvin: float | None, now: float, mark: Mark) -> float:
-        """Seconds from `now` [s] until the air has reached the setpoint."""
+        """Time [s] from `now` [s] until the air has reached the setpoint."""
         if kelvin is None or not self._within_reach(kelvin, mark):
             return 0.0
         return self._head_for(kelvin, now)
 
     def ramp(self, kelvin: float, now: float, dwell: float | None, mark: Mark) -> None:
-        """A ramp that is recorded, beginning at `now` [s]."""
+        """Starts a ramp that is recorded, at `now` [s]."""
         if not self._within_reach(kelvin, mark):
             return
         assert self._chamber is not None
@@ -81,7 +81,7 @@ class Temperatures:
             self._log.warning("physics-soak", mark, message, hint)
 
     def return_time(self) -> float:
-        """Seconds back to ambient."""
+        """Time [s] back to ambient."""
         return 0.0 if self._chamber is None else self._chamber.seconds_to_change(self._set - self._chamber.ambient)
 
     def _head_for(self, kelvin: float, now: float) -> float:
@@ -99,7 +99,7 @@ class Temperatures:
         return seconds > abs(kelvin) / self._chamber.ramp + _FORGOTTEN * (self._lag + self._chamber.lag)
 
     def _behind(self, now: float) -> float:
-        """Distance [K] of the sensor from the setpoint: the sum of the remainders of all changes."""
+        """Distance [K] of the sensor from the setpoint. It is the sum of the remainders of all changes."""
         assert self._chamber is not None
         return sum(self._chamber.behind(kelvin, self._lag, now - begun) for begun, kelvin in self._changes)
 

@@ -1,9 +1,9 @@
 """The watchdog from planrunner's side: a separate process that makes the bench safe if planrunner no longer can.
 
-It is started before the first instrument is connected. It receives the names of the instruments that the run takes control of and a
-heartbeat about every second, and ends when the run reports that the bench is safe. It acts (`planrunner.bench.watchdog_process`) if the
-connection ends in any other way, because planrunner crashed, was killed or could not make the bench safe. If the heartbeat stops for longer
-than the bench allows, it ends planrunner and acts. It acts only on the instruments that the run controlled.
+It is started before the first instrument is connected. It receives the names of the instruments that the run controls, and a
+heartbeat about every second. It ends when the run reports that the bench is safe. If the connection ends in any other way, it acts
+(`planrunner.bench.watchdog_process`), because planrunner crashed, was killed or could not make the bench safe. If the heartbeat
+stops for longer than the bench allows, it ends planrunner and acts. It acts only on the instruments that the run controlled.
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ class Watchdog:
         return self._process.pid
 
     def sign_of_life(self) -> None:
-        """Tell it that planrunner is at work; often, at little cost. Raises `InstrumentError` when the watchdog is gone."""
+        """Tells the watchdog that planrunner is at work. It may be called often, at low cost. Raises `InstrumentError` if the
+        watchdog has ended."""
         now = time.monotonic()
         if now - self._told < EVERY:
             return
@@ -77,26 +78,26 @@ class Watchdog:
             raise InstrumentError(_GONE) from None
 
     def answer_for(self, instruments: Collection[str]) -> None:
-        """Announces instruments that are commanded from now on, so that the watchdog can make them safe. Raises `InstrumentError` if the
-        watchdog is gone, so that nothing is commanded unguarded."""
+        """Announces instruments that are commanded from now on, so that the watchdog can make them safe. Raises `InstrumentError`
+        if the watchdog has ended, so that nothing is commanded unguarded."""
         try:
             self._tell(json.dumps({"answer_for": sorted(instruments)}))
         except OSError:
             raise InstrumentError(_GONE) from None
 
     def report_to(self, folder: Path) -> None:
-        """Sets the run folder for its report, in case it acts."""
+        """Sets the run folder for its report, in case the watchdog acts."""
         with contextlib.suppress(OSError):  # the next heartbeat reports it
             self._tell(json.dumps({"report": str(folder.absolute())}))
 
     def stand_down(self) -> None:
-        """The bench is safe; the watchdog ends without acting."""
+        """Tells the watchdog that the bench is safe. The watchdog ends without acting."""
         with contextlib.suppress(OSError):
             self._tell("safe")
         self._part(LEAVING)
 
     def let_act(self) -> None:
-        """The bench could not be made safe from here: let the watchdog try with new connections, and wait for it."""
+        """Lets the watchdog make the bench safe with new connections, because this process could not, and waits for it."""
         self._part(ENDING)
 
     @property
@@ -105,7 +106,7 @@ class Watchdog:
         return self._process.stdin
 
     def _tell(self, line: str) -> None:
-        """Send a line. Raises `OSError` if the watchdog is gone or has not read for too long."""
+        """Sends a line. Raises `OSError` if the watchdog has ended or has not read for too long."""
         data = memoryview(f"{line}\n".encode())
         while data:
             written = self._stdin.write(data)
@@ -137,7 +138,8 @@ def _start() -> subprocess.Popen[bytes]:
 
 
 def _first_line(process: subprocess.Popen[bytes], patience: float) -> str:
-    """The first line of the watchdog, or the reason why there is none. Read in a thread, because not every system can wait on a pipe."""
+    """The first line of the watchdog, or the reason why there is none. A thread reads it, because not every system can wait for a
+    pipe."""
     assert process.stdout is not None
     found: list[bytes] = []
     reader = threading.Thread(target=lambda: found.append(process.stdout.readline()), daemon=True)  # type: ignore[union-attr]

@@ -1,10 +1,11 @@
 """The watchdog process, started by `planrunner.bench.watchdog` through `planrunner.bench.watchdog_start`.
 
-From standard input it reads what to guard, then heartbeats and the names of the instruments that planrunner takes control of. If the
-heartbeat stops for too long, it ends planrunner, which may hold exclusive connections and might continue to send commands. Then, and also
-if the input ends without the word `safe`, it connects to every real instrument that planrunner controlled, using only the bench file, makes
-it safe, and reports to the run folder and to standard error. Instruments that planrunner only connected to are left as they are. If an
-instrument hangs or fails, the watchdog continues with the next. While it lives, no other run gets the bench (`bench.lock`).
+From standard input it reads which bench to guard, then heartbeats and the names of the instruments that planrunner controls. If the
+heartbeat stops for too long, it ends planrunner, which may hold exclusive connections and might continue to send commands. Then,
+and also if the input ends without the word `safe`, it connects to every real instrument that planrunner controlled, using only the
+bench file, makes it safe, and reports to the run folder and to standard error. Instruments that planrunner only connected to are
+left as they are. If an instrument hangs or fails, the watchdog continues with the next. While it exists, no other run gets the
+bench (`bench.lock`).
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ ENDED_WITHIN = 5.0
 
 @dataclass(slots=True)
 class Charge:
-    """The guarded run. parent: process of planrunner; report: the run folder, once it exists; controlled: the instruments that
-    planrunner commands."""
+    """The run that the watchdog guards. parent: process of planrunner; report: the run folder, when it exists; controlled: the
+    instruments that planrunner commands."""
 
     bench: Bench
     shown: str
@@ -74,7 +75,7 @@ def main() -> int:
 
 
 def _listen(lines: queue.SimpleQueue[bytes]) -> None:
-    """Every line of input, and an empty line when the input ends."""
+    """Reads every line of input, and an empty line when the input ends."""
     for line in iter(sys.stdin.buffer.readline, b""):
         lines.put(line)
     lines.put(b"")
@@ -91,7 +92,7 @@ def _read_charge(line: bytes) -> Charge:
 
 
 def _guard(charge: Charge, lines: queue.SimpleQueue[bytes]) -> str | None:
-    """Wait until the bench is safe (returns None) or must be made safe (returns the reason). Silence counts only after the first
+    """Waits until the bench is safe (returns None) or must be made safe (returns the reason). Silence counts only after the first
     heartbeat, because connecting takes time and nothing has moved yet."""
     begun = False
     while True:
@@ -115,7 +116,7 @@ def _hear(charge: Charge, told: JsonObject) -> None:
 
 
 def _ended(parent: int) -> str:
-    """End planrunner; returns the outcome in words. Its pipe is still open, so the process number is still valid."""
+    """Ends planrunner; returns the outcome in words. Its pipe is still open, so the process number is still valid."""
     number = getattr(signal, "SIGKILL", signal.SIGTERM)  # on Windows both signals end a process
     try:
         os.kill(parent, number)
@@ -128,7 +129,7 @@ def _ended(parent: int) -> str:
 
 
 def rescue(charge: Charge) -> list[str]:
-    """Make every real instrument that planrunner controlled safe, in the bench's order; returns a line for each."""
+    """Makes every real instrument safe that planrunner controlled, in the bench's order; returns a line for each."""
     return [
         f"{name}: {_made_safe(charge, name) if name in charge.controlled else 'left as it was, never commanded'}"
         for name in real_instruments(charge.bench)
@@ -184,7 +185,7 @@ def _tell(charge: Charge, reason: str, lines: list[str]) -> None:
 
 
 def live() -> NoReturn:
-    """Run the watchdog process to its end."""
+    """Runs the watchdog process until it ends."""
     code = main()
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""The watchdog's report in a run folder: written by the watchdog's process, taken into the journal when the run is resumed."""
+"""The watchdog's report in a run folder. The watchdog's process writes it, and the journal includes it when the run is resumed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ASIDE = "watchdog.partial"
 
 
 def append_report(run: Path, text: str) -> None:
-    """Add to the report atomically. Raises `OSError`."""
+    """Adds text to the report atomically. Raises `OSError`."""
     folder = GuardedFolder.open(run)
     before = b""
     with contextlib.suppress(FileNotFoundError, NotOrdinaryError):  # an entry that is not a report is replaced

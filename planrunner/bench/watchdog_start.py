@@ -1,5 +1,5 @@
-"""`python -m planrunner.bench.watchdog_start`: the watchdog process. It ignores the signals that end planrunner from its first import
-on."""
+"""The start of the watchdog process: `python -m planrunner.bench.watchdog_start`. From its first import on, it ignores the signals
+that end planrunner."""
 
 from planrunner.base.interruption import be_deaf
 

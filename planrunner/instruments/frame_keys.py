@@ -1,4 +1,4 @@
-"""Bench keys of frames and records of bytes: where the numbers are, how they are written, and the checksum."""
+"""Bench keys of frames and binary records: the positions of the numbers, their encoding, and the checksum."""
 
 from __future__ import annotations
 
@@ -69,13 +69,13 @@ class PlacedNumber(Protocol):
 
 
 def field_of(item: PlacedNumber, scale: float = 1.0) -> Field:
-    """A number from its keys."""
+    """The description of a number, from its keys."""
     width, kind = TYPES[item.type]
     return Field(item.place, width, kind, scale, item.little_endian)
 
 
 def framing_of(sync: str, length: int, checksum: ChecksumOfFrame | None) -> Framing:
-    """Frames of one length from their keys."""
+    """The description of frames of constant length, from their keys."""
     start = bytes.fromhex(sync)
     if checksum is None:
         return Framing(start, length)

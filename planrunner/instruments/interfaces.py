@@ -41,7 +41,7 @@ class InstrumentError(Exception):
 
 
 class UnservedError(InstrumentError):
-    """A schedule cannot be served. findings: all reasons."""
+    """A schedule that cannot be executed. findings: all reasons."""
 
     def __init__(self, findings: Sequence[Finding]):
         self.findings = tuple(findings)
@@ -64,10 +64,10 @@ class RunClock(Clock, Protocol):
     """The clock of a run: it can be set for a resumed run, and calls back while it sleeps."""
 
     def set(self, seconds: float) -> None:
-        """Continue from a time when a run is resumed."""
+        """Continues from a time when a run is resumed."""
 
     def attend(self, callback: Callable[[], bool] | None) -> None:
-        """Call `callback` during sleeps; it returns whether to end the sleep. None: call nothing."""
+        """Sets a callback that is called during sleeps and returns whether to end the sleep. None: no callback."""
 
 
 @runtime_checkable
@@ -79,7 +79,7 @@ class Hastens(Protocol):
 
 @runtime_checkable
 class Closes(Protocol):
-    """An object that holds resources, such as a stream of samples that is abandoned before its end."""
+    """An object that holds resources, such as a stream of samples that is not read to its end."""
 
     def close(self) -> None: ...
 
@@ -136,8 +136,8 @@ class Instrument(Protocol):
         """Manufacturer, model, serial number …, as reported by the instrument."""
 
     def make_safe(self) -> None:
-        """Bring it to its safe state (table stopped, chamber to ambient). Idempotent; raises `InstrumentError` on every failure, because
-        the last caller decides whether a watchdog must act.
+        """Brings the instrument to its safe state (table stopped, chamber to ambient). It may be called repeatedly. It raises
+        `InstrumentError` on every failure, because the last caller decides whether a watchdog must act.
 
         Commands may follow: a run that waits for its operator waits in the safe state."""
 
@@ -147,7 +147,7 @@ class Instrument(Protocol):
 @runtime_checkable
 class HoldsOrientation(Protocol):
     def orient(self, attitude: Array) -> float:
-        """Start moving to an attitude (3, 3) at rest; returns the expected seconds."""
+        """Starts a move to an attitude (3, 3) at rest; returns the expected time [s]."""
 
     def holding(self) -> bool:
         """Whether the commanded state is reached and held."""
@@ -156,16 +156,16 @@ class HoldsOrientation(Protocol):
 @runtime_checkable
 class Moves(Protocol):
     def begin_motion(self, motion: Motion, seconds: float) -> float:
-        """Start a spin, rock or cycle that will be held for `seconds`; returns the expected seconds until it is steady."""
+        """Starts a spin, rock or cycle that will be held for `seconds`; returns the expected time [s] until it is steady."""
 
     def end_motion(self) -> float:
-        """Come to rest; returns the expected seconds."""
+        """Brings the table to rest; returns the expected time [s]."""
 
 
 @runtime_checkable
 class HoldsTemperature(Protocol):
     def set_temperature(self, kelvin: float) -> float:
-        """Start towards a temperature; returns the expected seconds until the air has reached it."""
+        """Starts a change to a temperature; returns the expected time [s] until the air has reached it."""
 
     def at_temperature(self) -> bool: ...
 
@@ -173,25 +173,26 @@ class HoldsTemperature(Protocol):
 @runtime_checkable
 class Foresees(Protocol):
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Raises `InstrumentError` if a schedule cannot be served. Called before anything moves."""
+        """Raises `InstrumentError` if the instrument cannot execute a schedule. It is called before anything moves."""
 
 
 @runtime_checkable
 class KnowsLength(Protocol):
     def length_of(self, segment: Segment) -> float | None:
-        """Seconds of data for a segment whose dwell is not planned; None if not known. Called after `foresee`, for progress only."""
+        """Time [s] of data for a segment whose dwell is not planned; None if not known. It is called after `foresee`, only for the
+        display of progress."""
 
 
 @runtime_checkable
 class HasModes(Protocol):
     def set_mode(self, mode: str) -> float:
-        """Start changing to an operating mode of `SensorModel.modes`; returns the expected seconds until the change is complete."""
+        """Starts a change to an operating mode of `SensorModel.modes`; returns the expected time [s] until the change is complete."""
 
 
 @runtime_checkable
 class Readable(Protocol):
     def read(self) -> Mapping[str, float]:
-        """A few current readings (name_unit → value) for the journal."""
+        """A few current readings for the journal (name_unit → value)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,9 +205,9 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class SummaryChannels:
-    """What the channels of a summary mean, in which a segment is one sample that stands for many: every other channel is a mean, and these
-    state its scatter. deviations: channel → channel of the standard deviation of its samples, which count as independent. count: channel of
-    the number of samples; seconds: of the duration."""
+    """The meaning of the channels of a summary. In a summary, one sample stands for a whole segment: its channels are means, and
+    the channels named here state their scatter. deviations: channel → channel of the standard deviation of its samples, which count
+    as independent. count: channel of the number of samples; seconds: of the duration."""
 
     deviations: Mapping[str, str]
     count: str
@@ -215,7 +216,8 @@ class SummaryChannels:
 
 @runtime_checkable
 class Summarises(Protocol):
-    """A sensor whose stream of a segment is one sample: a summary. (`StreamsSamples.channels` contains those of `summary`.)"""
+    """A sensor whose stream of a segment is a single sample, the summary. `StreamsSamples.channels` contains the channels of
+    `summary`."""
 
     summary: SummaryChannels
 
@@ -226,7 +228,7 @@ class StreamsSamples(Protocol):
         """Channel name → unit, in the order of the recording's columns."""
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """The samples of one segment's dwell as blocks of bounded size, as they arrive. Ends with the dwell.
+        """The samples of one segment's dwell as blocks of bounded size, as they arrive. It ends with the dwell.
 
         In real time a block is returned at least every second, without rows if no sample arrived, so that the bench can be supervised
         between blocks; a sensor that stays silent raises `InstrumentError`."""
@@ -236,9 +238,10 @@ class StreamsSamples(Protocol):
 class Condition:
     """The current state of an instrument, as measured by it.
 
-    values: live quantities in SI units by name; standard names are `position_error` [rad] (following error, the largest of its axes),
-    `rate_error` [rad/s], `temperature` [K]. faults: why it cannot continue, in words (interlock open, over-temperature, axis fault); they
-    end the run. doubts: why its samples may be invalid (status bits); the plan defines the consequence.
+    values: live quantities in SI units by name; standard names are `position_error` [rad] (following error, the largest of its
+    axes), `rate_error` [rad/s], `temperature` [K]. faults: reasons why it cannot continue, in words (interlock open,
+    over-temperature, axis fault); they end the run. doubts: reasons why its samples may be invalid (status bits); the plan defines
+    the consequence.
     """
 
     values: Mapping[str, float] = field(default_factory=dict)
@@ -251,8 +254,8 @@ class Watched(Protocol):
     """An instrument with live readings, which determine settling and are compared with limits during a dwell."""
 
     def watch(self) -> Condition:
-        """Its current condition, from one short exchange or from the last frame. Called about once a second, also between the blocks of a
-        stream. Values that are not known at the moment are left out."""
+        """Its current condition, from one short exchange or from the last frame. Called about once a second, also between the
+        blocks of a stream. Values that are not known at the moment are omitted."""
 
 
 @runtime_checkable
@@ -266,7 +269,8 @@ class Alive(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class OwnLimits:
-    """Limits that an instrument must enforce itself, independent of the computer. None: the driver uses its own parameters, as for travel.
+    """Limits that an instrument must enforce itself, independent of the computer. None means that the driver uses its own
+    parameters, as for travel.
 
     rate [rad/s], acceleration [rad/s²], position_error [rad]: of every axis. coldest, hottest: K. silence: s without communication from the
     computer after which it makes itself safe.
@@ -283,8 +287,8 @@ class OwnLimits:
 @runtime_checkable
 class SelfLimiting(Protocol):
     def limit(self, limits: OwnLimits) -> Sequence[str]:
-        """Set those limits and time-outs that the instrument supports, before the first move and again after a wait in the safe state;
-        returns a line for the journal for each limit set. Raises `InstrumentError` if a supported limit cannot be set."""
+        """Sets the limits and time-outs that the instrument supports, before the first move and again after a wait in the safe
+        state. Returns a line for the journal for each limit set. Raises `InstrumentError` if a supported limit cannot be set."""
 
 
 @dataclass(frozen=True, slots=True)

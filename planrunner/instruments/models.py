@@ -61,10 +61,10 @@ class ChamberModel:
     temperature_uncertainty: float = 0.0
 
     def seconds_to_change(self, kelvin: float) -> float:
-        """Time until the air is within tolerance of a setpoint `kelvin` away.
+        """Time [s] until the air is within tolerance of a setpoint `kelvin` away.
 
-        At the end of a ramp with the rate r and the duration t, a first-order lag τ is r·τ·(1 − e^(−t/τ)) behind; this difference then
-        decays with τ.
+        At the end of a ramp with the rate r and the duration t, a first-order lag τ is r·τ·(1 − e^(−t/τ)) behind. This difference
+        then decays with the time constant τ.
         """
         if abs(kelvin) <= self.tolerance:
             return 0.0
@@ -77,16 +77,17 @@ class ChamberModel:
     def behind(self, kelvin: float, lag: float, seconds: float) -> float:
         """Signed distance [K] between the setpoint and the temperature of a body, `seconds` after the beginning of a ramp.
 
-        The body follows the air with the time constant `lag` [s]. The ramp changes the setpoint by `kelvin`, from equilibrium.
+        The body follows the air with the time constant `lag` [s]. The ramp changes the setpoint by `kelvin` and begins in
+        equilibrium.
 
-        Two first-order lags a and s in a row are k·((a + s) − (a²·e^(−t/a) − s²·e^(−t/s))/(a − s)) behind a ramp k·t; a ramp that ends
-        after T is this ramp minus the same ramp begun T later.
+        After a ramp k·t, two first-order lags a and s in series are k·((a + s) − (a²·e^(−t/a) − s²·e^(−t/s))/(a − s)) behind. A
+        ramp that ends after T is this ramp minus the same ramp begun T later.
         """
         slope = math.copysign(self.ramp, kelvin)
         return slope * (self._lag_of_ramp(lag, seconds) - self._lag_of_ramp(lag, seconds - abs(kelvin) / self.ramp))
 
     def _lag_of_ramp(self, lag: float, seconds: float) -> float:
-        """The same distance for an endless ramp of 1 K/s."""
+        """The distance of `behind` for an endless ramp of 1 K/s."""
         if seconds <= 0:
             return 0.0
         a, s = max(self.lag, _SHORT), max(lag, _SHORT)
@@ -99,8 +100,8 @@ class NoiseModel:
     """Noise of one output, in output units.
 
     white: random-walk coefficient N [unit·√s]: the mean over T seconds has variance N²/T. bias_instability: flicker floor [unit];
-    resolution: one count [unit]. counted: the remainder of a count is carried to the next sample, so only the two ends of a mean are
-    rounded. states_flicker: whether the bench file gives a bias instability, which may be zero.
+    resolution: one count [unit]. counted: whether the remainder of a count is carried to the next sample, so that only the two ends
+    of a mean are rounded. states_flicker: whether the bench file gives a bias instability, which may be zero.
     """
 
     white: float = 0.0
@@ -110,8 +111,8 @@ class NoiseModel:
     states_flicker: bool = False
 
     def dithers(self, variance: float | Array) -> NDArray[np.bool_]:
-        """Whether the rounding of samples to counts averages out in a mean: noise of this variance [unit²] between the samples dithers it,
-        or the remainder of a count is carried to the next sample."""
+        """Whether the rounding of samples to counts averages out in a mean. This is so if noise of this variance [unit²] between
+        the samples dithers it, or if the remainder of a count is carried to the next sample."""
         return np.logical_or(self.counted, np.asarray(variance) > (self.resolution / 2) ** 2)
 
     def standard_error(self, seconds: float, rate_hz: float) -> float:
@@ -145,9 +146,9 @@ class NoiseModel:
 
 @dataclass(frozen=True, slots=True)
 class OutputModel:
-    """One output channel: its name, the unit it is recorded in, full scale (either sign) in that unit, and noise. constant: whether it
-    is exactly constant while the table is at rest, as a simulated table encoder is. senses: the sensed quantity, if the unit does not
-    determine it."""
+    """One output channel: its name, the unit in which it is recorded, full scale (either sign) in that unit, and noise. constant:
+    whether it is exactly constant while the table is at rest, as a simulated table encoder is. senses: the sensed quantity, if the
+    unit does not determine it."""
 
     name: str
     unit: str
@@ -159,7 +160,7 @@ class OutputModel:
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """The sensor under test. `nominal` holds declared coefficients (name → SI value) that predictions are linearised at.
+    """The sensor under test. `nominal` contains declared coefficients (name → SI value) at which predictions are linearised.
 
     modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that only has one. one_rate: whether it
     samples only at `sample_rate` [Hz], or also at lower rates. thermal_lag: time constant [s] of its temperature relative to the air, 0 if
@@ -178,7 +179,7 @@ class SensorModel:
     nominal_supply: float = NOMINAL_SUPPLY
 
     def rate_refused(self, asked: float | None) -> str:
-        """Why it cannot be sampled at `asked` Hz; empty if it can, or if no rate is requested."""
+        """The reason why it cannot be sampled at `asked` Hz; empty if it can, or if no rate is requested."""
         return rate_refused(asked, self.sample_rate, self.one_rate)
 
     def output(self, name: str) -> OutputModel | None:
@@ -186,8 +187,8 @@ class SensorModel:
 
 
 def rate_refused(asked: float | None, own: float, one_rate: bool) -> str:
-    """Why a sensor with the sample rate `own` Hz (and no other if `one_rate`) cannot be sampled at `asked` Hz; empty if it can, or if no
-    rate is requested."""
+    """The reason why a sensor with the sample rate `own` Hz (and no other if `one_rate`) cannot be sampled at `asked` Hz; empty if
+    it can, or if no rate is requested."""
     if asked is None or abs(asked / own - 1) <= 1e-9:
         return ""
     if one_rate:

@@ -1,8 +1,8 @@
-"""The recording player: a sensor that plays back a file as if it were measured now.
+"""The recording player: a sensor that plays back a file as if it were being measured.
 
-Columns are mapped to channels with units. A table of segments assigns intervals of the recording to labels, or pauses in its time separate
-them; without either the whole recording is one interval. Files must be inside the data folder, except files named on the command line. Rows
-are streamed; a long recording is never in memory as a whole.
+Columns are mapped to channels with units. Each label has an interval of the recording. A table of segments states the intervals, or
+pauses in the recorded time separate them; without either, the whole recording is one interval. Files must be inside the data
+folder, except files named on the command line. Rows are streamed, so a long recording is never in memory as a whole.
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ class RecordingPlayer(PlaysBack):
         piece: float = math.inf,
         notice: Announce | None = None,
     ) -> RecordingPlayer:
-        """A player of the files at `paths`, which continue each other. table: file of the segments; piece: s, the longest block;
-        notice: receives the progress where a whole file is read. Raises `InstrumentError`."""
+        """Opens a player of the files at `paths`, which continue each other. table: file of the segments; piece: longest block, s;
+        notice: receives the progress while a whole file is read. Raises `InstrumentError`."""
         columns = {name: channel.column for name, channel in parameters.channels.items()}
         parts = [RecordedFile(path, name) for path, name in zip(paths, parameters.files, strict=True)]
         pause = parameters.pause_between_files
@@ -126,7 +126,7 @@ class RecordingPlayer(PlaysBack):
         return {name: channel.unit for name, channel in self.parameters.channels.items()}
 
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Checks that the recording holds every segment for its whole dwell and can be read to its end. Raises `UnservedError`."""
+        """Checks that the recording contains every segment for its whole dwell and can be read to its end. Raises `UnservedError`."""
         found = Findings()
         self.look_over(segments, found)
         if found.errors:
@@ -143,7 +143,7 @@ class RecordingPlayer(PlaysBack):
             )
 
     def length_of(self, segment: Segment) -> float | None:
-        """Seconds of a segment that is played back to its end; None before the recording was looked over."""
+        """Time [s] of a segment that is played back to its end; None before the recording has been examined."""
         if self.spans is not None and segment.label in self.spans.spans:
             return self.spans.span(segment.label).seconds
         if self.parted and segment.index < len(self.parted):
@@ -151,7 +151,7 @@ class RecordingPlayer(PlaysBack):
         return None if self._held is None else self._held.seconds
 
     def _wanted(self, segments: Sequence[Segment], log: Findings) -> list[Wanted]:
-        """The intervals of the segments that the recording contains; faults of the others are added to `log`."""
+        """The intervals of the segments that the recording contains. Faults of the others are added to `log`."""
         name, labels = self.parameters.file, [segment.label for segment in segments]
         if self.parted:
             if len(labels) == len(self.parted):
@@ -178,8 +178,8 @@ class RecordingPlayer(PlaysBack):
         return found
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """The stretch of one label: its first `dwell` seconds, or all of it. Time is counted from power-on if it is declared, otherwise
-        from the first row of the recording.
+        """Yields the samples of one label: its first `dwell` seconds, or all of them. Time is counted from power-on if it is
+        declared, otherwise from the first row of the recording.
         """
         span = self._span(segment)
         interval = 1 / self.parameters.sample_rate.value
@@ -220,7 +220,7 @@ class RecordingPlayer(PlaysBack):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _pieces(self, time: Array, columns: Mapping[str, Array]) -> Iterator[Block]:
-        """Blocks of the length that suits the clock: about a second each in real time."""
+        """Divides blocks to a length that suits the clock: about one second each in real time."""
         rate = self.parameters.sample_rate.value
         size = time.size if math.isinf(self.piece) else max(1, round(self.piece * rate))
         for first in range(0, time.size, size):
@@ -259,7 +259,7 @@ class RecordingPlayer(PlaysBack):
 
 
 def _stamps(parameters: RecordingParameters) -> TimeStamps:
-    """Raises `InstrumentError` if the bench file does not describe the time."""
+    """The description of the time. Raises `InstrumentError` if the bench file does not describe it."""
     if parameters.stamps is None:
         raise InstrumentError(
             f"the bench file does not say which column of {parameters.file} is the time: write `time: {{column: …}}`, or "

@@ -1,7 +1,7 @@
 """A recording that is played back: one file or several, in any format, read in batches, inside a data folder.
 
-Before a sample is read, the resources that a file requires are checked. Samples come in batches, so a recording may have any length and the
-memory that it takes is limited.
+Before a sample is read, the memory that a file requires is checked. Samples come in batches, so a recording may have any length
+while the memory is limited.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ HELD = 1_000_000
 
 
 def beneath(root: Path | None, name: str) -> Path:
-    """The file `name` in the data folder. Raises `InstrumentError` for a file or link outside it."""
+    """The path of the file `name` in the data folder. Raises `InstrumentError` for a file or link outside it."""
     if root is None:
         raise InstrumentError(f"'{name}' is relative to a data folder, but no data folder is given; add --data FOLDER")
     posix, windows = PurePosixPath(name), PureWindowsPath(name)
@@ -54,8 +54,8 @@ def beneath(root: Path | None, name: str) -> Path:
 
 
 class RecordingFile(Protocol):
-    """A recording that can be read again and again. origin: time of its first row, s; interval: median time between its
-    first rows, s, NaN for a single row; about: approximate number of rows, for progress."""
+    """A recording that can be read repeatedly. origin: time of its first row, s; interval: median time between its first rows, s,
+    NaN for a single row; about: approximate number of rows, for progress."""
 
     @property
     def origin(self) -> float: ...
@@ -70,11 +70,11 @@ class RecordingFile(Protocol):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was left out of the rows, known after a pass over all of them."""
+        """The rows and bytes that were skipped, in words. They are known after a pass over all rows."""
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Every row unchanged, in batches: number of the first, counted from 1; times [s], which may be missing or decrease; channels.
-        Raises `InstrumentError` where the file cannot be read."""
+        """Every row unchanged, in batches: number of the first, counted from 1; times [s], which may be missing or decrease;
+        channels. Raises `InstrumentError` if the file cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,10 +92,11 @@ def open_recording(
     given: Format | None = None,
     pause: float | None = None,
 ) -> RecordingFile:
-    """The recording in `parts`, in their order, after a check of their columns and first rows.
+    """Opens the recording in `parts`, in their order, after a check of their columns and first rows.
 
-    channels: channel → column; given: format as the bench states it, by default that of each file's name. pause: s between the last row of
-    a file and the first of the next, where the time of each begins anew; None where time goes on. Raises `InstrumentError`.
+    channels: channel → column; given: format as the bench states it, by default that of each file's name. pause: s between the last
+    row of a file and the first of the next, if the time of each file begins again; None if the time continues. Raises
+    `InstrumentError`.
     """
     files = []
     for part in parts:
@@ -106,7 +107,7 @@ def open_recording(
 
 
 class _Joined:
-    """Several files, one after the other. counted: time is counted from row to row, through all of them."""
+    """Several files, one after the other. counted: whether time is counted from row to row through all files."""
 
     def __init__(self, files: tuple[AnyFile, ...], pause: float | None, counted: bool):
         self.files, self.pause, self.counted = files, pause, counted
@@ -118,7 +119,7 @@ class _Joined:
         return tuple(f"{file.name}: {remark}" for file in self.files for remark in file.remarks)
 
     def _shift(self, file: AnyFile, last: float, first: float) -> float:
-        """What is added to the times of a file, s. last: time of the row before it; first: its own first time."""
+        """The time [s] to add to the times of a file. last: time of the row before it; first: first time in the file."""
         period = 0.0 if math.isnan(self.interval) else self.interval
         if self.counted:
             return last + period - first
@@ -131,7 +132,7 @@ class _Joined:
         return 0.0
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """As for one file."""
+        """The same as for one file."""
         last = math.nan
         for file in self.files:
             shift = 0.0 if math.isnan(last) else self._shift(file, last, file.origin)
@@ -145,7 +146,7 @@ class _Joined:
                     return
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """As for one file; rows are counted through all files."""
+        """The same as for one file. Rows are counted through all files."""
         last, before = math.nan, 0
         for file in self.files:
             shift = 0.0 if math.isnan(last) else self._shift(file, last, file.origin)
@@ -170,7 +171,7 @@ class HeldRecording:
 
     @classmethod
     def of(cls, file: RecordingFile, most: float = np.inf, pace: Pace | None = None) -> HeldRecording | None:
-        """All rows of a file, read once; None if there are more than `most`. Raises `InstrumentError` like the file."""
+        """Reads all rows of a file once; None if there are more than `most`. Raises `InstrumentError` like the file."""
         pieces, count = [], 0
         for piece in file.rows():
             pieces.append(piece)
@@ -193,21 +194,21 @@ class HeldRecording:
         return ()
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """As `rows` of a recording file, but yields one batch at most."""
+        """The same as `rows` of a recording file, in at most one batch."""
         part = span.of(self.time, self.interval)
         if part.start < part.stop:
             yield self.time[part], {name: values[part] for name, values in self.columns.items()}
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """As `all_rows` of a recording file, but yields one batch at most."""
+        """The same as `all_rows` of a recording file, in at most one batch."""
         if len(self.time):
             yield 1, self.time, dict(self.columns)
 
 
 def at_hand(file: RecordingFile, name: str = "", notice: Announce | None = None) -> RecordingFile:
-    """The same recording in a form from which many stretches can be read quickly: in memory up to `HELD` rows. Another long file becomes a
-    temporary Parquet file, because all preceding rows must be read to find a stretch in it. name: of the file, for notice, which
-    receives the progress. Raises `InstrumentError` like the file."""
+    """The same recording in a form from which many stretches can be read quickly. It is in memory if it has at most `HELD` rows. A
+    longer file becomes a temporary Parquet file, because finding a stretch in the original requires reading all preceding rows.
+    name: of the file, for notice, which receives the progress. Raises `InstrumentError` like the file."""
     held = HeldRecording.of(file, HELD, Pace(f"reading {name}", min(file.about, HELD), notice))
     if held is not None:
         return held
@@ -263,9 +264,9 @@ class _Spooled:
         return ()
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """As for a file."""
+        """The same as for a file."""
         return self.file.rows(span)
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """As for a file."""
+        """The same as for a file."""
         return self.file.all_rows()

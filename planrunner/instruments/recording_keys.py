@@ -129,7 +129,7 @@ class ChannelColumn(Record):
         return 0.0 if self.random_walk is None else self.random_walk.value / factor
 
     def amount(self, name: str, otherwise: float = 0.0) -> float:
-        """bias_instability, resolution or full_scale in output units."""
+        """The bias_instability, resolution or full_scale in output units."""
         value: Quantity | None = getattr(self, name)
         return otherwise if value is None else width(value) / unit(self.unit).factor
 
@@ -199,7 +199,7 @@ class SegmentColumns(Record):
 
     @classmethod
     def of(cls, table: str) -> SegmentColumns:
-        """Columns by their usual names."""
+        """The columns with their usual names."""
         return cls(table=table)
 
 
@@ -280,12 +280,12 @@ class RecordingParameters(Record):
 
     @property
     def power_on(self) -> Quantity | None:
-        """Value of the time column at which the sensor was switched on."""
+        """Value of the time column when the sensor was switched on."""
         return self.time.power_on if isinstance(self.time, TimeColumn) else None
 
     @property
     def stamps(self) -> TimeStamps | None:
-        """Where the time of a row comes from; None if the bench does not say it."""
+        """Source of the time of a row; None if the bench does not state it."""
         if isinstance(self.time, TimeColumn):
             scale = SECONDS[self.time.unit] if self.time.per_second is None else 1 / self.time.per_second
             return TimeStamps(self.time.column, scale, wraps=self.time.wraps)
@@ -293,12 +293,12 @@ class RecordingParameters(Record):
 
 
 def width(quantity: Quantity) -> float:
-    """An amount in SI units, such as a standard deviation, without the offset of a temperature scale."""
+    """The size of an amount in SI units, such as a standard deviation, without the offset of a temperature scale."""
     return quantity.value - quantity.unit.offset
 
 
 def _check_dimension(channel: ChannelColumn, name: str, times: str, log: Findings) -> None:
-    """times: the text after the channel's unit."""
+    """Checks a dimension. times: the text after the channel's unit."""
     value: Quantity | None = getattr(channel, name)
     if value is None:
         return

@@ -1,4 +1,4 @@
-"""Properties of a recording that has no description yet: channels, time, noise, intervals at rest."""
+"""Determines properties of a recording that has no description yet: channels, time, noise, intervals at rest."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ _NAME = re.compile(r"[^A-Za-z0-9_]+")
 
 @dataclass(frozen=True, slots=True)
 class LikelyChannel:
-    """A column as a channel. unit: guessed; counts: whether its numbers are raw counts, `per_unit` of them a unit; noise: standard
-    deviation of a sample at rest, in the unit; sure: whether the name of the column says the unit."""
+    """A column as a probable channel. unit: guessed; counts: whether its numbers are raw counts, with `per_unit` counts per unit;
+    noise: standard deviation of a sample at rest, in the unit; sure: whether the name of the column contains the unit."""
 
     name: str
     column: str
@@ -78,9 +78,9 @@ class WindowLevels:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What a recording looks like. time: column and unit, None where rows are counted; rate: Hz; other: columns that are no channel; still:
-    spans without motion; backwards: rows whose time does not increase, which is why rows are counted; pauses: number of pauses, and
-    the shortest of them, s."""
+    """Properties of a recording. time: column and unit, None if rows are counted; rate: Hz; other: columns that are not channels;
+    still: spans without motion; backwards: number of rows whose time does not increase, which is the reason why rows are counted;
+    pauses: number of pauses, and the shortest of them, s."""
 
     file: str
     format: Format | None
@@ -96,13 +96,13 @@ class Look:
 
     @property
     def still_share(self) -> float:
-        """Part of the time without motion."""
+        """Fraction of the time without motion."""
         whole = len(self.windows.begin) * self.windows.length
         return sum(span.seconds for span in self.still) / whole if whole else 0.0
 
 
 def look_at(path: Path, rate: float | None = None, notice: Announce | None = None) -> Look:
-    """Looks at a recording, in two passes. rate: Hz, for a file without a time. Raises `InputError`."""
+    """Examines a recording in two passes. rate: Hz, for a file without a time. Raises `InputError`."""
     try:
         given = guessed_format(path, path.name)
         columns = columns_of_numbers(path, path.name, given)
@@ -137,7 +137,7 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
 
 
 class _Clock:
-    """What the column of the time says: rows in which it does not increase, steps longer than `pause` [s], and its whole length."""
+    """Observes the column of the time: rows in which it does not increase, steps longer than `pause` [s], and its whole length."""
 
     def __init__(self, stamp: tuple[str, str] | None, pause: float):
         self._column = None if stamp is None else stamp[0]
@@ -148,7 +148,7 @@ class _Clock:
         self.steps: list[float] = []
 
     def watched(self, rows: FileRows) -> FileRows:
-        """The rows, unchanged."""
+        """Yields the rows unchanged and observes them."""
         for number, time, values in rows:
             if self._column is not None and len(values[self._column]):
                 own = values[self._column] * self._scale
@@ -160,14 +160,14 @@ class _Clock:
             yield number, time, values
 
     def rate(self, rows: int, median: float) -> float:
-        """Rows per second, Hz: of the whole recording, unless pauses make it differ from that of the median step."""
+        """Rows per second [Hz]: for the whole recording, unless pauses make this rate differ from that of the median step."""
         whole = (rows - 1) / (self._last - self._first) if self._last > self._first else median
         return whole if abs(whole / median - 1) < _SAME_RATE else median
 
 
 def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Guess]:
-    """The guesses; where no name says an accelerometer, three columns in a row whose vector is as long as gravity are one, and three others
-    beside them a gyro."""
+    """The guesses for columns. If no name contains an accelerometer, three neighbouring columns are taken as accelerometers if
+    their vector is as long as gravity, and three others next to them as gyros."""
     if any(one.sensed in ("accel", "gyro") for one in guesses):
         return guesses
     for begin in range(0, len(guesses) - 2):
@@ -232,7 +232,7 @@ def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
 
 
 def _course(mean: Array) -> Array:
-    """Change of the mean per window, (n,), from the windows on both sides."""
+    """Change of the mean from window to window, (n,), from the windows on both sides."""
     if len(mean) < 3:
         return np.zeros(len(mean))
     change = np.abs(mean[2:] - mean[:-2]) / 2
@@ -240,7 +240,7 @@ def _course(mean: Array) -> Array:
 
 
 def _at_rest(windows: WindowLevels, still: Sequence[Span], values: Array) -> Array:
-    """The values of the windows in the still spans, or of all where nothing is still."""
+    """The values of the windows in the still spans; of all windows if nothing is still."""
     chosen = np.zeros(len(windows.begin), bool)
     for span in still:
         chosen |= (windows.begin >= span.start - 1e-9) & (windows.begin < span.end - 1e-9)

@@ -29,8 +29,8 @@ SHOWN = 3
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """An interval required by a plan. span: as in the table, after trimming; dwell: played part, s, None for all. mark: its place in the
-    table."""
+    """An interval that a plan requires. span: as in the table, after trimming; dwell: length of the played part, s, None for all.
+    mark: its place in the table."""
 
     label: str
     span: Span
@@ -39,7 +39,7 @@ class Wanted:
 
     @property
     def played(self) -> Span:
-        """The played part, from its beginning."""
+        """The played part of the interval, from its beginning."""
         end = self.span.end if self.dwell is None else min(self.span.end, self.span.start + self.dwell)
         return Span(self.span.start, end)
 
@@ -72,7 +72,7 @@ class _Seen:
 
 @dataclass(slots=True)
 class _Pass:
-    """One pass over a recording. faults: places where time is wrong, of `wrong` in all."""
+    """One pass over a recording. faults: places where the time is wrong; wrong: total number of such places."""
 
     period: float
     seen: list[_Seen]
@@ -84,7 +84,7 @@ class _Pass:
     missing: dict[str, int] = field(default_factory=dict)
 
     def take(self, first: int, time: Array, columns: Mapping[str, Array], wanted: Sequence[Wanted]) -> None:
-        """The next rows. first: number of the first of them."""
+        """Processes the next rows. first: number of the first of these rows."""
         self.rows += len(time)
         for name, values in columns.items():
             self.missing[name] = self.missing.get(name, 0) + int(np.count_nonzero(~np.isfinite(values)))
@@ -153,7 +153,7 @@ def _on_time(found: _Pass, name: str, log: Findings) -> None:
 
 
 def _on_segment(one: Wanted, seen: _Seen, found: _Pass, name: str, log: Findings) -> None:
-    """Whether an interval lies within the data and contains the part to be played."""
+    """Whether an interval lies within the data and contains the part to be played. It adds a finding otherwise."""
     slack = GAP * found.period
     end = found.last + found.period
     begins, ends = (

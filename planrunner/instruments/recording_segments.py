@@ -31,15 +31,15 @@ class SegmentTable:
     lines: Mapping[str, int]
 
     def span(self, label: str) -> Span:
-        """The stretch of a label. Raises `InstrumentError` with the closest label."""
+        """The interval of a label. Raises `InstrumentError` with the closest label if there is none."""
         if label not in self.spans:
             raise InstrumentError(f"{self.name} has no segment '{label}'; {closest_label(label, self.spans)}")
         return self.spans[label]
 
 
 def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], scale: float, trim: float) -> SegmentTable:
-    """The table at `path`. columns: of label, start and end; scale: seconds per unit of both; trim: s left out at
-    either end.
+    """Reads the table at `path`. columns: of label, start and end; scale: seconds per unit of both; trim: time omitted at either
+    end, s.
 
     Raises `InstrumentError` with the line of the fault.
     """
@@ -91,10 +91,10 @@ def _row(
 
 
 def stretches(file: RecordingFile, pause: float, name: str = "", notice: Announce | None = None) -> tuple[Span, ...]:
-    """The stretches of a recording within which no two rows are more than `pause` s apart, in one pass over it. Each ends a sample period
-    after its last row. name: of the file, for notice, which receives the progress.
+    """The stretches of a recording in which successive rows are at most `pause` s apart, found in one pass. Each stretch ends one
+    sample period after its last row. name: of the file, for notice, which receives the progress.
 
-    Raises `InstrumentError` as the file does.
+    Raises `InstrumentError` like the file.
     """
     found: list[Span] = []
     start = last = math.nan

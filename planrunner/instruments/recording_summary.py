@@ -1,7 +1,7 @@
-"""A table in place of a recording: one row per segment, with the mean, the standard deviation and the number of its samples.
+"""A table that replaces a recording: one row per segment, with the mean, the standard deviation and the number of its samples.
 
-Published calibrations often give no more. The rows are observations like the means of recorded samples; what needs samples is refused. The
-samples of a segment count as independent: the standard error of a mean is s/√n, unless the table gives it.
+Published calibrations often contain no more. The rows are observations like the means of recorded samples. Estimates that need
+samples are refused. The samples of a segment count as independent: the standard error of a mean is s/√n, unless the table gives it.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ _DURATION = "seconds"
 
 @dataclass(frozen=True, slots=True)
 class SummaryRow:
-    """A segment in the table. line: in the file; start: s; count: samples; means, deviations: by channel, in its unit. A stated standard
-    error becomes the deviation of as many independent samples."""
+    """A segment in the table. line: in the file; start: s; count: samples; means, deviations: by channel, in its unit. A stated
+    standard error is converted to the deviation of this number of independent samples."""
 
     line: int
     start: float
@@ -52,7 +52,7 @@ class SummaryPlayer(PlaysBack):
 
     @classmethod
     def open(cls, parameters: RecordingParameters, path: Path, clock: Clock) -> SummaryPlayer:
-        """A player of the table at `path`. Raises `InstrumentError` with the line of the fault."""
+        """Opens a player of the table at `path`. Raises `InstrumentError` with the line of the fault."""
         columns = parameters.summary
         assert columns is not None
         for key, stated in (
@@ -72,7 +72,7 @@ class SummaryPlayer(PlaysBack):
         return {**units, **scatter, self.summary.count: "1", self.summary.seconds: "s"}
 
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Checks that the table has every segment. Raises `UnservedError`."""
+        """Checks that the table contains every segment. Raises `UnservedError`."""
         found = Findings()
         self.look_over(segments, found)
         if found.errors:
@@ -91,7 +91,7 @@ class SummaryPlayer(PlaysBack):
                 )
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """The row of a segment, as one sample of each channel and of its scatter (`summary`)."""
+        """Yields the row of a segment as one sample of each channel and of its scatter (`summary`)."""
         row = self._row(segment)
         seconds = row.count / self.parameters.sample_rate.value
         self.clock.sleep(seconds)
@@ -132,7 +132,7 @@ class SummaryPlayer(PlaysBack):
 
 
 def read_rows(path: Path, parameters: RecordingParameters, columns: RowColumns) -> dict[str, SummaryRow]:
-    """The rows of a table by label. Raises `InstrumentError` with the line of the fault."""
+    """Reads the rows of a table by label. Raises `InstrumentError` with the line of the fault."""
     name = parameters.file
     try:
         text = read_text(path, name)

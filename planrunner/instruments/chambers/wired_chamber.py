@@ -32,17 +32,17 @@ class AirCommands(Protocol):
 
     def identify(self) -> Mapping[str, str]: ...
     def prepare(self, ramp: float) -> None:
-        """Set the units and the rate of the set point [K/min], if the controller has these settings."""
+        """Sets the units and the rate of the set point [K/min], if the controller has these settings."""
 
     def limit(self, coldest: float, hottest: float) -> Sequence[str]:
-        """Set the temperatures at which it stops by itself; returns a line for each limit set."""
+        """Sets the temperatures at which it stops by itself; returns a line for each limit set."""
 
     def head_for(self, celsius: float) -> None:
-        """Set the set point, and run."""
+        """Sets the set point and starts the chamber."""
 
     def air(self) -> float: ...
     def faults(self) -> Sequence[str]:
-        """Why it cannot continue, in words; empty without a fault."""
+        """The reasons why it cannot continue, in words; empty without a fault."""
 
     def remarks(self) -> Sequence[str]: ...
     def close(self) -> None: ...
@@ -58,7 +58,8 @@ class WiredChamber:
 
     @classmethod
     def connect(cls, commands: AirCommands, keys: ChamberKeys) -> WiredChamber:
-        """Query its identification; releases the link if that fails. It can be made safe even if it reports a fault."""
+        """Connects and queries the identification. If that fails, it releases the link. A chamber with a fault can still be made
+        safe."""
         try:
             commands.identify()
         except BaseException:
@@ -77,7 +78,7 @@ class WiredChamber:
         return told
 
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Raises `InstrumentError` if it reports a fault before the run begins."""
+        """Checks the chamber before a run. Raises `InstrumentError` if it reports a fault."""
         self._raise(self.commands.faults())
 
     def set_temperature(self, kelvin: float) -> float:

@@ -1,8 +1,8 @@
-"""Arrays: MATLAB files of version 5 and 7.3, NumPy files and HDF5.
+"""Arrays of numbers: MATLAB files of version 5 and 7.3, NumPy files and HDF5.
 
-A column is the name of an array of one number a row (`gyro_x`), or a column of a matrix by its number from 1 (`imu[4]`). A field of a
-structure follows a point (`data.gyr[1]`); in HDF5 the groups are separated by `/` (`imu/gyro[1]`). The longer dimension of a matrix counts
-the rows.
+A column is the name of an array with one number per row (`gyro_x`), or a column of a matrix by its number from 1 (`imu[4]`). A
+field of a structure follows after a point (`data.gyr[1]`). In HDF5, `/` separates the groups (`imu/gyro[1]`). The longer dimension
+of a matrix counts the rows.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ _DEEPEST = 6  # structures in structures
 
 
 class ArraysFile(FormatFile[NoKeys]):
-    """A file of named arrays, one column or one matrix each."""
+    """A file of named arrays. Each array is one column or one matrix."""
 
     @abstractmethod
     def shapes(self) -> Mapping[str, tuple[int, ...]]:
-        """Shapes of the arrays of numbers, by name. Raises `InstrumentError`."""
+        """Shapes of the numeric arrays, by name. Raises `InstrumentError`."""
 
     @abstractmethod
     def read(self, names: list[str], begin: int, end: int) -> Mapping[str, Array]:
-        """Rows `begin` to `end`, counted from 0, of columns by name."""
+        """Reads the rows `begin` to `end`, counted from 0, of columns by name."""
 
     def faults(self) -> tuple[type[Exception], ...]:
         return (*super().faults(), ValueError, KeyError, EOFError, zlib.error, zipfile.BadZipFile, struct.error)
@@ -95,7 +95,7 @@ class ArraysFile(FormatFile[NoKeys]):
 
 
 def array_of(column: str) -> str:
-    """The array that a column belongs to."""
+    """The array that contains a column."""
     found = _COLUMN.fullmatch(column)
     return column if found is None else found[1]
 
@@ -132,10 +132,10 @@ class _HeldArrays(ArraysFile):
 
     @abstractmethod
     def load(self, file: BinaryIO) -> Mapping[str, object]:
-        """All that the file contains, by name."""
+        """Loads everything that the file contains, by name."""
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Arrays of numbers by name."""
+        """The numeric arrays by name."""
         if self._arrays is None:
             with open_samples(self.path, self.name) as file:
                 found = {}
@@ -151,7 +151,7 @@ class _HeldArrays(ArraysFile):
         return {name: _part(self.arrays()[array_of(name)], name, begin, end) for name in names}
 
     def bounded(self, size: int) -> None:
-        """Raises `InstrumentError` if the arrays have too many bytes for the memory."""
+        """Checks the size. Raises `InstrumentError` if the arrays are too large for the memory."""
         if size > MAX_UNPACKED:
             message = f"its arrays have more than {MAX_UNPACKED / 1e9:g} GB"
             raise InstrumentError(
@@ -160,7 +160,7 @@ class _HeldArrays(ArraysFile):
 
 
 def _within(name: str, value: object, depth: int = 0) -> dict[str, NDArray[np.generic]]:
-    """The arrays of numbers in a value: itself, or the fields of a structure."""
+    """The numeric arrays in a value: the value itself, or the fields of a structure."""
     if not isinstance(value, np.ndarray) or depth > _DEEPEST:
         return {}
     if _is_table(value):
@@ -180,7 +180,7 @@ def _within(name: str, value: object, depth: int = 0) -> dict[str, NDArray[np.ge
 
 
 class MatlabFile(_HeldArrays):
-    """A MATLAB file of version 5, 6 or 7; the writer of version 7.3 writes HDF5."""
+    """A MATLAB file of version 5, 6 or 7. Version 7.3 writes HDF5."""
 
     def load(self, file: BinaryIO) -> Mapping[str, object]:
         from scipy.io import loadmat
@@ -195,7 +195,8 @@ class MatlabFile(_HeldArrays):
 
 
 def _unpacked(file: BinaryIO) -> int:
-    """Bytes of all elements of a MATLAB file after unpacking, counted up to just over the bound. Returns to the beginning."""
+    """Total size in bytes of all elements of a MATLAB file after unpacking. Counting stops just above the bound. Afterwards the
+    file is at its beginning."""
     file.seek(0)
     header = file.read(_MATLAB_HEADER)
     order = ">" if header[126:128] == b"MI" else "<"
@@ -220,7 +221,7 @@ def _unpacked(file: BinaryIO) -> int:
 
 
 class NumpyFile(_HeldArrays):
-    """`.npy`, a matrix named `data` or a table with named fields; `.npz`, several arrays. Objects are refused."""
+    """A NumPy file: `.npy`, a matrix named `data` or a table with named fields; `.npz`, several arrays. Python objects are refused."""
 
     def load(self, file: BinaryIO) -> Mapping[str, object]:
         if file.read(4) == b"PK\x03\x04":
@@ -240,13 +241,13 @@ class NumpyFile(_HeldArrays):
 
 
 def _array(file: IO[bytes], size: int) -> object:
-    """An array in NumPy's format, whose header may not promise more than its bytes hold."""
+    """An array in NumPy's format. Its header may not announce more data than the file contains."""
     whole = io.BytesIO(file.read(size))
     return np.lib.format.read_array(whole, allow_pickle=False)
 
 
 class Hdf5File(ArraysFile):
-    """HDF5, also as MATLAB 7.3 writes it. Only datasets that lie in the file itself are read: links to other files are refused."""
+    """An HDF5 file, also as MATLAB 7.3 writes it. Only datasets in the file itself are read; links to other files are refused."""
 
     @contextlib.contextmanager
     def _opened(self) -> Iterator[h5py.File]:
@@ -291,7 +292,7 @@ class Hdf5File(ArraysFile):
 
 
 def is_hdf5(path: Path, name: str) -> bool:
-    """Whether a file is HDF5, possibly behind the header that MATLAB 7.3 writes. Raises `InstrumentError`."""
+    """Whether a file is HDF5, possibly after the header that MATLAB 7.3 writes. Raises `InstrumentError`."""
     with open_samples(path, name) as file:
         start = file.read(512 + len(HDF5_MAGIC))
     return start.startswith(HDF5_MAGIC) or start[512:] == HDF5_MAGIC

@@ -1,4 +1,4 @@
-"""Rows of an Arrow batch as numbers."""
+"""Reads rows of an Arrow batch as numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ArrowRows:
-    """Rows from `first`, counted from 1, of the file `name`."""
+    """Rows of the file `name`. first: number of the first row, counted from 1."""
 
     batch: pa.RecordBatch
     first: int

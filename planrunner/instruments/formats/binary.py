@@ -1,4 +1,4 @@
-"""Binary records of one length: bare, one after the other, or frames with sync bytes and a checksum."""
+"""Binary records of constant length: either plain records in sequence, or frames with sync bytes and a checksum."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class BinaryKeys(Record):
 
 
 def check_binary(keys: BinaryKeys, log: Findings) -> None:
-    """Adds what contradicts itself: a number outside of the record, a checksum that nothing leads to."""
+    """Adds contradictions: a number outside the record, or a checksum without frames."""
     check = keys.length - len(bytes.fromhex(keys.sync or ""))
     if keys.checksum is not None:
         check -= CHECKSUMS[keys.checksum.type].width // 8
@@ -82,7 +82,8 @@ def check_binary(keys: BinaryKeys, log: Findings) -> None:
 
 
 class BinaryFile(FormatFile[BinaryKeys]):
-    """Records of numbers. The last record may be cut; frames with a wrong checksum, and bytes between frames, are left out and counted."""
+    """A file of binary records of numbers. The last record may be incomplete. Frames with a wrong checksum, and bytes between
+    frames, are skipped and counted."""
 
     Parameters = BinaryKeys
 

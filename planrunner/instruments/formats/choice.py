@@ -56,14 +56,14 @@ class Format(Record):
 
 
 def _kind(name: str) -> type[AnyFile]:
-    """Raises `InputError` for a name that is no format."""
+    """Finds the format with a name. Raises `InputError` if there is no such format."""
     if name not in FORMATS:
         raise InputError(())
     return FORMATS[name]
 
 
 class FormatChoice:
-    """A `format`, with the keys of the one that it names."""
+    """The value of `format`, with the keys of the format that it names."""
 
     _plugged = Plugged(Format, "type", lambda: tuple(FORMATS), _kind, "form-choice")
 
@@ -78,7 +78,8 @@ class FormatChoice:
 
 
 def open_file(path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, str], given: Format | None) -> AnyFile:
-    """The file in its format. given: as the bench states it, by default by the ending of the name. Raises `InstrumentError`."""
+    """Opens the file in its format. given: format as the bench states it, by default determined by the ending of the name. Raises
+    `InstrumentError`."""
     kind = ENDINGS.get(path.suffix.lower()) if given is None else given.type
     if kind is None:
         open_samples(path, name).close()  # a folder, or nothing at all, is named as what it is

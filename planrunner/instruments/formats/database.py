@@ -104,5 +104,5 @@ class SqliteFile(FormatFile[SqliteKeys]):
 
 
 def _quoted(name: str) -> str:
-    """A name in SQL."""
+    """A name as SQL quotes it."""
     return '"' + name.replace('"', '""') + '"'

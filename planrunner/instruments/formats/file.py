@@ -28,7 +28,7 @@ BATCH = 65_536  # rows
 
 
 def open_samples(path: Path, name: str) -> BinaryIO:
-    """The file of a recording, open from its beginning; `name` is for messages. Raises `InstrumentError`."""
+    """Opens the file of a recording at its beginning. name: name for messages. Raises `InstrumentError`."""
     try:
         return open_regular(path, MAX_BYTES)
     except RefusedFileError as refused:
@@ -36,7 +36,7 @@ def open_samples(path: Path, name: str) -> BinaryIO:
 
 
 def few_columns(count: int, name: str) -> None:
-    """Raises `InstrumentError` for more columns than a recording may have."""
+    """Checks the number of columns. Raises `InstrumentError` for more columns than a recording may have."""
     if count > MAX_COLUMNS:
         message = f"it has more than {MAX_COLUMNS} columns"
         raise InstrumentError(f"{name}: {message}; keep time and the channels, one row for each time")
@@ -44,10 +44,10 @@ def few_columns(count: int, name: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class TimeStamps:
-    """Where the time of a row comes from.
+    """Source of the time of a row.
 
-    column: the column of time or of a counter; None where rows are counted. scale: s per unit of the column. period: s between rows that
-    are counted. wraps: value at which the counter starts again from zero, None for a time that does not.
+    column: the column of time or of a counter; None if rows are counted. scale: s per unit of the column. period: s between rows
+    that are counted. wraps: value at which the counter starts again from zero, None if it does not wrap.
     """
 
     column: str | None
@@ -61,7 +61,7 @@ class TimeStamps:
 
     @property
     def in_file(self) -> bool:
-        """Whether a row's own value is its time, so that rows can be read without those before them."""
+        """Whether the value in a row is its time, so that rows can be read without the preceding rows."""
         return self.column is not None and self.wraps is None
 
 
@@ -97,18 +97,18 @@ class _Counter:
 
 
 class NoKeys(Record):
-    """The keys of a format that says everything of itself."""
+    """The keys of a format that needs no keys, because the file describes itself."""
 
 
 Keys = TypeVar("Keys", bound=Record, covariant=True)
 
 
 class FormatFile(ABC, Generic[Keys]):
-    """A file of samples. name: for messages; stamps: the time of its rows; channels: channel → column; parameters: what the bench says of
-    the format.
+    """A file of samples. name: for messages; stamps: the time of its rows; channels: channel → column; parameters: the keys of the
+    format in the bench.
 
-    origin: time of the first row, s; interval: median time between the first rows, s, NaN for a single row; about: approximate number of
-    rows. Set by `look`.
+    origin: time of the first row, s; interval: median time between the first rows, s, NaN for a single row; about: approximate
+    number of rows. `look` sets these three.
     """
 
     Parameters: type[Record] = NoKeys
@@ -128,24 +128,24 @@ class FormatFile(ABC, Generic[Keys]):
 
     @abstractmethod
     def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
-        """(number of the first row, counted from 1; rows), possibly with rows outside the span."""
+        """Batches of rows as (number of the first row, counted from 1; rows). They may contain rows outside the span."""
 
     def faults(self) -> tuple[type[Exception], ...]:
-        """Exceptions that mean that the file cannot be read."""
+        """Exceptions that indicate that the file cannot be read."""
         return (OSError, UnicodeDecodeError)
 
     def hint(self, column: str, known: list[str]) -> str:
-        """What to do about a column that the file does not have. known: the columns that it has."""
+        """The remedy for a column that the file does not have. known: the columns that it has."""
         return closest(column, known)
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was left out of the rows, known after a pass over all of them."""
+        """The rows and bytes that were skipped, in words. They are known after a pass over all rows."""
         return ()
 
     @property
     def wanted(self) -> list[str]:
-        """HeldRows of time and channels, each once."""
+        """The columns of time and channels, each once."""
         return list(dict.fromkeys((*self.stamps.columns, *self.channels.values())))
 
     def look(self) -> None:
@@ -182,13 +182,13 @@ class FormatFile(ABC, Generic[Keys]):
                 return
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Every row unchanged, in batches: number of the first, counted from 1; times [s], which may be missing or decrease; channels.
-        Raises `InstrumentError` where the file cannot be read."""
+        """Every row unchanged, in batches: number of the first, counted from 1; times [s], which may be missing or decrease;
+        channels. Raises `InstrumentError` if the file cannot be read."""
         for first, rows, time in self._timed(EVERYTHING):
             yield first, time, {name: rows.numbers(column) for name, column in self.channels.items()}
 
     def _timed(self, span: Span) -> Iterator[tuple[int, SampleRows, Array]]:
-        """Batches that have rows, with their times."""
+        """The batches that contain rows, with their times."""
         stamps = self.stamps
         counter = None if stamps.wraps is None else _Counter(stamps.wraps)
         try:
@@ -218,7 +218,7 @@ class FormatFile(ABC, Generic[Keys]):
             raise InstrumentError(f"{self.name}, row {first + index}: {message}; sort the recording or remove the row")
 
     def unreadable(self, error: Exception) -> InstrumentError:
-        """The message for a fault of the file."""
+        """The message about a fault of the file."""
         reason = (error.strerror if isinstance(error, OSError) else None) or (str(error).splitlines() or [""])[0][:200]
         if isinstance(error, UnicodeDecodeError):
             reason = "its header is not UTF-8 text; save it as UTF-8, or state its encoding in `format`"

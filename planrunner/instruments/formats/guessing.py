@@ -1,4 +1,4 @@
-"""What a file of unknown layout looks like: its format, its columns of numbers, its time, and which channel a column may be.
+"""Guesses the layout of a file: its format, its columns of numbers, its time, and the channel of each column.
 
 Guesses are made from names and numbers alone. They are meant to be read and corrected by the person who knows the recording.
 """
@@ -55,8 +55,8 @@ _MATRIX = re.compile(r"\[([123])\]$")
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """A column that may be a channel. sensed: gyro, accel, temperature or empty; axis: x, y, z or empty; unit: as its name says, or
-    empty."""
+    """A guess for a column that may be a channel. sensed: gyro, accel, temperature or empty; axis: x, y, z or empty; unit: from its
+    name, or empty."""
 
     column: str
     sensed: str
@@ -65,7 +65,7 @@ class Guess:
 
 
 def guessed_format(path: Path, name: str) -> Format | None:
-    """The format of a file; None if the ending of its name says everything. Raises `InstrumentError` if no guess can be made."""
+    """The format of a file; None if the ending of its name determines it. Raises `InstrumentError` if no guess can be made."""
     kind = ENDINGS.get(path.suffix.lower())
     if kind not in (None, "text"):
         return None
@@ -89,7 +89,8 @@ def guessed_format(path: Path, name: str) -> Format | None:
 
 
 def _text_keys(start: str, encoding: str) -> TextKeys | None:
-    """The layout of a text by its first lines: the separator that gives the most columns on the most lines. None without numbers."""
+    """The layout of a text file from its first lines. The separator is the one that gives the most columns on the most lines. None
+    if there are no numbers."""
     lines = start.splitlines()[:-1] or start.splitlines()
     best: tuple[int, int, TextKeys] | None = None
     for word, separator in SEPARATORS.items():
@@ -119,7 +120,7 @@ def _text_keys(start: str, encoding: str) -> TextKeys | None:
 
 
 def _first_row(cells: Sequence[Sequence[str]], width: int) -> int | None:
-    """The first line from which most cells are numbers."""
+    """The first line after which most cells are numbers."""
     for index, row in enumerate(cells):
         if len(row) == width and sum(_NUMBER.fullmatch(cell.strip()) is not None for cell in row) > width / 2:
             return index
@@ -127,7 +128,7 @@ def _first_row(cells: Sequence[Sequence[str]], width: int) -> int | None:
 
 
 def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]:
-    """The columns of a file that hold numbers and have the most common number of rows. Raises `InstrumentError`."""
+    """The numeric columns of a file that have the most common number of rows. Raises `InstrumentError`."""
     counts: dict[str, int] = {}
     known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()
     for column in dict.fromkeys(known[:MOST_COLUMNS]):
@@ -147,7 +148,7 @@ def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]
 
 
 def opened(path: Path, name: str, columns: Sequence[str], given: Format | None) -> AnyFile:
-    """The file with these columns as channels, its rows one unit of time apart. Raises `InstrumentError`."""
+    """The file opened with these columns as channels. Its rows are one unit of time apart. Raises `InstrumentError`."""
     file = open_file(path, name, TimeStamps(None, period=1.0), {column: column for column in columns}, given)
     file.look()
     return file
@@ -184,7 +185,7 @@ def _unit_of_time(column: str, step: float) -> str | None:
 
 
 def guessed_channel(column: str) -> Guess:
-    """What a column may be, by its name."""
+    """The probable meaning of a column, from its name."""
     unit = next((unit for pattern, unit in _UNITS if pattern.search(column)), "")
     sensed = next((sensed for sensed, pattern in _SENSED if pattern.search(_MATRIX.sub("", column))), "")
     by_unit = {
@@ -204,8 +205,8 @@ def guessed_channel(column: str) -> Guess:
 
 
 def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
-    """The unit of a column whose name does not say it. level: of a gyro, its largest amount; of an accelerometer, the length of the mean
-    vector at rest; accel_unit: of the accelerometers beside a gyro."""
+    """The unit of a column whose name does not contain it. level: for a gyro, its largest absolute value; for an accelerometer, the
+    length of the mean vector at rest; accel_unit: unit of the accelerometers, for a gyro."""
     if sensed == "accel":
         for unit, one_g in (("m/s^2", 9.80665), ("g", 1.0), ("mg", 1000.0)):
             if abs(math.log(max(level, 1e-9) / one_g)) < 0.25:

@@ -25,7 +25,7 @@ _END = struct.Struct("<I4s")
 
 
 def check_directory(file: BinaryIO, name: str) -> None:
-    """Check the size of the directory against its bound and return to the beginning. Raises `InstrumentError`."""
+    """Checks the size of the directory against its bound and returns to the beginning. Raises `InstrumentError`."""
     size = file.seek(0, 2)
     if size >= _END.size:
         file.seek(size - _END.size)
@@ -37,7 +37,7 @@ def check_directory(file: BinaryIO, name: str) -> None:
 
 
 def check_parquet(file: pq.ParquetFile, name: str, wanted: Iterable[str]) -> None:
-    """Check the columns: their number, the types of the `wanted` columns, and their size in a row group. Raises `InstrumentError`."""
+    """Checks the columns: their number, the types of the `wanted` columns, and their size in a row group. Raises `InstrumentError`."""
     from pyarrow import types
 
     few_columns(file.metadata.num_columns, name)
@@ -62,7 +62,7 @@ def check_parquet(file: pq.ParquetFile, name: str, wanted: Iterable[str]) -> Non
 
 
 class ParquetFile(FormatFile[NoKeys]):
-    """Row groups outside the span, according to their statistics, are skipped."""
+    """A Parquet file. Row groups that are outside the span according to their statistics are skipped."""
 
     def faults(self) -> tuple[type[Exception], ...]:
         import pyarrow as pa
@@ -106,7 +106,7 @@ class ParquetFile(FormatFile[NoKeys]):
                 first += count
 
     def _outside(self, group: pq.RowGroupMetaData, span: Span) -> bool:
-        """Whether a group overlaps the span, by its statistics; a group that a rounded boundary may touch is read."""
+        """Whether a group is outside the span, by its statistics. A group that a rounded boundary may touch is read."""
         if not self.stamps.in_file:
             return False
         scale = self.stamps.scale

@@ -58,7 +58,7 @@ class TextKeys(Record):
 
     @property
     def delimiter(self) -> str:
-        """Between the columns of the text that is parsed."""
+        """The separator between the columns in the text that is parsed."""
         return SEPARATORS[self.separator]
 
     @property
@@ -113,7 +113,7 @@ class TextFile(FormatFile[TextKeys]):
         return super().unreadable(error) if other is None else InstrumentError(f"{self.name}: {other}")
 
     def _other_separator(self, header: str) -> str | None:
-        """What to do if a header line of a single column has other separators."""
+        """A hint if a header line of a single column contains other separators."""
         for word, separator in SEPARATORS.items():
             if word != self.parameters.separator and separator in header.strip():
                 return (
@@ -181,8 +181,8 @@ class TextFile(FormatFile[TextKeys]):
 
 
 class Blanks(io.RawIOBase):
-    """The text of a file in which runs of blanks and tabs have become one tab; those at the ends of a line are dropped. The first `skip`
-    lines pass unchanged, so that they stay lines."""
+    """Text in which each run of blanks and tabs becomes one tab. Those at the ends of a line are removed. The first `skip` lines
+    are not changed, so that they remain lines."""
 
     def __init__(self, file: BinaryIO, skip: int = 0):
         self._file = file
@@ -210,7 +210,7 @@ class Blanks(io.RawIOBase):
 
 
 def check_header(file: BinaryIO, name: str, layout: TextKeys) -> None:
-    """Check the first line against its bounds and return to the beginning. Raises `InstrumentError`."""
+    """Checks the first line against its bounds and returns to the beginning. Raises `InstrumentError`."""
     for _ in range(layout.skip):
         file.readline(MAX_HEADER)
     start = file.read(MAX_HEADER + 1).removeprefix(b"\xef\xbb\xbf").lstrip(b"\r\n")

@@ -1,4 +1,4 @@
-"""A sensor that has no driver: its frames are described in the bench file, field by field.
+"""A sensor without its own driver: the bench file describes its frames field by field.
 
 imu:
   driver: declared_frame

@@ -1,4 +1,4 @@
-"""Bench keys common to sensors on serial lines: port, rate, and declared noise and full scale."""
+"""Bench keys that are common to sensors on serial lines: port, rate, and declared noise and full scale."""
 
 from __future__ import annotations
 
@@ -94,8 +94,8 @@ def sensor_model(
     resolutions: Mapping[str, float],
     inclinometers: Collection[str] = (),
 ) -> SensorModel:
-    """The model of a sensor with these channels (name → unit). resolutions: one count of a channel, in its unit. inclinometers: channels
-    in units of acceleration that are not accelerometers."""
+    """The model of a sensor with these channels (name → unit). resolutions: one count of each channel, in its unit. inclinometers:
+    channels in units of acceleration that are not accelerometers."""
     outputs = tuple(
         _output(name, text, resolutions.get(name, 0.0), parameters, name not in inclinometers)
         for name, text in channels.items()
@@ -114,7 +114,7 @@ def sensor_model(
 
 
 def _output(name: str, text: str, resolution: float, parameters: SerialSensorParameters, inertial: bool) -> OutputModel:
-    """inertial: whether it is an output of a gyro or an accelerometer if its unit fits."""
+    """The model of an output. inertial: whether it is an output of a gyro or an accelerometer if its unit fits."""
     known: GyroKnowledge | AccelerometerKnowledge | None = None
     walk: Quantity | None = None
     if text in RATES and parameters.gyros is not None:

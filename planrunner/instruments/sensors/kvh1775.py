@@ -1,7 +1,7 @@
 """KVH 1775 and DSP-1760: rotations and accelerations as floats, in the binary output formats A, B and C.
 
-All formats are a sync, six numbers, status, sequence number and a CRC-32. B has a time stamp before the status; C sends temperature and
-the magnetic field in turn, in the order of the sequence number.
+All formats consist of a sync, six numbers, status, sequence number and a CRC-32. B has a time stamp before the status. C sends
+temperature and the magnetic field alternately, in the order of the sequence number.
 """
 
 from __future__ import annotations
@@ -128,7 +128,8 @@ def layout(parameters: Kvh1775Parameters) -> FrameLayout:
 
 @dataclass
 class MultiplexedTemperature:
-    """Format C: every fourth frame, by its sequence number, holds the temperature; the others keep the last one."""
+    """The decoder of format C: every fourth frame, by its sequence number, contains the temperature. The other frames keep the last
+    temperature."""
 
     plain: FrameLayout
     _last: float = data_field(default=np.nan)
@@ -170,7 +171,7 @@ def ask_built_in_test(link: SerialStream, clock: Clock) -> Mapping[str, str]:
 
 
 def built_in_test(reply: bytes) -> tuple[int, ...]:
-    """The six status bytes of a reply to `?bit`, in whose seven bits a cleared bit is a fault. Raises `InstrumentError`."""
+    """Reads the six status bytes of a reply to `?bit`. In seven bits of each, a cleared bit is a fault. Raises `InstrumentError`."""
     if len(reply) != BIT_LENGTH or not reply.startswith(BIT_SYNC) or SUM8.of(reply[:-1]) != reply[-1]:
         raise InstrumentError(f"no result of a built-in test: {reply[:16].hex(' ')}")
     return tuple(reply[4:10])

@@ -43,7 +43,7 @@ class Samples:
         )
 
     def and_then(self, later: Samples) -> Samples:
-        """These rows, then the later ones."""
+        """These rows followed by later rows."""
         channels = {name: np.concatenate([values, later.channels[name]]) for name, values in self.channels.items()}
         columns = ("received", "counter", "latency", "doubtful")
         received, counter, latency, doubtful = (
@@ -67,8 +67,8 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True)
 class Status:
-    """Status bits at `item`. words: bit → its meaning if it marks the frame as doubtful, that is, if it is set, or clear with
-    `set_is_good`."""
+    """Status bits at `item`. words: bit → its meaning, for bits that mark the frame as doubtful. Such a bit is doubtful if it is
+    set, or if it is clear with `set_is_good`."""
 
     item: Field
     name: str
@@ -80,8 +80,8 @@ class Status:
 class FrameLayout:
     """The decoder of frames with a fixed layout.
 
-    fields: channel → its position; units: channel → unit; counts: position of the counter (None: there is none); latency: converted to
-    seconds by `scale`; means: channel → channels that it averages; zeros: channel → value added to it.
+    fields: channel → its position; units: channel → unit; counts: position of the counter, None if there is none; latency:
+    converted to seconds by `scale`; means: channel → channels that it averages; zeros: channel → value added to it.
     """
 
     framing: Framing
@@ -98,7 +98,7 @@ class FrameLayout:
         return self.units
 
     def decode(self, frames: Frames) -> Samples:
-        """Frames with a NaN or an infinite number are refused."""
+        """Decodes frames. Frames with a NaN or an infinite number are refused."""
         rows = numbers(frames, list(self.fields.values()))
         finite: NDArray[np.bool_] = np.isfinite(rows.sum(axis=0)) if rows.size else np.ones(len(frames), bool)
         refused = int(finite.size - np.count_nonzero(finite))
@@ -134,5 +134,5 @@ class FrameLayout:
 
 
 def byte(offset: int) -> Field:
-    """An unsigned byte, for counters and status words."""
+    """The position of an unsigned byte, for counters and status words."""
     return Field(offset, 1, UNSIGNED)

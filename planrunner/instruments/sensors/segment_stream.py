@@ -27,12 +27,12 @@ class Arriving(Protocol):
     def ring(self) -> Ring: ...
 
     def take(self) -> Sequence[Piece]:
-        """All that has come since the last call, oldest first."""
+        """All bytes that have arrived since the last call, oldest first."""
 
 
 class SegmentStream:
-    """`wanted` samples from `start` (s, by the bench's clock) on. byte_time: s per byte on the line; skew: of the sensor's clock, as known
-    so far; haste: seconds of the bench's clock per second of real time. over:
+    """The stream of one segment: `wanted` samples after `start` (s, by the bench's clock). byte_time: s per byte on the line; skew:
+    of the sensor's clock, as known so far; haste: seconds of the bench's clock per second of real time. over:
 
     whether all samples have been returned. heard: good frames of the last call; fresh: those of them that are later than all earlier
     frames.
@@ -64,7 +64,7 @@ class SegmentStream:
 
     @property
     def skew(self) -> float:
-        """Relative; positive when the sensor's clock is slow."""
+        """Relative skew of the sensor's clock, positive if this clock is slow."""
         return self._clock.skew
 
     def take_doubts(self) -> tuple[str, ...]:
@@ -73,7 +73,7 @@ class SegmentStream:
         return doubts
 
     def advance(self) -> Block:
-        """The samples that have arrived; possibly none. Raises `InstrumentError` if the port is gone."""
+        """The samples that have arrived; there may be none. Raises `InstrumentError` if the port no longer exists."""
         samples = self._decoder.decode(self._framer.push(self._link.take()))
         self.heard = len(samples)
         self._refused += samples.refused
@@ -112,7 +112,7 @@ class SegmentStream:
         )
 
     def _onwards(self, index: Whole) -> NDArray[np.bool_]:
-        """Mask of the frames that are later than all frames before them; the others arrived twice or too late."""
+        """Mask of the frames that are later than all frames before them. The other frames arrived twice or too late."""
         before = np.maximum.accumulate(np.concatenate([[self._last], index]))
         onwards: NDArray[np.bool_] = index > before[:-1]
         again = int(np.count_nonzero(index == before[:-1]))
@@ -122,7 +122,8 @@ class SegmentStream:
         return onwards
 
     def _within(self, time: Array, index: Whole, ready: Samples) -> Block:
-        """Selects the samples of the dwell: it has as many places as requested, from the first frame after its start on."""
+        """Selects the samples of the dwell: the requested number of places, beginning with the first frame after the start of the
+        dwell."""
         inside = time > self._start
         if math.isnan(self._first) and inside.any():
             self._first = float(index[inside][0])

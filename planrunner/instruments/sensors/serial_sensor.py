@@ -1,7 +1,7 @@
 """Functions common to sensors on serial lines: reading, streaming a segment, counting lost frames, reporting doubts.
 
-Samples are stamped with the bench's clock through the sensor's counter (`host_clock`); lost frames appear as gaps in time. A driver adds
-its keys, its decoder and, where it configures the sensor, its commands.
+Samples are stamped with the bench's clock through the sensor's counter (`host_clock`); lost frames appear as gaps in time. A driver
+adds its keys, its decoder and, if it configures the sensor, its commands.
 
 After connecting, the first frames are checked for validity and for the rate declared in the bench file.
 """
@@ -37,8 +37,8 @@ BACKLOG = 0.1
 
 
 class FirstFrames:
-    """seconds: between the first good frame and the last, without frames from buffers. heard: time of the last good frame. haste: seconds
-    of the bench's clock per second of real time; buffers follow real time."""
+    """The first frames after connecting. seconds: between the first good frame and the last, without frames from buffers. heard:
+    time of the last good frame. haste: seconds of the bench's clock per second of real time; buffers follow real time."""
 
     def __init__(self, decoder: Decoder, rate: float, haste: float = 1.0):
         self._decoder, self._rate, self._backlog = decoder, rate, BACKLOG * haste
@@ -65,7 +65,8 @@ class FirstFrames:
             self._counted += fresh.size
 
     def judge(self, port: str, baud: int) -> None:
-        """Raises `InstrumentError` for silence, bytes that are not frames, frames without the declared content, and a different rate."""
+        """Checks the first frames. Raises `InstrumentError` for silence, bytes that are not frames, frames without the declared
+        content, and a different rate."""
         if self._bytes == 0:
             raise InstrumentError(
                 f"no data arrive from {port}: check that the sensor is switched on and connected to this port"
@@ -103,8 +104,8 @@ P = TypeVar("P", bound=SerialSensorParameters)
 
 
 class SerialSensor(Generic[P]):
-    """A sensor that streams frames; P: the record of its keys. Derived drivers give `Parameters`, `manufacturer`, `product`, `model`,
-    `decoder_of` and perhaps `configure`."""
+    """A sensor that streams frames; P: the record of its keys. Derived drivers define `Parameters`, `manufacturer`, `product`,
+    `model`, `decoder_of` and perhaps `configure`."""
 
     role = "sensor"
     manufacturer: ClassVar[str] = ""
@@ -138,7 +139,7 @@ class SerialSensor(Generic[P]):
 
     @classmethod
     def configure(cls, parameters: P, link: SerialStream, clock: Clock) -> Mapping[str, str]:
-        """Configure the sensor and query its identity, if possible. Raises `InstrumentError`."""
+        """Configures the sensor and queries its identity, if possible. Raises `InstrumentError`."""
         return {}
 
     @classmethod
@@ -183,7 +184,7 @@ class SerialSensor(Generic[P]):
                 raise InstrumentError(f"'{segment.label}': {refused}: {hint}")
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """The samples from now on until the end of the dwell."""
+        """Yields the samples from now until the end of the dwell."""
         self.foresee([segment])
         assert segment.dwell is not None
         self.link.ring.follow(True)
@@ -211,7 +212,7 @@ class SerialSensor(Generic[P]):
         return FrameCounts() if self._current is None else self._current.counts()
 
     def watch(self) -> Condition:
-        """Doubts since the last query, and permanent doubts; silence is a fault."""
+        """The doubts since the last query, and permanent doubts. Silence is a fault."""
         if not self._streaming:
             self._overhear()
         doubts, self._doubts = (*self._lasting, *self._doubts), {}
@@ -231,11 +232,12 @@ class SerialSensor(Generic[P]):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _patience(self) -> float:
-        """Longest permitted silence, s by the bench's clock, because delays of cables and computers follow real time."""
+        """Longest permitted silence, s by the bench's clock. It is converted because delays of cables and computers follow real
+        time."""
         return self.parameters.silence.value * self._speed
 
     def _byte_time(self) -> float:
-        """Seconds per byte on the line: ten bits; negligible on a network."""
+        """Time [s] per byte on the line: ten bits; negligible on a network."""
         return 0.0 if "://" in self.parameters.port else 10.0 / self.parameters.baud
 
     def _hear(self, frames: int, doubts: tuple[str, ...]) -> None:
@@ -266,15 +268,16 @@ class SerialSensor(Generic[P]):
             raise InstrumentError(f"{message}: correct `sample_rate`, or the sensor's setting")
 
     def _overhear(self) -> None:
-        """Process bytes received without a consumer; a frame that is cut at the beginning does not count as lost."""
+        """Processes bytes that were received without a consumer. A frame that is incomplete at the beginning does not count as
+        lost."""
         samples = self.decoder.decode(Framer(self.decoder.framing).push(self.link.take()))
         self._doubts |= dict.fromkeys(samples.doubts)
         if len(samples):
             self._heard = self.clock.now()
 
     def _listen(self) -> None:
-        """Wait for good frames at the declared rate. Raises `InstrumentError` with a description of the received data. A different rate
-        must be found repeatedly, because after a pause of the computer the waiting frames arrive in a burst."""
+        """Waits for good frames at the declared rate. Raises `InstrumentError` with a description of the received data. A different
+        rate must be found repeatedly, because after a pause of the computer the waiting frames arrive together."""
         self.link.ring.follow(True)
         try:
             for left in reversed(range(LISTENINGS)):

@@ -1,7 +1,7 @@
 """VectorNav VN-100: binary outputs of the common group, or lines of text such as $VNYMR.
 
-A binary message is FA, the groups, a word that names the fields of each, the fields, low bytes first, and a CRC-16, high byte first. A
-line is closed by `*` and the exclusive-or of all between `$` and it, in hexadecimal.
+A binary message consists of FA, the groups, a word for each group that names its fields, the fields with low bytes first, and a
+CRC-16 with the high byte first. A line ends with `*` and the exclusive-or of all bytes between `$` and `*`, in hexadecimal.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def body_of(reply: bytes) -> str:
 
 
 def ask(link: SerialStream, clock: Clock, body: str, patience: float = 1.0) -> str:
-    """Send a command and wait for its echo. Raises `InstrumentError`."""
+    """Sends a command and waits for its echo. Raises `InstrumentError`."""
     head, heard = body.partition(",")[0].encode("ascii"), b""
     link.write(line(body))
     until = clock.now() + patience

@@ -1,7 +1,7 @@
 """Xsens MTi: messages of the Xbus protocol, and MTData2, whose packets differ from frame to frame.
 
-A message is FA FF, its identifier, the length of its data, the data, and a byte that makes the sum of all bytes after FA zero. The data of
-MTData2 are packets: identifier (its low bits say how numbers are written), length, content.
+A message consists of FA FF, its identifier, the length of its data, the data, and a byte that makes the sum of all bytes after FA
+zero. The data of MTData2 are packets: identifier (its low bits encode the number format), length, content.
 """
 
 from __future__ import annotations
@@ -115,12 +115,13 @@ def message(identifier: int, data: bytes = b"") -> bytes:
 
 
 def error_of(found: bytes) -> int | None:
-    """The code of an error message, None for any other."""
+    """The code of an error message; None for any other message."""
     return found[4] if len(found) > 5 and found[2] == ERROR else None
 
 
 def ask(link: SerialStream, clock: Clock, identifier: int, data: bytes = b"") -> bytes:
-    """Send a message until the reply with the next higher identifier arrives; other messages are skipped. Raises `InstrumentError`."""
+    """Sends a message and waits for the reply with the next higher identifier; other messages are skipped. Raises
+    `InstrumentError`."""
     for _ in range(ATTEMPTS):
         framer = Framer(Framing(b"\xfa\xff", LONGEST, XBUS, ZERO_SUM8, 1, 1))
         link.write(message(identifier, data))
@@ -146,7 +147,7 @@ def ask(link: SerialStream, clock: Clock, identifier: int, data: bytes = b"") ->
 
 @dataclass
 class MtData2:
-    """Frames with at least these outputs; others are refused. Frames of one shape are read together."""
+    """The decoder of frames with at least these outputs; other frames are refused. Frames of one shape are read together."""
 
     outputs: tuple[str, ...]
     rate: float
@@ -181,7 +182,7 @@ class MtData2:
         return self._joined(parts, refused, frames.received)
 
     def _joined(self, parts: list[Samples], refused: int, received: Array) -> Samples:
-        """Samples of several shapes in the order in which they came."""
+        """Samples of several shapes in the order in which they arrived."""
         if not parts:
             empty = np.empty(0)
             channels = dict.fromkeys(self.channels(), empty)
@@ -197,7 +198,7 @@ class MtData2:
         )
 
     def _as_recorded(self, channels: Mapping[str, Array]) -> Mapping[str, Array]:
-        """Increments as means over the frame. A quaternion increment turns by 2·atan2(|v|, w) about v."""
+        """Converts increments to means over the frame. A quaternion increment turns by 2·atan2(|v|, w) about v."""
         made = dict(channels)
         if "delta_q" in self.outputs:
             w, *vector = (made.pop(f"q{place}") for place in range(4))
@@ -208,7 +209,7 @@ class MtData2:
         return {name: made[name] for name in self.channels()}
 
     def _shape(self, frame: bytes) -> tuple[Whole, FrameLayout | None]:
-        """Positions of the packet headers in frames of this shape, and how they are read; None if they cannot be read."""
+        """Positions of the packet headers in frames of this shape, and how to read them; None if they cannot be read."""
         start = 4 if frame[3] != 255 else 6
         packets: dict[int, tuple[int, int, int]] = {}
         heads: list[int] = []

@@ -1,12 +1,12 @@
 """Tables with an ACUTROL 3000 or ACT2000 controller, in its command language ACL, over GPIB or raw TCP (port 9878).
 
-Commands are `:Main:Sub axis,argument;Sub axis,argument` and have no reply. The status byte, which `:status:stb?` reads without clearing it,
-shows whether a command was accepted. GPIB is as its manual describes; the framing over TCP is not confirmed on hardware. Sources: ACUTROL
-3000 manual; open drivers of a BD125 table.
+Commands are `:Main:Sub axis,argument;Sub axis,argument` and have no reply. The status byte, which `:status:stb?` reads without
+clearing it, shows whether a command was accepted. GPIB follows the manual. The framing over TCP has not been confirmed on hardware.
+Sources: ACUTROL 3000 manual; open drivers of a BD125 table.
 
-Public sources agree that eight bytes come before each reply over TCP, an error code and a length, and disagree on what the bytes are: two
-32-bit words, or eight characters. The first reply shows which form applies, because its length must match the data that follow; after that
-exactly the stated number of bytes is read. Plain lines from a gateway are also accepted.
+Public sources agree that eight bytes precede each reply over TCP, an error code and a length. They disagree on the form of these
+bytes: two 32-bit words, or eight characters. The first reply shows which form applies, because its length must match the data that
+follow. After that, exactly the stated number of bytes is read. Plain lines from a gateway are also accepted.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def kind_of(reply: bytes) -> str | None:
 
 
 class AcutrolFraming:
-    """Reads replies; the first one shows how they are framed."""
+    """Reads replies. The first reply shows how they are framed."""
 
     def __init__(self) -> None:
         self._known = False
@@ -205,7 +205,7 @@ class AcutrolCommands(LinkedCommands):
         self._enter("synt", sines, *enter, _oscillation(sines))
 
     def _enter(self, mode: str, axes: Iterable[int], *commands: str) -> None:
-        """During the change the mode is unknown, also for queries from another thread."""
+        """Changes the mode. During the change the mode is unknown, also for queries from another thread."""
         for axis in axes:
             self._modes.pop(axis, None)
         self._do(*commands)
@@ -247,7 +247,7 @@ class AcutrolCommands(LinkedCommands):
         self.link.write(":int:open all")
 
     def _do(self, *commands: str) -> None:
-        """Send commands; raises `InstrumentError` if one was rejected."""
+        """Sends commands. Raises `InstrumentError` if one was rejected."""
         if not _byte(self.link.query(":status:stb?", after=commands)) & REFUSED:
             return
         self.link.query("*STB?", again=False)
@@ -261,7 +261,7 @@ def _byte(text: str) -> int:
 
 
 def _joined(main: str, sub: str, values: Mapping[int, float]) -> str:
-    """`:dem:pos 1,90;pos 2,45`, or `:mode:pos 1;pos 2`."""
+    """Joins commands for several axes: `:dem:pos 1,90;pos 2,45`, or `:mode:pos 1;pos 2`."""
     parts = [f"{sub} {axis}" + (f",{written(value)}" if main == "dem" else "") for axis, value in values.items()]
     return f":{main}:" + ";".join(parts)
 

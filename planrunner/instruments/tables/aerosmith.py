@@ -19,8 +19,8 @@ END = b"\r"
 
 
 class PromptedLines:
-    """A line, then a line that is the prompt alone. telling: only lines with content count, because the empty reply of a motion that
-    ends may come between a query and its reply."""
+    """Reads a line, then a line that contains only the prompt. telling: whether only lines with content count, because the empty
+    reply of a motion that ends may come between a query and its reply."""
 
     def __init__(self, *, telling: bool = False):
         self.telling = telling
@@ -111,7 +111,7 @@ class AerosmithCommands(LinkedCommands):
         self.link.write("STO")
 
     def switch_off(self) -> None:
-        """Whether it is at rest, with the servo on."""
+        """Switches off; here it only checks whether the table is at rest with the servo on."""
 
     def _do(self, command: str) -> None:
         if self.link.query(command, again=False) == "?":

@@ -9,7 +9,7 @@ from typing import Protocol
 
 @dataclass(frozen=True, slots=True)
 class AxisState:
-    """Measurements of the controller: degrees and deg/s, in its units."""
+    """Measurements of the controller in its own angles: deg and deg/s."""
 
     position: float
     rate: float
@@ -17,7 +17,8 @@ class AxisState:
 
 @dataclass(frozen=True, slots=True)
 class AxisBounds:
-    """Limits that an axis must enforce itself, in the controller's units: deg/s, deg/s², deg; lowest and highest None without stops."""
+    """Limits that an axis must enforce itself, in the controller's units: deg/s, deg/s², deg; lowest and highest are None without
+    stops."""
 
     rate: float
     acceleration: float
@@ -28,7 +29,7 @@ class AxisBounds:
 
 @dataclass(frozen=True, slots=True)
 class Sine:
-    """amplitude·sin(2π·frequency·t + phase) about the present position: deg, Hz, deg."""
+    """A sine motion about the present position: amplitude·sin(2π·frequency·t + phase), in deg, Hz, deg."""
 
     amplitude: float
     frequency: float
@@ -36,30 +37,31 @@ class Sine:
 
 
 class AxisCommands(Protocol):
-    """Commands of a controller. Axes have the controller's numbers, angles are in its degrees. Every failure is an `InstrumentError`."""
+    """Commands of a controller. Axes have the controller's numbers, and angles are in its degrees. Every failure is an
+    `InstrumentError`."""
 
     rocks: bool
     """Whether the controller has a sine motion."""
 
     def identify(self) -> Mapping[str, str]: ...
     def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
-        """Set the limits that the axis enforces itself; returns a line for each limit that is now set."""
+        """Sets the limits that the axis enforces itself; returns a line for each limit that is now set."""
 
     def energise(self) -> None:
-        """Make the axes ready to move. Called before the first move, and after `switch_off`."""
+        """Makes the axes ready to move. Called before the first move, and after `switch_off`."""
 
     def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
-        """Go to positions and stay there. here: the present positions, so that an axis that is entering its position mode first holds its
+        """Moves to positions and stays there. here: the present positions. An axis that enters its position mode first holds its
         place."""
 
     def turn(self, axis: int, rate: float) -> None: ...
     def rock(self, sines: Mapping[int, Sine]) -> None: ...
     def state(self, axis: int) -> AxisState: ...
     def faults(self) -> Sequence[str]:
-        """Why it cannot continue, in words; empty without a fault."""
+        """The reasons why it cannot continue, in words; empty without a fault."""
 
     def stop(self) -> None:
-        """Bring every axis to rest under control."""
+        """Brings every axis to rest under control."""
 
     def switch_off(self) -> None: ...
     def remarks(self) -> Sequence[str]: ...

@@ -45,8 +45,8 @@ K = TypeVar("K", bound=LinkedTableKeys)
 
 @dataclass(frozen=True, slots=True)
 class Aim:
-    """The last commands of the axes: joint angles [rad] of those to hold, rates [rad/s] of those to turn, by index. Every new command makes
-    a new aim, even if its values are the same."""
+    """The last commands of the axes, by index: joint angles [rad] of axes that hold a position, rates [rad/s] of axes that turn.
+    Every new command makes a new aim, even if its values are the same."""
 
     positions: Mapping[int, float] = field(default_factory=dict)
     rates: Mapping[int, float] = field(default_factory=dict)
@@ -68,7 +68,8 @@ class AxisTable:
 
     @classmethod
     def connect(cls, commands: AxisCommands, keys: WiredTableKeys, surroundings: Surroundings) -> AxisTable:
-        """Query its identification; releases the link if that fails. It can be made safe even if it reports a fault."""
+        """Connects and queries the identification. If that fails, it releases the link. A table with a fault can still be made
+        safe."""
         try:
             commands.identify()
         except BaseException:
@@ -136,7 +137,7 @@ class AxisTable:
         return self._rock(motion) if isinstance(motion, Rock) else self._cycle(motion)
 
     def end_motion(self) -> float:
-        """A turn of a cycle ends at its present angle; a turn that has reached its end is led to its position."""
+        """Comes to rest. A turn of a cycle ends at its present angle; a turn that has reached its end is moved to its position."""
         self._timed.call_off()
         if self._rocking is not None:
             return self._end_rocking()
@@ -159,7 +160,7 @@ class AxisTable:
     # -- measurements --------------------------------------------------------------------------------------------------
 
     def watch(self) -> Condition:
-        """Errors relative to a state are reported only after the state was first reached."""
+        """The current condition. Errors relative to a state are reported only after the state has been reached once."""
         faults, errors = self._observed()
         return Condition(errors if self._reached is self._aim else {}, faults)
 
@@ -205,7 +206,7 @@ class AxisTable:
     # -- the safe state ------------------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
-        """Stop every axis, then switch off. An axis that does not stop is switched off anyway and reported."""
+        """Stops every axis, then switches off. An axis that does not stop is switched off and reported."""
         self._timed.call_off()
         self._aim, self._rocking, self._ready = Aim(), None, False
         try:
@@ -259,7 +260,7 @@ class AxisTable:
         return spin_up_time(self.axes[course.joint], course.rate - float(rates[course.joint]))
 
     def _turn(self, index: int, rate: float, standing: Mapping[int, float]) -> None:
-        """standing: the positions of the other axes."""
+        """Starts a spin. standing: the positions of the other axes."""
         self._aim = Aim({other: joint for other, joint in standing.items() if other != index}, {index: rate})
         axis = self.counted[index]
         self.commands.turn(axis.number, axis.sense * math.degrees(rate))
@@ -300,7 +301,7 @@ class AxisTable:
         return 1 / rocking.frequency
 
     def _rock_between(self, begin: float, end: float) -> None:
-        """The rocking begins only while the segment is recorded."""
+        """Starts rocking between two positions. The rocking begins only while the segment is recorded."""
         rocking = self._rocking
         assert rocking is not None
         self._timed.until(begin)
@@ -314,7 +315,7 @@ class AxisTable:
         self._end_rocking()
 
     def _cycle(self, motion: Cycle) -> float:
-        """Turns and stops of the outermost axis; the first stop begins now."""
+        """Performs turns and stops of the outermost axis. The first stop begins now."""
         joints, _ = self._measured()
         joints[0] = self._aim.positions.get(0, joints[0])
         _refuse(cycle_excess(self.axes[0], float(joints[0]), motion))
@@ -323,8 +324,8 @@ class AxisTable:
         return 0.0
 
     def _turns(self, motion: Cycle, home: Array, begun: float) -> None:
-        """Turns are commanded by rate, so that their sense does not depend on the shorter way; the remaining deviation is corrected by
-        position during the following stop."""
+        """Performs turns by rate, so that their sense does not depend on which way is shorter. The remaining deviation is corrected
+        by position during the following stop."""
         standing = {index: float(joint) for index, joint in enumerate(home)}
         for turn in turns_of(motion, self.axes[0].max_acceleration):
             self._timed.until(begun + turn.begins)
@@ -351,7 +352,7 @@ class AxisTable:
         self._timed.until(self.clock.now() + POLL)
 
     def _stop_and_switch_off(self) -> str:
-        """The present fault of the table, or nothing."""
+        """Stops and switches off; returns the present fault of the table, or an empty text."""
         self.commands.stop()
         slowest = max(axis.max_rate / axis.max_acceleration for axis in self.axes)
         deadline = self.clock.now() + slowest + 2.0

@@ -26,7 +26,7 @@ from planrunner.plan.source import Node, Scalar
 
 @dataclass(frozen=True, slots=True)
 class CommandTemplate:
-    """One command; `places` are the permitted names in braces."""
+    """One command. places: the names that it may contain in braces."""
 
     places: tuple[str, ...]
 
@@ -55,7 +55,7 @@ class CommandTemplate:
 
 
 def filled(template: str, axis: int, **values: float) -> str:
-    """The command for one axis."""
+    """The command for one axis with its values filled in."""
     return template.format(axis=axis, **{name: written(value) for name, value in values.items()})
 
 

@@ -1,9 +1,9 @@
-"""Motions that a table cannot execute itself: a separate thread gives the commands at the planned times.
+"""Motions that a table cannot perform by itself: a separate thread gives the commands at the planned times.
 
 Times refer to the bench's clock. An error on the thread ends the motion and is reported at the next query. The motion also ends if the run
 has not read the table for too long, so that nothing moves the table again after the watchdog has made it safe.
 
-A cycle is computed in advance: the times at which each turn of the axis begins, brakes and ends.
+A cycle is computed in advance: the times at which each turn begins, brakes and ends.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ SHORTEST, LONGEST = 0.005, 1.0
 
 
 class CalledOffError(Exception):
-    """The motion was called off."""
+    """The motion was cancelled."""
 
 
 class TimedMotion:
-    """One motion at a time. broken: why it could not continue, in words; empty without a fault. patience: real time, s, for which the run
-    may omit to query the table."""
+    """Performs one motion at a time. broken: the reason why it could not continue, in words; empty without a fault. patience: real
+    time [s] in which the run must query the table at least once."""
 
     def __init__(self, clock: Clock):
         self.broken = ""
@@ -39,7 +39,7 @@ class TimedMotion:
         self._called_off = threading.Event()
 
     def begin(self, what: str, commands: Callable[[], None]) -> None:
-        """Run `commands`, which wait with `until`, on the thread. what: beginning of the message if they fail."""
+        """Runs `commands` on the thread; they wait with `until`. what: beginning of the message if they fail."""
         self.call_off()
         self._called_off.clear()
         self.looked_at()
@@ -47,12 +47,12 @@ class TimedMotion:
         self._thread.start()
 
     def looked_at(self) -> None:
-        """Notes that the run has queried the table's state."""
+        """Records that the run has queried the table's state."""
         self._looked_at = time.monotonic()
 
     def until(self, moment: float) -> None:
-        """Wait until `moment` [s], in steps that become shorter. Raises `CalledOffError`, and `InstrumentError` if the run has not queried
-        the table for too long."""
+        """Waits until `moment` [s], in steps that become shorter. Raises `CalledOffError`, and `InstrumentError` if the run has not
+        queried the table for too long."""
         while (left := moment - self._clock.now()) > 0:
             if self._called_off.wait(min(max(SHORTEST, left / 100), LONGEST)):
                 raise CalledOffError
@@ -60,7 +60,7 @@ class TimedMotion:
             raise InstrumentError(f"the run has not polled the table for {self.patience:g} s")
 
     def call_off(self) -> None:
-        """After this returns no further command is given; earlier commands stay in effect."""
+        """Cancels the motion. After this returns, no further command is given; earlier commands stay in effect."""
         self._called_off.set()
         thread, self._thread = self._thread, None
         if thread is not None:
@@ -88,8 +88,8 @@ class Turn:
 
 
 def turns_of(motion: Cycle, acceleration: float) -> Iterator[Turn]:
-    """The turns of a cycle, repeated endlessly, each after its stop. acceleration: rad/s^2. The area under a turn's rate, a trapezoid or a
-    triangle, is its angle; whatever its ramps are, if both are alike, it is the rate times the time until the axis brakes."""
+    """The turns of a cycle, repeated endlessly, each after its stop. acceleration: rad/s^2. The area under a turn's rate, a
+    trapezoid or a triangle, is its angle. If both ramps are equal, this area is the rate times the time until the axis brakes."""
     now = target = 0.0
     for move in again(motion.moves):
         begins = now + motion.stop

@@ -60,14 +60,14 @@ class WiredTableKeys(TableKeys):
 
 @dataclass(frozen=True, slots=True)
 class CountedAxis:
-    """One axis as numbered by its controller. zero: the controller's reading [deg] when the joint angle is zero; sense: 1 or −1."""
+    """One axis as numbered by its controller. zero: the controller's reading [deg] at the joint angle zero; sense: 1 or −1."""
 
     number: int
     zero: float
     sense: int
 
     def reading(self, joint: float) -> float:
-        """Joint angle [rad] → the controller's degrees."""
+        """Converts a joint angle [rad] to the controller's degrees."""
         return self.zero + self.sense * math.degrees(joint)
 
     def joint(self, reading: float) -> float:
@@ -75,7 +75,7 @@ class CountedAxis:
 
 
 def counted(keys: WiredTableKeys) -> tuple[CountedAxis, ...]:
-    """The axes as their controller counts them, outermost first."""
+    """The axes with their controller's numbers, outermost first."""
     return tuple(
         CountedAxis(spec.number or place, math.degrees(spec.zero.value), -1 if spec.sense == "clockwise" else 1)
         for place, spec in enumerate(keys.axes, start=1)

@@ -16,9 +16,9 @@ from planrunner.plan.schedule import Segment
 
 @dataclass(frozen=True, slots=True)
 class Moments:
-    """Conditions at some samples. time: (n,), s since the run began, of the middle of each sampling interval; power_on: s, of the same
-    clock. angle: (n,), rad, by which the table has turned since it reached the orientation; rate: rad/s; kelvin: of the sensor;
-    overvoltage: V above its nominal supply; overpressure: Pa above the standard atmosphere."""
+    """Conditions at some samples. time: (n,), s since the run began, of the middle of each sampling interval; power_on: s, by the
+    same clock. angle: (n,), rad, rotation of the table since it reached the orientation; rate: rad/s; kelvin: temperature of the
+    sensor; overvoltage: V above its nominal supply; overpressure: Pa above the standard atmosphere."""
 
     segment: Segment
     time: Array
@@ -33,7 +33,7 @@ class Moments:
 
 @dataclass(frozen=True, slots=True)
 class Gives:
-    """One output of the sensor. unit: of the output; white: N, unit·√s; step: of one sample, unit."""
+    """One output of the sensor. unit: of the output; white: N, unit·√s; step: size of a step of one sample, unit."""
 
     unit: str
     white: float

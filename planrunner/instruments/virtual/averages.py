@@ -1,9 +1,9 @@
 """Input of an integrating sensor: inertial rate and specific force averaged over every sampling interval.
 
-A mean over an interval in which the table turns is an integral over products of sines of the joint angles. It is computed by Gauss-Legendre
-quadrature with as many points as the fastest phase needs, on stretches of time within which the motion is smooth, so intervals in which a
-ramp begins or ends have the same accuracy as others. A joint's rate is linear in time while it ramps, for which the quadrature is exact:
-for rotation about one axis, the mean rates add up to the joint's angle.
+A mean over an interval in which the table turns is an integral over products of sines of the joint angles. It is computed by
+Gauss-Legendre quadrature with as many points as the fastest phase needs, over stretches of time with smooth motion. Intervals in
+which a ramp begins or ends therefore have the same accuracy as others. A joint's rate is linear in time while it ramps, and the
+quadrature is exact for this. For rotation about one axis, the mean rates add up to the joint's angle.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def interval_means(world: World, sampling: Sampling, first: int, length: int) ->
 
 
 def _add(means: np.ndarray, world: World, stretch: Stretch, begin: float, rate: float) -> None:
-    """Add the contribution of a stretch to the means (6, n) of intervals of 1/rate s from `begin` on."""
+    """Adds the contribution of a stretch to the means (6, n) of intervals of 1/rate s, beginning at `begin`."""
     low, high = (_snapped((time - begin) * rate) for time in (stretch.begin, stretch.end))
     low, high = max(low, 0.0), min(high, float(means.shape[1]))
     whole, last = math.ceil(low), math.floor(high)
@@ -62,7 +62,7 @@ def _add(means: np.ndarray, world: World, stretch: Stretch, begin: float, rate: 
 
 
 def _add_part(means: np.ndarray, world: World, pace: float, begin: float, rate: float, low: float, high: float) -> None:
-    """Add the part from `low` to `high`, counted in intervals, to its interval."""
+    """Adds the part from `low` to `high`, counted in intervals, to its interval."""
     width = high - low
     if width <= 0.0:
         return
@@ -75,7 +75,7 @@ def _add_part(means: np.ndarray, world: World, pace: float, begin: float, rate: 
 def _add_moments(
     means: np.ndarray, world: World, times: Sequence[np.ndarray], points: Sequence[tuple[float, float]]
 ) -> None:
-    """Add the weighted stimulus at `times`, (n,) for each quadrature point, to the means (6, n)."""
+    """Adds the weighted stimulus at `times`, (n,) for each quadrature point, to the means (6, n)."""
     rates, forces = world.stimulus(np.concatenate(times))
     for mean, felt in zip(means, (*rates, *forces), strict=True):
         for (_, weight), moments in zip(
@@ -85,7 +85,7 @@ def _add_moments(
 
 
 def _moment(world: World, time: float) -> tuple[Components, Components]:
-    """The stimulus at one time, as floats."""
+    """The stimulus at one time, as plain floats."""
     rates, forces = world.stimulus(np.array([time]))
     x, y, z = (float(np.ravel(v)[0]) for v in rates)
     a, b, c = (float(np.ravel(v)[0]) for v in forces)
@@ -93,7 +93,7 @@ def _moment(world: World, time: float) -> tuple[Components, Components]:
 
 
 def _snapped(position: float) -> float:
-    """A position in units of intervals, moved to the end of a sample if it differs from it only by rounding of times."""
+    """A position in units of intervals. If it differs from the end of a sample only by rounding of times, it is moved there."""
     return float(round(position)) if abs(position - round(position)) < _SNAP else position
 
 

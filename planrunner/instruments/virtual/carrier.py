@@ -99,7 +99,7 @@ class VirtualCarrier:
         return cls(world)
 
     def read(self) -> Mapping[str, float]:
-        """True position and velocity now."""
+        """The true position and velocity at present."""
         latitude, longitude, height, east, north = (
             float(np.ravel(value)[0]) for value in self.world.position(np.array([self.world.now()]))
         )

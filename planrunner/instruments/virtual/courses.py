@@ -1,7 +1,7 @@
 """Courses: the joint angles and rates of a virtual table over time, one small class per kind of motion.
 
-A course gives its state at any time after its beginning, for arrays of times. It can be stored as JSON data, so that a resumed run finds
-the table in the same state. Joints at rest are plain floats, so no arrays are computed if nothing moves.
+A course gives its state at any time after its beginning, for arrays of times. It can be stored as JSON data, so that a resumed run
+begins with the table in the same state. Joints at rest are plain floats, so no arrays are computed if nothing moves.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ TURN = 2 * math.pi
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A time [s] during which a course is smooth. pace: rad/s, the largest rate of change of the phases of its sines; 0 if nothing
-    moves."""
+    """A time interval [s] in which a course is smooth. pace: rad/s, the largest rate of change of the phases of its sines; 0 if
+    nothing moves."""
 
     begin: float
     end: float
@@ -37,18 +37,18 @@ class Course(Protocol):
     kind: ClassVar[str]
 
     def follow(self, times: Array) -> list[tuple[Value, Value]]:
-        """(angle [rad], rate [rad/s]) of every joint at `times` [s since the run began]."""
+        """The angle [rad] and rate [rad/s] of every joint at `times` [s since the run began]."""
 
     def still(self, start: float) -> bool:
-        """Whether nothing moves from `start` on."""
+        """Whether nothing moves after `start`."""
 
     def stretches(self, begin: float, end: float) -> list[Stretch]:
-        """The smooth stretches between two times, one after the other."""
+        """The smooth stretches between two times, in order."""
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """At rest."""
+    """A course at rest."""
 
     kind: ClassVar[str] = "standing"
     angles: tuple[float, ...]
@@ -65,7 +65,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class Travelling:
-    """From rest to rest, every joint with its own trapezoidal rate profile."""
+    """A course from rest to rest. Every joint has its own trapezoidal rate profile."""
 
     kind: ClassVar[str] = "travelling"
     begin: float
@@ -135,8 +135,8 @@ class Spinning:
 
 @dataclass(frozen=True, slots=True)
 class Rocking:
-    """Joints rock sinusoidally about `angles`: phase zero at `steady`, faded in over one period before it and out
-    over one after `duration`, so that no joint jumps."""
+    """Joints rock sinusoidally about `angles`. The phase is zero at `steady`. The rocking fades in over one period before it and
+    out over one period after `duration`, so that no joint jumps."""
 
     kind: ClassVar[str] = "rocking"
     steady: float
@@ -183,13 +183,13 @@ class Rocking:
         return self.steady - 1 / self.frequency
 
     def ended(self, now: float) -> Rocking:
-        """This rocking motion, which has begun, changed to fade out from `now` on at the latest."""
+        """The same rocking motion after it has begun, changed so that it fades out at `now` at the latest."""
         return replace(self, duration=min(self.duration, now - self.steady))
 
 
 @dataclass(frozen=True, slots=True)
 class Cycling:
-    """One joint repeats stops and turns: stop, turn, stop, turn …; turns have trapezoidal rate profiles."""
+    """One joint repeats stops and turns. Turns have trapezoidal rate profiles."""
 
     kind: ClassVar[str] = "cycling"
     begin: float
@@ -211,7 +211,7 @@ class Cycling:
         return joints
 
     def _schedule(self) -> tuple[Array, Array, Array]:
-        """Within a cycle: the times [s] at which each stop begins, and the end of the cycle; the angles [rad] at these times; the turns
+        """Times within a cycle [s] at which each stop begins, and the end of the cycle; the angles [rad] at these times; the turns
         [rad]."""
         lasting = [self.stop + move_time(turn, self.rate, self.acceleration) for turn in self.turns]
         turns = np.array(self.turns)
@@ -247,7 +247,7 @@ def _cut(begin: float, end: float, breaks: Sequence[float], pace: Callable[[floa
 
 
 def profile(distance: float, max_rate: float, acceleration: float) -> tuple[float, float]:
-    """Seconds of the acceleration, and of the whole, of a rest-to-rest move over `distance` [rad]."""
+    """Time [s] of the acceleration, and of the whole, of a rest-to-rest move over `distance` [rad]."""
     up = min(max_rate, math.sqrt(abs(distance) * acceleration)) / acceleration
     return up, move_time(distance, max_rate, acceleration)
 
@@ -279,7 +279,7 @@ _KINDS: Mapping[str, Callable[..., Course]] = {
 
 
 def to_json(course: Course) -> JsonObject:
-    """A course of this module as JSON data; an endless duration is written as null."""
+    """Converts a course of this module to JSON data. An endless duration becomes null."""
     assert isinstance(course, StatedCourse)
     state = {name: None if value == math.inf else value for name, value in asdict(course).items()}
     return {"kind": course.kind, **state}

@@ -1,4 +1,4 @@
-"""The Earth that a simulated carrier moves over: the WGS 84 ellipsoid and its normal gravity (NIMA TR8350.2, 2000).
+"""The Earth under a simulated carrier: the WGS 84 ellipsoid and its normal gravity (NIMA TR8350.2, 2000).
 
 Lengths of meridian follow Helmert's series in the third flattening n; the omitted terms are of the order n⁵, 0.4 µm. These formulas are for
 the simulator only: navigation has separate formulas, which tests compare with these.
@@ -32,19 +32,19 @@ _INVERSE = (
 
 
 def meridian_radius(latitude: Latitude) -> Any:
-    """M, radius of curvature [m] in the meridian."""
+    """The radius of curvature M [m] in the meridian."""
     return SEMI_MAJOR * (1 - ECCENTRICITY_SQUARED) / (1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2) ** 1.5
 
 
 def meridian_radius_slope(latitude: Latitude) -> Any:
-    """dM/dφ [m/rad]."""
+    """The derivative dM/dφ [m/rad]."""
     sine = np.sin(latitude)
     slope = 3 * ECCENTRICITY_SQUARED * sine * np.cos(latitude) / (1 - ECCENTRICITY_SQUARED * sine**2)
     return meridian_radius(latitude) * slope
 
 
 def normal_radius(latitude: Latitude) -> Any:
-    """N, radius of curvature [m] in the prime vertical."""
+    """The radius of curvature N [m] in the prime vertical."""
     return SEMI_MAJOR / np.sqrt(1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
 
 
@@ -60,7 +60,7 @@ def latitude_at_arc(arc: Any) -> Any:
 
 
 def isometric_latitude(latitude: Latitude) -> Any:
-    """ψ with dψ = M/(N·cos φ)·dφ: along a line of constant heading χ, longitude grows by tan χ·dψ."""
+    """The isometric latitude ψ with dψ = M/(N·cos φ)·dφ. Along a line of constant heading χ, longitude grows by tan χ·dψ."""
     eccentricity = np.sqrt(ECCENTRICITY_SQUARED)
     sine = np.sin(latitude)
     return np.arctanh(sine) - eccentricity * np.arctanh(eccentricity * sine)
@@ -68,7 +68,7 @@ def isometric_latitude(latitude: Latitude) -> Any:
 
 def normal_gravity(latitude: Latitude, height: float) -> Any:
     """Normal gravity [m/s^2] at `height` m above the ellipsoid, along its normal: Somigliana's formula and TR8350.2 (4-3). Its
-    component to the north, 8·10⁻⁹ m/s² a metre of height, is left out."""
+    component to the north, 8·10⁻⁹ m/s² per metre of height, is neglected."""
     squared = np.sin(latitude) ** 2
     surface = _GRAVITY_EQUATOR * (1 + _SOMIGLIANA * squared) / np.sqrt(1 - ECCENTRICITY_SQUARED * squared)
     first = 1 + FLATTENING + _CENTRIFUGAL - 2 * FLATTENING * squared

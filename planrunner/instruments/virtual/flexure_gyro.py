@@ -118,7 +118,7 @@ class VirtualFlexureGyroParameters(Record):
 
 
 def _flicker(parameters: VirtualFlexureGyroParameters) -> float:
-    """B [pulse/s]; none is simulated if the bench file gives none."""
+    """The coefficient B [pulse/s]. No flicker is simulated if the bench file gives no coefficient."""
     return parameters.bias_instability.value if parameters.bias_instability is not None else 0.0
 
 
@@ -174,7 +174,7 @@ class VirtualFlexureGyro:
         return sampling.blocks(self.world, self.sampler(sampling, generator(self.world.seed, segment.index)))
 
     def sampler(self, sampling: Sampling, draw: np.random.Generator) -> Callable[[int, int], Block]:
-        """A function for samples first … first + length − 1 of a sampling; call it for all samples in order."""
+        """A function that makes the samples first … first + length − 1 of a sampling. It must be called for all samples in order."""
         for flicker in self.flicker.values():
             flicker.begin(sampling.start, draw)
         return lambda first, length: self._block(sampling.times(first, length), sampling, draw)
@@ -202,7 +202,7 @@ class VirtualFlexureGyro:
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _block(self, time: Array, sampling: Sampling, draw: np.random.Generator) -> Block:
-        """The samples at `time`."""
+        """The block of samples at `time`."""
         still = self.world.course.still(float(time[0]))
         length, rate, hold = time.size, sampling.rate, sampling.hold
         nodes = -(-length // hold)
@@ -222,7 +222,7 @@ class VirtualFlexureGyro:
         return Readout(p.white_noise.value * math.sqrt(rate), p.resolution.value, p.full_scale.value)
 
     def pulses(self, times: Array) -> tuple[Value, Value]:
-        """Torquer currents i_x, i_y [pulse/s] without noise at `times`: floats at rest, else shape (n,).
+        """Torquer currents i_x, i_y [pulse/s] without noise at `times`: floats at rest, otherwise shape (n,).
 
         The 2×2 balance of the rotor is solved; its right-hand side is linear in the input of the gyro.
         """
@@ -242,5 +242,5 @@ class VirtualFlexureGyro:
 
 
 def _drift(drift: Drift, forces: Components) -> Value:
-    """Drift [rad/s] under specific forces [m/s^2]."""
+    """The drift [rad/s] under specific forces [m/s²]."""
     return drift.F.value + drift.X.value * forces[0] + drift.Y.value * forces[1] + drift.Z.value * forces[2]

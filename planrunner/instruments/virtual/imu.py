@@ -51,7 +51,8 @@ _SWITCH_ON = 1  # second part of the key of a generator: apart from those of seg
 
 @dataclass(frozen=True, slots=True)
 class _Dwell:
-    """One segment's recording. chances: (axes, 2), drawn at switch-on for bias and scale factor; counters: of counted outputs."""
+    """The recording of one segment. chances: (axes, 2), random values for bias and scale factor, drawn at switch-on; counters: of
+    counted outputs."""
 
     segment: Segment | None
     sampling: Sampling
@@ -136,7 +137,7 @@ class VirtualImu(TakesEffects):
     def sampler(
         self, sampling: Sampling, draw: np.random.Generator, segment: Segment | None = None
     ) -> Callable[[int, int], Block]:
-        """A function for samples first … first + length − 1 of a sampling; call it for all samples in order.
+        """A function that makes the samples first … first + length − 1 of a sampling. It must be called for all samples in order.
 
         Raises `InstrumentError` if the outputs depend on the motion of the segment and no motion is given.
         """
@@ -190,7 +191,7 @@ class VirtualImu(TakesEffects):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _block(self, dwell: _Dwell, first: int, length: int) -> Block:
-        """Samples first … first + length − 1. Temperature and slow noise are those of the middle of each second."""
+        """The block of samples first … first + length − 1. Temperature and slow noise are those of the middle of each second."""
         sampling = dwell.sampling
         middles = sampling.middles(first, length)
         kelvin = self.world.sensor(middles)
@@ -220,7 +221,7 @@ class VirtualImu(TakesEffects):
         return Block(time, readings)
 
     def _excess(self, segment: Segment | None) -> tuple[float, float]:
-        """V above the nominal supply and Pa above the standard atmosphere; zero where the segment states nothing."""
+        """Voltage [V] above the nominal supply and pressure [Pa] above the standard atmosphere; zero if the segment states none."""
         voltage = None if segment is None else segment.supply_voltage
         pressure = None if segment is None else segment.ambient_pressure
         return (
@@ -246,7 +247,8 @@ class VirtualImu(TakesEffects):
         kelvin: Array,
         middles: Array,
     ) -> Array:
-        """One axis without white noise for mean rates and forces; kelvin, middles: temperature and time of every second."""
+        """The output of one axis without white noise, for mean rates and forces. kelvin, middles: temperature and time of every
+        second."""
         sampling, draw = dwell.sampling, dwell.draw
         step = sampling.hold / sampling.rate
         off = kelvin - self.parameters.reference_temperature.value
@@ -260,7 +262,7 @@ class VirtualImu(TakesEffects):
     def _samples(
         self, axis: InertialAxis, dwell: _Dwell, level: Array, length: int, gives: Gives | None = None
     ) -> Array:
-        """Samples of one axis around its level. gives: its noise if it differs from the declared one."""
+        """Samples of one axis around its level. gives: noise of the output if it differs from the declared noise."""
         sampling = dwell.sampling
         gives = gives or self._gives(axis, sampling)
         sigma = gives.white * math.sqrt(sampling.rate)
@@ -283,7 +285,7 @@ class VirtualImu(TakesEffects):
         first: int,
         length: int,
     ) -> dict[str, Array]:
-        """The samples of all axes, with the effects added to their levels and their noise."""
+        """The samples of all axes, with the effects added to their levels and to their noise."""
         added, sampling = self.world.added, dwell.sampling
         assert added is not None and dwell.segment is not None
         hold = sampling.hold

@@ -1,8 +1,8 @@
 """One input axis of a virtual inertial sensor, as numbers: its direction and its errors.
 
-With u the mean inertial rate (specific force) along the axis over a sampling interval, ΔT the distance from the reference temperature,
-ΔV and Δp those from the nominal supply and from the standard atmosphere, and f the mean specific force along the sensor's axes, an output
-is
+Let u be the mean inertial rate (specific force) along the axis over a sampling interval, ΔT, ΔV and Δp the differences from the
+reference temperature, the nominal supply and the standard atmosphere, and f the mean specific force along the sensor's axes. The
+output is then
 
     y = K·(1 + δ + Σ κ_k·ΔT^k + κ_V·ΔV + κ_p·Δp)
           · (u + a·|u|/2 + q₂·u² + q₃·u³ + s·f + b + Σ β_k·ΔT^k + β_V·ΔV + β_p·Δp + A·e^(−t/τ) + slow noise) + white noise,
@@ -36,9 +36,9 @@ WARM_UP_TIME = 600.0  # s, where nothing is said of it
 
 @dataclass(frozen=True, slots=True)
 class InertialAxis:
-    """name: of the output; unit: of the output; direction: (3,) in the sensor's frame; nominal: declared K, in the output's unit a SI
-    input; error: δ; step: size of a step of a sample in `unit`, or of a count in unit·s if `counted`; white: N, SI·√s; walk: K of the
-    random walk, SI/√s; warm_up: A, τ."""
+    """One axis. name: of the output; unit: of the output; direction: (3,) in the sensor's frame; nominal: declared K, in the
+    output's unit per SI input; error: δ; step: size of a step of a sample in `unit`, or of a count in unit·s if `counted`; white:
+    N, SI·√s; walk: K of the random walk, SI/√s; warm_up: A, τ."""
 
     name: str
     unit: str
@@ -72,7 +72,7 @@ class InertialAxis:
     walk: float
 
     def output(self, rate: float) -> OutputModel:
-        """Its declared properties, sampled at `rate` [Hz]."""
+        """The declared properties of the output, sampled at `rate` [Hz]."""
         noise = NoiseModel(
             self.white * self.nominal,
             self.bias_instability * self.nominal,
@@ -88,11 +88,12 @@ class InertialAxis:
         return self.step * rate if self.counted else self.step
 
     def scale(self, off: Array, drawn: float) -> Array:
-        """True scale factor in the output's unit a SI input, `off` K from the reference temperature; drawn: at switch-on, relative."""
+        """True scale factor in the output's unit per SI input, at `off` K from the reference temperature; drawn: relative error
+        drawn at switch-on."""
         return self.nominal * (1 + self.error + drawn + _polynomial(self.error_temperature, off))
 
     def drift(self, off: Array, since: Array, drawn: float) -> Array:
-        """Bias in SI units, `off` K from the reference temperature and `since` s after switch-on."""
+        """Bias in SI units, at `off` K from the reference temperature and `since` s after switch-on."""
         steady = self.bias + drawn + _polynomial(self.bias_temperature, off)
         return steady + self.warm_up * np.exp(-since / self.warm_up_time) if self.warm_up else steady
 
@@ -105,7 +106,7 @@ class InertialAxis:
         )
 
     def felt(self, rates: Components, forces: Components) -> Value:
-        """The input and its effects that do not depend on temperature or time, SI; a float if nothing moves."""
+        """The input with its effects that do not depend on temperature or time, SI; a float if nothing moves."""
         u = _along(self.direction, rates if self.turns else forces)
         felt = u
         if self.asymmetry:
@@ -117,8 +118,8 @@ class InertialAxis:
         return felt
 
     def level(self, felt: Value, drift: Array, scale: Array, hold: int) -> Array:
-        """Output without white noise, in `unit`; drift, scale: one value for every `hold` samples; so is the result if `felt` is a
-        float."""
+        """Output without white noise, in `unit`. drift, scale: one value for every `hold` samples; the result has the same length
+        if `felt` is a float."""
         if isinstance(felt, np.ndarray):
             drift, scale = (np.repeat(values, hold)[: felt.size] for values in (drift, scale))
         total = felt + drift
@@ -213,7 +214,7 @@ def _along(direction: tuple[float, float, float], vector: Components) -> Value:
 
 
 def _polynomial(coefficients: tuple[float, ...], off: Array) -> Array:
-    """Σ c_k·off^k, k from 1."""
+    """The polynomial Σ c_k·off^k with k from 1."""
     total = np.zeros_like(off)
     for coefficient in reversed(coefficients):
         total = (total + coefficient) * off

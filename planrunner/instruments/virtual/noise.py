@@ -25,13 +25,14 @@ TIMES = SHORTEST * 2.0 ** np.arange(OCTAVES)
 
 
 def generator(seed: int, *occasion: int) -> np.random.Generator:
-    """The generator for one occasion, such as a segment by its index: it always gives the same numbers."""
+    """The random generator for one occasion, such as a segment by its index. It always gives the same numbers."""
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=occasion)))
 
 
 @lru_cache(maxsize=8)
 def _growth(step: float, length: int) -> Array:
-    """e^(n·step/τ) for every process and n = 0 … length, shape (OCTAVES, length + 1); for one long step, the decay is complete."""
+    """The values e^(n·step/τ) for every process and n = 0 … length, shape (OCTAVES, length + 1). For one long step, the decay is
+    complete."""
     return np.exp(np.minimum(np.arange(length + 1) * (step / TIMES)[:, None], _EXPONENT))
 
 
@@ -45,7 +46,7 @@ class Flicker:
         self.time = 0.0
 
     def begin(self, time: float, draw: np.random.Generator) -> None:
-        """Go to the time [s] of a segment's first node, by the exact transition from the last one."""
+        """Moves to the time [s] of a segment's first node, by the exact transition from the last node."""
         fresh = draw.standard_normal(OCTAVES) * self.deviation
         if self.state is None:
             self.state = fresh
@@ -55,7 +56,7 @@ class Flicker:
         self.time = time
 
     def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
-        """The sum of the processes at `nodes` nodes [unit], `step` s apart, beginning with the present one."""
+        """The sum of the processes at `nodes` nodes [unit], `step` s apart, beginning at the present node."""
         if self.coefficient == 0.0:
             return np.zeros(nodes)
         assert self.state is not None
@@ -86,7 +87,7 @@ class Flicker:
 
 
 class RandomWalk:
-    """A bias with a random walk: it scatters by coefficient·√T [unit] after T s. coefficient: K, unit/√s."""
+    """A bias with a random walk: after T s its standard deviation is coefficient·√T [unit]. coefficient: K, unit/√s."""
 
     def __init__(self, coefficient: float):
         self.coefficient = coefficient
@@ -94,12 +95,12 @@ class RandomWalk:
         self.time = 0.0
 
     def begin(self, time: float, draw: np.random.Generator) -> None:
-        """Go to the time [s] of a segment's first node."""
+        """Moves to the time [s] of a segment's first node."""
         self.value += self.coefficient * math.sqrt(max(0.0, time - self.time)) * draw.standard_normal()
         self.time = time
 
     def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
-        """The walk at `nodes` nodes [unit], `step` s apart, beginning with the present one."""
+        """The walk at `nodes` nodes [unit], `step` s apart, beginning at the present node."""
         if self.coefficient == 0.0:
             return np.zeros(nodes)
         walked = self.value + np.cumsum(self.coefficient * math.sqrt(step) * draw.standard_normal(nodes))
@@ -116,14 +117,15 @@ class RandomWalk:
 
 
 class PulseCounter:
-    """An integrating output that counts: the remainder of a sample is carried to the next. step: of a sample, output unit."""
+    """An integrating output that counts: the remainder of a sample is carried to the next. step: size of a step of one sample,
+    output unit."""
 
     def __init__(self, step: float):
         self.step = step
         self.left = 0.0
 
     def count(self, samples: Array) -> None:
-        """Replace samples by whole steps."""
+        """Replaces samples by whole steps."""
         samples /= self.step
         samples[0] += self.left
         np.cumsum(samples, out=samples)
@@ -136,9 +138,7 @@ class PulseCounter:
 
 @dataclass(frozen=True, slots=True)
 class Readout:
-    """How one output is read: white noise `sigma` of one sample, counts of `resolution` (0: none), clipped at
-    ±`full_scale`.
-    """
+    """How one output is read: white noise `sigma` of one sample, counts of `resolution` (0 for none), clipped at ±`full_scale`."""
 
     sigma: float
     resolution: float = 0.0
@@ -147,7 +147,7 @@ class Readout:
     def samples(self, draw: np.random.Generator, level: Array, length: int, hold: int) -> Array:
         """Readings (length,) around `level`, which has one value per sample, or (nodes,) values that apply to `hold` samples each.
 
-        Computed in pieces that fit the processor's cache, because a pass through memory takes as long as drawing the noise.
+        It is computed in pieces that fit the processor's cache, because a pass through memory takes as long as drawing the noise.
         """
         out = np.empty(length)
         held = level.size != length
@@ -164,7 +164,7 @@ class Readout:
         return out
 
     def _fill(self, draw: np.random.Generator, part: Array, level: Array, hold: int) -> None:
-        """Computed in counts until the end, so that scaling to counts does not need a separate pass."""
+        """Fills the readings. All steps except the last are in counts, so that scaling to counts does not need a separate pass."""
         counts = 1.0 / self.resolution if self.resolution > 0 else 1.0
         if self.sigma > 0:
             draw.standard_normal(out=part)

@@ -1,11 +1,11 @@
 """The virtual gimballed platform: three accelerometers on a stabilised element within gimbals, rigidly on the virtual table.
 
-Modes: when caged, the element is fixed to the base with a random error for each caging; in navigation it is released and stays fixed in
-inertial space except for its drift. The attitude of the element is simulated; accelerometers and gimbal encoders follow from it. The
-estimators share no formula with this code.
+Modes: when caged, the element is fixed to the base with a random error for each caging. In navigation it is released and stays
+fixed in inertial space except for its drift. The attitude of the element is simulated; accelerometers and gimbal encoders follow
+from it. The estimators share no formula with this code.
 
-A ring of a rocking table has a random return error each time it comes to rest; its reading lags while it moves; and its servo drifts over
-minutes. The error of a multi-speed gimbal resolver has a period of a fraction of a turn.
+A ring of a rocking table has a random return error each time it comes to rest, its reading lags while it moves, and its servo
+drifts over minutes. The error of a multi-speed gimbal resolver has a period of a fraction of a turn.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ from planrunner.plan.units import STANDARD_GRAVITY
 class RingEncoders:
     """The readings of the table's ring encoders during one recording.
 
-    before, after: (k,) rad, deviation of each ring from its reading before and after it has moved. lag: s. wander: rad/√s.
+    before, after: (k,), rad, deviation of each ring's position from its reading before and after it has moved. lag: s. wander:
+    rad/√s.
     """
 
     before: Array
@@ -199,13 +200,13 @@ class VirtualPlatform:
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _draw(self, caging: int, what: int = 0) -> np.random.Generator:
-        """The generator for one caging (0: the platform as built), separate from those of the segments."""
+        """The random generator for one caging (0: the platform as built), separate from those of the segments."""
         return np.random.Generator(
             np.random.SFC64(np.random.SeedSequence(self.world.seed, spawn_key=(caging, what, 0)))
         )
 
     def _cage(self) -> None:
-        """The attitude after caging: level within the dead region, in azimuth within the repeatability of the caging."""
+        """The attitude after caging: level within the dead region, and in azimuth within the repeatability of the caging."""
         p, draw = self.parameters, self._draw(self.cagings)
         base = base_axes(self.world, np.array([self.world.now()]))[0]
         up = base[:, 2]
@@ -238,7 +239,7 @@ class VirtualPlatform:
         return [readout.samples(draw, levels[:, k], times.size, 1) for k in range(3)]
 
     def _input_axes(self) -> Array:
-        """The accelerometers' input axes as rows in the element's axes, shape (3, 3): turned about one axis, then about the other."""
+        """The accelerometers' input axes as rows in the element's axes, (3, 3): rotated about one axis, then about the other."""
         q = self.parameters.accelerometers.installation
         x, y, z = np.eye(3)
         turns = (
@@ -269,5 +270,5 @@ def _count(parameters: VirtualPlatformParameters) -> float:
 
 
 def _counted(angle: Array, resolution: float) -> Array:
-    """Angles [rad] in whole counts of `resolution` [rad], in degrees."""
+    """Angles rounded to whole counts of `resolution` [rad]; converted from rad to degrees."""
     return np.degrees(np.rint(angle / resolution) * resolution if resolution > 0 else angle)

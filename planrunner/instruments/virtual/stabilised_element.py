@@ -25,8 +25,8 @@ CATCH_UP = 100.0  # Hz, with which the time between two recordings is followed
 
 @dataclass(frozen=True, slots=True)
 class DriftLaw:
-    """constant: rad/s. rectified: s, drift rate per squared angular rate of the base. random_walk: rad/√s. leaving: s, time constant
-    with which the element leaves the levelling dead region after it was released."""
+    """The drift of the element. constant: rad/s. rectified: s, drift rate per squared angular rate of the base. random_walk:
+    rad/√s. leaving: s, time constant with which the element leaves the levelling dead region after it was released."""
 
     constant: Array
     rectified: Array
@@ -36,10 +36,11 @@ class DriftLaw:
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """The element since it was caged or released.
+    """State of the element since it was caged or released.
 
-    caged: rotation vector (3,) [rad] from the base to the element, in base axes. released: s, None while caged. axes: (3, 3), rows in
-    East-North-Up when released. left: (3,) rad, rotation while it leaves the dead region. drifted: (3,) rad by the time `at` [s].
+    caged: rotation vector (3,) [rad] from the base to the element, in base axes. released: time of release, s; None while caged.
+    axes: (3, 3), rows in East-North-Up when released. left: (3,) rad, rotation while it leaves the dead region. drifted: (3,) rad
+    by the time `at` [s].
     """
 
     caged: Array
@@ -50,7 +51,7 @@ class Element:
     at: float = 0.0
 
     def release(self, world: World, left: Array) -> Element:
-        """From now on the element is fixed in inertial space. left: rotation while it leaves the dead region."""
+        """Releases the element, which is then fixed in inertial space. left: rotation while it leaves the dead region."""
         if self.released is not None:
             return self
         now = world.now()
@@ -58,11 +59,11 @@ class Element:
         return Element(self.caged, now, axes, left, np.zeros(3), now)
 
     def _held(self, base: Array) -> Array:
-        """Its axes (n, 3, 3) while caged: those of the base (n, 3, 3), turned by `caged`."""
+        """Its axes (n, 3, 3) while caged: those of the base (n, 3, 3), rotated by `caged`."""
         return np.stack([turn_by(base[:, :, k], -self.caged) for k in range(3)], axis=2)
 
     def advance(self, world: World, time: float, law: DriftLaw, draw: np.random.Generator) -> Element:
-        """The element at a later time [s], when a recording begins."""
+        """The element at a later time [s], at which a recording begins."""
         walk = draw.standard_normal(3)
         if self.released is None or self.drifted is None or time <= self.at:
             return self
@@ -76,7 +77,8 @@ class Element:
     def follow(
         self, world: World, times: Array, step: float, base: Array, law: DriftLaw, draw: np.random.Generator
     ) -> tuple[Array, Element]:
-        """Its axes as rows in East-North-Up at `times`, `step` s apart from `at` on, shape (n, 3, 3), and the element after them.
+        """Its axes as rows in East-North-Up at `times`, `step` s apart beginning at `at`, shape (n, 3, 3), and the element after
+        these times.
 
         base: (n, 3, 3), the base's axes at the same times.
         """

@@ -24,8 +24,8 @@ _SAMPLES = np.arange(BLOCK + 1, dtype=float)
 class Sampling:
     """The sampling of one segment's dwell.
 
-    start: s, when it begins; rate: Hz; count: samples of all blocks; hold: number of samples in about a second, during which slow changes
-    of the sensor are held constant; size: samples of a block, a multiple of `hold`.
+    start: s, when it begins; rate: Hz; count: number of samples in all blocks; hold: number of samples in about one second, during
+    which slow changes of the sensor are held constant; size: number of samples in a block, a multiple of `hold`.
     """
 
     start: float
@@ -49,7 +49,7 @@ class Sampling:
         return cls(world.now(), rate, max(1, round(segment.dwell * rate)), hold, size)
 
     def blocks(self, world: World, make: Callable[[int, int], Block]) -> Iterator[Block]:
-        """The result of `make(first, length)` for each block, at its time."""
+        """The result of `make(first, length)` for each block, yielded at its time."""
         for first in range(0, self.count, self.size):
             length = min(self.size, self.count - first)
             block = make(first, length)
@@ -57,7 +57,7 @@ class Sampling:
             yield block
 
     def times(self, first: int, length: int, delay: int = 0) -> Array:
-        """Times [s] of samples first … first + length − 1, `delay` sampling intervals (0 or 1) after each began."""
+        """Times [s] of samples first … first + length − 1. delay: 0 for the beginning of the sampling interval, 1 for its end."""
         time: Array = _SAMPLES[delay : length + delay] / self.rate
         time += self.start + first / self.rate
         return time

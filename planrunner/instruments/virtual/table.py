@@ -171,7 +171,7 @@ class VirtualTable:
         return self._set_course(rocking, record)
 
     def pointing_error(self, attitude: Array) -> Array:
-        """A small rotation that depends on the seed and the commanded attitude alone."""
+        """A small rotation that depends only on the seed and the commanded attitude."""
         size = self.parameters.position_error.value
         if size == 0.0:
             return np.eye(3)
@@ -180,7 +180,7 @@ class VirtualTable:
         return rotation_about(tuple(vector / angle), angle)
 
     def rate_error(self, rate: float) -> float:
-        """The relative error of a rate [rad/s]; it depends on the seed and the rate alone."""
+        """The relative error of a rate [rad/s]. It depends only on the seed and the rate."""
         size = self.parameters.rate_error.value
         return size * float(self._drawn(np.rint(np.array([rate]) * 1e9).astype(np.int64), 1)[0]) if size else 0.0
 

@@ -1,8 +1,8 @@
 """Temperatures of the virtual world: the chamber's air behind a ramped setpoint, and the sensor behind the air.
 
-Setpoint r moves linearly to its target, then stays. Air T and sensor S are first-order lags, dT/dt = (r − T)/τ_a and dS/dt = (T − S)/τ_s,
-solved in closed form from the moment of the last command, so the result at a given moment is bit-identical, regardless of the number of
-earlier queries.
+The setpoint r moves linearly to its target, then stays. Air T and sensor S are first-order lags, dT/dt = (r − T)/τ_a and dS/dt = (T
+− S)/τ_s. They are solved in closed form from the moment of the last command, so the result at a given moment is bit-identical,
+whatever the number of earlier queries.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from planrunner.base.dataclass import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Lags:
-    """ramp: K/s of the setpoint; air, sensor: time constants, s."""
+    """Rates of change. ramp: K/s of the setpoint; air, sensor: time constants, s."""
 
     ramp: float
     air: float
@@ -26,7 +26,7 @@ class Lags:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """State at the moment of a command. start: s; the rest K. target: final value of the setpoint."""
+    """State at the moment of a command. start: s; all other values are in K; target: final value of the setpoint."""
 
     start: float
     setpoint: float
@@ -57,7 +57,7 @@ def temperatures(command: Command, lags: Lags, times: Array) -> tuple[Array, Arr
 
 
 def time_to_reach(command: Command, lags: Lags, tolerance: float) -> float:
-    """Seconds after the command until the air stays within `tolerance` [K] of the target.
+    """Time [s] after the command until the air stays within `tolerance` [K] of the target.
 
     After the ramp the air's distance decays exponentially; it can be within the tolerance before the ramp ends only if the whole change is
     no larger than the tolerance.
@@ -71,7 +71,7 @@ def time_to_reach(command: Command, lags: Lags, tolerance: float) -> float:
 
 
 def _follow(lags: Lags, origin: float, slope: float, air: float, sensor: float, elapsed: Array) -> tuple[Array, Array]:
-    """Air and sensor behind the setpoint origin + slope·t, from their values at t = 0."""
+    """Air and sensor temperature for the setpoint origin + slope·t, from their values at t = 0."""
     slow = lags.sensor if abs(lags.sensor - lags.air) > 1e-6 * lags.air else lags.air * (1 + 1e-6)
     air_off = air - (origin - slope * lags.air)
     shared = air_off * lags.air / (lags.air - slow)

@@ -1,9 +1,9 @@
 """Tracks: position and motion of a simulated carrier on the Earth, and the stimulus of a level bench on it.
 
-The carrier keeps its height. Its track is exact in either of two senses: a line of constant heading over the ellipsoid, with the
-distance measured along the ellipsoid; or a great circle of the ellipsoid's normals, turned through at the rate that gives the distance
-on a sphere of the Earth's mean radius. Velocity, acceleration, Earth and transport rate follow from latitude and longitude as functions
-of time by differentiation in closed form.
+The carrier keeps its height. There are two exact tracks: a line of constant heading over the ellipsoid, with the distance measured
+along the ellipsoid; or a great circle of the ellipsoid's normals, at the angular rate that gives the distance on a sphere of the
+Earth's mean radius. Velocity, acceleration, Earth and transport rate follow from latitude and longitude as functions of time by
+differentiation in closed form.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _ALONG_PARALLEL = 1e-12  # cosine of a heading below which the track keeps its l
 
 @dataclass(frozen=True, slots=True)
 class TrackProgress:
-    """Distance covered along a track: from `start` [s] on, up to `speed` [m/s] at constant acceleration within `speed_up` [s], or with
-    the velocity speed·sin(2π·t/period) where `period` [s] is given."""
+    """Distance covered along a track. It begins at `start` [s] and reaches `speed` [m/s] at constant acceleration within `speed_up`
+    [s]. If `period` [s] is given, the velocity is speed·sin(2π·t/period)."""
 
     speed: float
     start: float = 0.0
@@ -57,8 +57,8 @@ class TrackProgress:
 
 @dataclass(frozen=True, slots=True)
 class CarrierPlace:
-    """Where the carrier is: latitude and longitude [rad] with their first and second derivatives by time, and the bench's heading [rad
-    clockwise from north] with its first."""
+    """Position of the carrier: latitude and longitude [rad] with their first and second derivatives by time, and the bench's
+    heading [rad clockwise from north] with its first derivative."""
 
     latitude: Array
     longitude: Array
@@ -72,7 +72,8 @@ class CarrierPlace:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """latitude, longitude, heading: rad, at the start; height: m; aligned: whether the bench turns with the heading."""
+    """A track over the Earth. latitude, longitude, heading: rad, at the start; height: m; aligned: whether the bench turns with the
+    heading."""
 
     latitude: float
     longitude: float
@@ -89,12 +90,12 @@ class Track:
         return turning + 2 * self.progress.speed / (ellipsoid.MEAN_RADIUS * math.cos(POLAR))
 
     def stretches(self, stretch: Stretch) -> list[Stretch]:
-        """A smooth stretch of another motion, cut where the carrier's acceleration jumps."""
+        """Smooth stretches of another motion, divided at the times when the carrier's acceleration jumps."""
         times = [stretch.begin, *(t for t in self.progress.breaks if stretch.begin < t < stretch.end), stretch.end]
         return [Stretch(first, last, stretch.pace + self.pace) for first, last in pairwise(times)]
 
     def place(self, times: Array) -> CarrierPlace:
-        """Its place at `times` [s]. Raises `InstrumentError` near a pole."""
+        """The position of the carrier at `times` [s]. Raises `InstrumentError` near a pole."""
         place = self._on_great_circle(times) if self.great_circle else self._on_rhumb_line(times)
         if float(np.max(np.abs(place.latitude))) > POLAR:
             limit = f"{math.degrees(POLAR):g} deg"
@@ -104,7 +105,7 @@ class Track:
         return place
 
     def velocity(self, place: CarrierPlace) -> tuple[Array, Array]:
-        """Velocity east and north [m/s]."""
+        """Velocity to the east and to the north [m/s]."""
         meridian, parallel = self._radii(place.latitude)
         return place.longitude_rate * parallel, place.latitude_rate * meridian
 
@@ -134,7 +135,7 @@ class Track:
         return _in_bench(rate, place.heading), _in_bench(force, place.heading)
 
     def _radii(self, latitude: Array) -> tuple[Array, Array]:
-        """Metres per radian of latitude and of longitude, at the carrier's height."""
+        """Length [m] of one radian of latitude and of longitude at the carrier's height."""
         meridian: Array = ellipsoid.meridian_radius(latitude) + self.height
         parallel: Array = (ellipsoid.normal_radius(latitude) + self.height) * np.cos(latitude)
         return meridian, parallel
@@ -155,7 +156,8 @@ class Track:
         return CarrierPlace(latitude, longitude, *rates, self.heading if self.aligned else 0.0, 0.0)
 
     def _on_great_circle(self, times: Array) -> CarrierPlace:
-        """With the normal n = n₀·cos σ + d₀·sin σ: sin φ = n_z, and cos²φ·λ̇ = (n × ṅ)_z does not depend on the place."""
+        """The position on a great circle. With the normal n = n₀·cos σ + d₀·sin σ: sin φ = n_z, and cos²φ·λ̇ = (n × ṅ)_z does not
+        depend on the place."""
         distance, speed, acceleration = (item / ellipsoid.MEAN_RADIUS for item in self.progress.follow(times))
         normal, forward = self._great_circle_axes()
         cosine, sine = np.cos(distance), np.sin(distance)
@@ -181,7 +183,7 @@ class Track:
         )
 
     def _great_circle_axes(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """The ellipsoid's normal at the start and the direction that it moves in; longitudes from the start."""
+        """The ellipsoid's normal at the start and the direction in which it moves; longitudes count from the start."""
         sine, cosine = math.sin(self.latitude), math.cos(self.latitude)
         north, east = math.cos(self.heading), math.sin(self.heading)
         return (cosine, 0.0, sine), (-sine * north, east, cosine * north)
@@ -190,7 +192,8 @@ class Track:
 def _rhumb_rates(
     latitude: Array, speed: Array, acceleration: Array, along: float, across: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Rates and accelerations of latitude and longitude on a line of constant heading (along: its cosine, across: its sine)."""
+    """Rates and accelerations of latitude and longitude on a line of constant heading. along: cosine of the heading; across: its
+    sine."""
     meridian = ellipsoid.meridian_radius(latitude)
     parallel = ellipsoid.normal_radius(latitude) * np.cos(latitude)
     north, east = speed * along, speed * across
@@ -204,7 +207,7 @@ def _rhumb_rates(
 
 
 def _in_bench(v: Vector, heading: Value) -> Vector:
-    """Components in axes that are turned by `heading` clockwise about up."""
+    """Components in axes that are rotated by `heading` clockwise about the vertical."""
     if isinstance(heading, float) and heading == 0.0:
         return v
     cosine, sine = np.cos(heading), np.sin(heading)

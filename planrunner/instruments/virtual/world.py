@@ -30,10 +30,10 @@ _SHORT = 1e-3  # s; a lag too short to be felt
 
 @dataclass(slots=True)
 class World:
-    """axes: of the table, outermost first, none without a table. skew: (3, 3) small rotation from the platform to the
-    sensor's axes, the pointing error at the commanded orientation. steady_at: s, when the commanded motion is
-    reached. track: of the carrier that moves the bench over the Earth; None if the bench does not move. added: effects added to the
-    sensor's declared errors."""
+    """The state of the virtual bench. axes: of the table, outermost first, empty without a table. skew: (3, 3), small rotation from
+    the platform to the sensor's axes; it is the pointing error at the commanded orientation. steady_at: time at which the commanded
+    motion is reached, s. track: of the carrier that moves the bench over the Earth; None if the bench does not move. added: effects
+    added to the sensor's declared errors."""
 
     clock: Clock
     site: Site
@@ -69,7 +69,7 @@ class World:
         return np.array([float(np.ravel(v)[0]) for v in angles]), np.array([float(np.ravel(v)[0]) for v in rates])
 
     def stretches(self, begin: float, end: float) -> list[Stretch]:
-        """The stretches between two times in which the stimulus of the sensor changes smoothly."""
+        """The stretches between two times in which the stimulus of the sensor is smooth."""
         stretches = self.course.stretches(begin, end)
         track = self.track
         return stretches if track is None else [part for item in stretches for part in track.stretches(item)]
@@ -77,7 +77,7 @@ class World:
     def stimulus(self, times: Array) -> tuple[Components, Components]:
         """Inertial rate [rad/s] and specific force [m/s^2] along the sensor's axes at `times`; floats if nothing moves.
 
-        Site vectors are carried inwards axis by axis, v ← R(−q)·v, and each joint adds its own rate along its axis.
+        Site vectors are transformed inwards axis by axis, v ← R(−q)·v, and each joint adds its own rate along its axis.
         """
         rate, force = (self._towards_the_table(vector) for vector in self._of_the_bench(times))
         for axis, (angle, turning) in zip(self.axes, self.course.follow(times), strict=True):
@@ -122,7 +122,7 @@ class World:
         return thermal.temperatures(self.command, self.lags, times)[2]
 
     def head_for(self, kelvin: float) -> None:
-        """Move the setpoint to a temperature from now on."""
+        """Changes the setpoint to a temperature, beginning now."""
         now = self.now()
         setpoint, air, sensor = (float(v[0]) for v in thermal.temperatures(self.command, self.lags, np.array([now])))
         self.command = thermal.Command(now, setpoint, air, sensor, kelvin)
@@ -145,7 +145,7 @@ class World:
 
 
 def _turned(axis: tuple[float, float, float], angle: Value, v: Components) -> Components:
-    """Components of a vector in a frame that has turned by `angle` about `axis` (Rodrigues with −angle)."""
+    """Components of a vector in a frame that is rotated by `angle` about `axis` (Rodrigues with −angle)."""
     if isinstance(angle, float) and angle == 0.0:
         return v
     c, s = (np.cos(angle), np.sin(angle)) if isinstance(angle, np.ndarray) else (math.cos(angle), math.sin(angle))

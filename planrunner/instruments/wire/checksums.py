@@ -1,9 +1,9 @@
 """Checksums of frames: cyclic redundancy checks of up to 32 bits, sums and exclusive-or, over many frames in one call.
 
-Every check is a polynomial division held at the top of a 32-bit register, so that CRC-8, CRC-16 and CRC-32 are one kernel with different
-tables; eight bytes are taken in one step ("slicing by 8": Kounavis and Berry, A systematic approach to building high performance,
-software-based CRC generators, ISCC 2005). If all frames have the same length, every byte position has a separate table, so that no byte
-depends on the preceding one.
+Every check is a polynomial division in the upper part of a 32-bit register. CRC-8, CRC-16 and CRC-32 therefore use one kernel with
+different tables. Each step processes eight bytes ("slicing by 8": Kounavis and Berry, A systematic approach to building high
+performance, software-based CRC generators, ISCC 2005). If all frames have the same length, every byte position has a separate
+table, so that no byte depends on the preceding one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ALL = 0xFFFFFFFF
 
 @dataclass(frozen=True)
 class Checksum:
-    """One way to check bytes; its value has `width` bits.
+    """A method to check bytes; its value has `width` bits.
 
     kind: CRC, SUM (of bytes, mod 2^width), NEGATIVE_SUM (what makes the sum zero) or XOR. polynomial (without its leading one), initial,
     reflected (least significant bit first) and final (exclusive-or at the end) describe a CRC as catalogues do.
@@ -37,7 +37,7 @@ class Checksum:
 
     @cached_property
     def tables(self) -> NDArray[np.uint32]:
-        """(8, 256): row k is the remainder of a byte that is followed by k zero bytes."""
+        """Tables (8, 256): row k contains the remainder of a byte that k zero bytes follow."""
         rows = np.zeros((8, 256), np.uint32)
         top = self.polynomial << (32 - self.width)
         for byte in range(256):
@@ -51,8 +51,8 @@ class Checksum:
         return rows
 
     def by_position(self, length: int, padding: int = 0) -> tuple[NDArray[np.uint32], int]:
-        """A CRC of exactly `length` bytes, `padding` zero bytes behind them, is the exclusive-or of the second result and of row k of
-        the first, (length, 256), at each byte k: a division of polynomials is linear."""
+        """Tables for a CRC of exactly `length` bytes followed by `padding` zero bytes. The CRC is the exclusive-or of the second
+        result and of row k of the first, (length, 256), at each byte k, because a division of polynomials is linear."""
         rows = np.zeros((length, 256), np.uint32)
         lowest, initial = self.tables[0], np.array([(self.initial << (32 - self.width)) & _ALL], np.uint32)
         registers = lowest
@@ -69,13 +69,14 @@ class Checksum:
         return np.ascontiguousarray(rows), int(initial[0]) ^ self.final
 
     def of(self, data: bytes) -> int:
-        """The value for `data`."""
+        """The check value of `data`."""
         from planrunner.instruments.wire.kernels import value
 
         return int(value(np.frombuffer(data, np.uint8), 0, len(data), 0, *self.arguments))
 
     def over(self, data: Bytes, starts: NDArray[np.int64], length: int, padding: int = 0) -> NDArray[np.uint32]:
-        """The values of `length` bytes from each of `starts`, as if `padding` bytes of zero followed. Shape of `starts`."""
+        """The check values of `length` bytes from each of `starts`, as if `padding` zero bytes followed. The result has the shape
+        of `starts`."""
         from planrunner.instruments.wire.kernels import values
 
         found: NDArray[np.uint32] = values(data, starts, length, padding, *self.arguments)
@@ -88,7 +89,7 @@ class Checksum:
 
 
 def _mirrored(numbers: NDArray[np.uint32], bits: int) -> NDArray[np.uint32]:
-    """The numbers with their lowest `bits` bits in reverse."""
+    """The numbers with their lowest `bits` bits in reverse order."""
     found = np.zeros_like(numbers)
     for bit in range(bits):
         found |= ((numbers >> np.uint32(bit)) & np.uint32(1)) << np.uint32(bits - 1 - bit)

@@ -1,4 +1,4 @@
-"""The numbers that stand for kinds of checksum, rules of framing and kinds of number in compiled kernels."""
+"""Codes for kinds of checksum, rules of framing and kinds of number in compiled kernels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fields of frames straight to columns: integers of one to eight bytes, floats and fixed-point numbers, of either byte order."""
+"""Converts fields of frames to columns: integers of one to eight bytes, floats and fixed-point numbers, in either byte order."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Field:
 
 
 def numbers(frames: Frames, fields: Sequence[Field]) -> NDArray[np.float64]:
-    """The fields of all frames, shape (fields, frames)."""
+    """The values of the fields in all frames, shape (fields, frames)."""
     from planrunner.instruments.wire.kernels import scaled
 
     places = np.array([(item.offset, item.width, item.kind, item.little) for item in fields], np.int64).reshape(-1, 4)
@@ -45,7 +45,7 @@ def whole_numbers(frames: Frames, item: Field) -> NDArray[np.int64]:
 
 
 def alike(frames: Frames, places: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether each frame has the same bytes as the first one at `places` [bytes from its start]; all frames are long enough."""
+    """Whether each frame has the same bytes as the first frame at `places` [bytes from its start]. All frames must be long enough."""
     from planrunner.instruments.wire import kernels
 
     found: NDArray[np.bool_] = kernels.alike(frames.data, frames.starts, places)

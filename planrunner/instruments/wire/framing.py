@@ -1,8 +1,8 @@
-"""Finding frames in a stream of bytes: sync, length, checksum; resynchronising; counting what is not a frame.
+"""Finds frames in a stream of bytes: sync, length, checksum. It resynchronises and counts bytes that are not part of a frame.
 
-A frame is valid if its checksum is correct. If an expected frame is missing or its checksum is wrong, a corrupt frame is counted and the
-search continues one byte later, so that a frame behind a false sync is never skipped. The data kept between two calls are shorter than the
-longest frame.
+A frame is valid if its checksum is correct. If an expected frame is missing or its checksum is wrong, a corrupt frame is counted
+and the search continues one byte later, so that a frame after a false sync is never skipped. The data kept between two calls are
+shorter than the longest frame.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Framing:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes as they came; received: s, by the bench's clock, when they had been read."""
+    """Bytes as they arrived. received: s, by the bench's clock, when they had been read."""
 
     received: float
     data: bytes
@@ -51,8 +51,8 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Good frames in `data`: where each starts, its length, and when it was received: s, when its last byte had been read, less the time
-    that it takes on the line. Shapes (n,)."""
+    """Good frames in `data`. For each frame: its start, its length, and the time of receipt [s], which is the time when its last
+    byte had been read minus its time on the line. All have the shape (n,)."""
 
     data: Bytes
     starts: NDArray[np.int64]
@@ -69,8 +69,8 @@ class Frames:
 
 @dataclass
 class Framer:
-    """Takes pieces of a stream and gives the frames that are complete. byte_time: s that a byte takes on the line. good, corrupt: frames;
-    skipped: bytes outside of frames; length: bytes of a frame, on the average of the last call that found some."""
+    """Takes pieces of a stream and returns the complete frames. byte_time: time of a byte on the line, s. good, corrupt: number of
+    frames; skipped: number of bytes outside frames; length: bytes per frame, averaged over the last call that found some."""
 
     framing: Framing
     byte_time: float = 0.0
@@ -124,7 +124,8 @@ class Framer:
 
 @lru_cache(maxsize=32)
 def _positions(framing: Framing) -> tuple[NDArray[np.uint32], int]:
-    """A table for each byte that the check covers if all frames have the same length and a CRC (see `Checksum.by_position`), else none."""
+    """A table for each byte that the check covers, if all frames have the same length and a CRC (see `Checksum.by_position`);
+    otherwise empty."""
     covered = framing.longest - framing.check_bytes - framing.covered_from
     if framing.rule != FIXED or framing.checksum.kind != CRC or not 0 < covered <= MOST_TABLES:
         return np.empty((0, 256), np.uint32), 0

@@ -1,9 +1,10 @@
-"""Times of samples, from a sensor's counter and the times at which the computer read its frames.
+"""Times of samples, computed from a sensor's counter and from the times at which the computer read its frames.
 
-A reading is never early, only late, because of buffers and the operating system. The line of the counter on the computer's clock is
-therefore the highest line below all readings, an edge of their lower convex hull (Moon, Skelly and Towsley, Estimation and removal of clock
-skew from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization algorithms for network measurements, INFOCOM
-2002). A constant delay cannot be determined in this way; transmission time and the latency reported by the sensor are subtracted before."""
+A reading is never early. It may be late, because of buffers and the operating system. The line of the counter on the computer's
+clock is therefore the highest line below all readings, an edge of their lower convex hull (Moon, Skelly and Towsley, Estimation and
+removal of clock skew from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization algorithms for
+network measurements, INFOCOM 2002). A constant delay cannot be determined in this way; transmission time and the latency reported
+by the sensor are subtracted before."""
 
 from __future__ import annotations
 
@@ -38,8 +39,8 @@ FORESTALLED = 1.0
 
 @dataclass(frozen=True, slots=True)
 class FrameCounter:
-    """The counter of a sensor: `tick` s per count, `step` counts per frame, restarting at `modulus`. A sensor without a counter has the
-    modulus 1; then only interruptions of the stream can be detected."""
+    """The counter of a sensor: `tick` s per count, `step` counts per frame, restarting at `modulus`. A sensor without a counter has
+    the modulus 1. Only interruptions of the stream can then be detected."""
 
     tick: float
     step: float = 1.0
@@ -53,10 +54,10 @@ class FrameCounter:
 
 @dataclass
 class Unwrapping:
-    """Extends the counter beyond its modulus, regardless of how many complete periods were lost during a silence.
+    """Extends the counter beyond its modulus, however many complete periods were lost during a silence.
 
-    After a silence, an additional full period of the counter may be possible: the silence was either a sleep of the computer, after which
-    the readings catch up, or a loss of frames, after which they stay behind. This is decided after `PATIENCE` seconds of readings.
+    After a silence, an additional full period of the counter may be possible. Either the computer slept, and the readings catch up;
+    or frames were lost, and the readings stay behind. This is decided after `PATIENCE` seconds of readings.
     """
 
     counter: FrameCounter
@@ -103,7 +104,8 @@ class Unwrapping:
         return index[:ready]
 
     def _refuse_jumps(self, delay: Array) -> None:
-        """delay: s, up to a constant. Frames after a jump would be later than those to come."""
+        """Raises an error for jumps of the delay. delay: s, apart from a constant. Frames after a jump would be later than frames
+        that still arrive."""
         least, usual = float(np.min(delay)), float(delay[0]) if math.isnan(self._floor) else self._floor
         if least < usual - FORESTALLED * self.haste:
             message = f"the sensor's counter is {usual - least:.3g} s ahead of the received frames"
@@ -121,7 +123,7 @@ class Unwrapping:
         return steps
 
     def _lowest(self, received: Array, index: Whole) -> float:
-        """The least delay of the last second, s, up to a constant."""
+        """The smallest delay in the last second, s, apart from a constant."""
         delay = received - index * self.counter.tick
         recent = float(np.min(delay[received >= received[-1] - self.haste]))
         return (
@@ -131,9 +133,9 @@ class Unwrapping:
 
 @dataclass
 class HostClock:
-    """The line of a counter on the computer's clock: `skew` (relative, positive if the sensor's ticks are longer than nominal; the initial
-    value applies until there are enough readings), and the delays of reading the frames relative to the line: `usual_delay` (median) and
-    `worst_delay`, s."""
+    """The line of a counter on the computer's clock. skew: relative, positive if the sensor's ticks are longer than nominal; the
+    initial value applies until there are enough readings. usual_delay (median), worst_delay: delays of reading the frames relative
+    to the line, s."""
 
     counter: FrameCounter
     skew: float = 0.0
@@ -181,7 +183,7 @@ class HostClock:
             self._offset = min(delay - self.skew * when for when, delay in self._points)
 
     def _keep(self, nominal: float, delay: float) -> None:
-        """The least delay of every window."""
+        """Keeps the smallest delay of every window."""
         window = WINDOW * self.haste
         if self._points and nominal // window == self._points[-1][0] // window:
             if delay < self._points[-1][1]:
@@ -191,8 +193,8 @@ class HostClock:
 
 
 def line_under(points: Array) -> tuple[float, float]:
-    """Slope and offset of the line that lies under all points (n, 2) and closest to them: the edge of their lower convex hull above
-    which the mean abscissa lies. Abscissae increase."""
+    """Slope and offset of the line that lies below all points (n, 2) and is closest to them. It is the edge of their lower convex
+    hull above which the mean abscissa lies. Abscissae must increase."""
     hull: list[tuple[float, float]] = []
     for x, y in points.tolist():
         while len(hull) > 1 and (hull[-1][1] - hull[-2][1]) * (x - hull[-2][0]) >= (y - hull[-2][1]) * (

@@ -3,8 +3,8 @@
 Shapes and meanings are documented in the functions of `checksums`, `framing` and `columns` that call these. Imports numba, so it is
 imported only when there are bytes to process.
 
-numba compiles a function once for each set of argument types, and a literal number in a call has a separate type (`Literal[int](0)`). Such
-numbers are therefore written `np.int64(0)`: every function is compiled once.
+numba compiles a function once for each set of argument types, and a literal number in a call has its own type (`Literal[int](0)`).
+Such numbers are therefore written `np.int64(0)`: every function is compiled once.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ def _word(data, place, little):  # type: ignore[no-untyped-def]
 
 @compiled()
 def value(data, start, length, padding, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """The check value of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are cut to 32 bits;
-    with an unsigned index it need not check for a negative one."""
+    """The check value of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are cut to
+    32 bits. An unsigned index avoids a check for negative values."""
     if kind == XOR:
         together = np.int64(0)
         for item in range(length):
@@ -112,7 +112,7 @@ def values(data, starts, length, padding, kind, width, tables, initial, reflecte
 
 @compiled()
 def _matches(data, place, pattern):  # type: ignore[no-untyped-def]
-    """1: the pattern is at this place; 0: it is not; -1: the data end within it."""
+    """1 if the pattern is at this place, 0 if it is not, −1 if the data end within it."""
     for item in range(pattern.size):
         if place + item >= data.size:
             return -1
@@ -123,7 +123,7 @@ def _matches(data, place, pattern):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _length(data, place, rule, longest):  # type: ignore[no-untyped-def]
-    """Bytes of the frame that begins here; 0: no frame; -1: not known yet."""
+    """Length in bytes of the frame that begins here; 0 if there is no frame, −1 if it is not known yet."""
     if rule == FIXED:
         return longest
     if rule == XBUS:
@@ -149,11 +149,11 @@ def _digit(byte):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _line(data, place, longest, usual):  # type: ignore[no-untyped-def]
-    """Bytes of the line that begins here, as in `_length`, and the exclusive-or of all but its first. usual: length of the line before; 0:
-    unknown.
+    """Length in bytes of the line that begins here, as in `_length`, and the exclusive-or of all its bytes but the first. usual:
+    length of the preceding line; 0 if unknown.
 
-    Lines are usually as long as the one before. One loop, whose end is known so that it can process many bytes at once, then finds whether
-    this one is. Otherwise its end is searched for four bytes at a time, and the same loop follows.
+    Lines usually have the same length as the preceding one. One loop with a known end, which can process many bytes at once, checks
+    whether this line does. Otherwise its end is searched for four bytes at a time, and the same loop follows.
     """
     start, stop = np.uintp(place + 1), np.uintp(min(place + longest, data.size))
     end, feed = start, np.uint8(LINE_FEED)
@@ -180,7 +180,7 @@ def _line(data, place, longest, usual):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _summary(data, start, end):  # type: ignore[no-untyped-def]
-    """Of data[start:end]: the exclusive-or, whether a byte lies above 126, and whether there is a line feed."""
+    """For data[start:end]: the exclusive-or, whether a byte is above 126, and whether there is a line feed."""
     together, strange, feeds, feed = np.uint8(0), np.uint8(0), np.uint8(0), np.uint8(LINE_FEED)
     for item in range(start, end):
         byte = data[np.uintp(item)]
@@ -192,7 +192,7 @@ def _summary(data, start, end):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _line_holds(data, place, length, together, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """together: exclusive-or of the line's bytes behind the first one."""
+    """Checks the checksum of a line. together: exclusive-or of the line's bytes after the first one."""
     end = place + length - 1
     if data[end - 1] == CARRIAGE_RETURN:
         end -= 1
@@ -227,8 +227,9 @@ def _holds(data, place, length, check, kind, width, tables, initial, reflected, 
 
 @compiled()
 def find(data, sync, trailer, shape, check, positions, base, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """Starts and lengths of the good frames, the beginning of the rest, the expected place of the next frame in it (-1: unknown), corrupt
-    frames and skipped bytes. positions, base: of a CRC over frames that are all alike (`Checksum.by_position`), else (0, 256) and 0."""
+    """Starts and lengths of the good frames, the beginning of the rest, the expected place of the next frame in it (-1: unknown),
+    corrupt frames and skipped bytes. positions, base: for a CRC over frames of equal length (`Checksum.by_position`), otherwise (0,
+    256) and 0."""
     rule, longest, expected = shape
     covered_from, _, size, little = check
     covered = positions.shape[0]
@@ -284,7 +285,7 @@ def find(data, sync, trailer, shape, check, positions, base, kind, width, tables
 
 @compiled()
 def alike(data, starts, places):  # type: ignore[no-untyped-def]
-    """Whether each frame has at `places` the bytes that the first one has there."""
+    """Whether each frame has the same bytes at `places` as the first frame."""
     found = np.ones(starts.size, np.bool_)
     for frame in range(starts.size):
         for item in range(places.size):
@@ -340,7 +341,7 @@ def scaled(data, starts, places, scales):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _floats(data, starts, offset, width, little, scale, out):  # type: ignore[no-untyped-def]
-    """Bits first, then numbers: each loop is simple enough to process several frames at a time."""
+    """Converts floats. Bits first, then numbers: each loop is simple enough to process several frames at a time."""
     if width == 4:
         words = np.empty(starts.size, np.uint32)
         for frame in range(starts.size):
@@ -359,10 +360,11 @@ def _floats(data, starts, offset, width, little, scale, out):  # type: ignore[no
 
 @compiled()
 def decimals(data, starts, lengths, out):  # type: ignore[no-untyped-def]
-    """The decimal numbers behind the commas of lines, up to `*`; whether each line has exactly as many as `out` has rows. At most 15
-    digits: a whole number over a power of ten, and so rounded once.
+    """The decimal numbers after the commas of lines, up to `*`; and whether each line has exactly as many as `out` has rows. A
+    number may have at most 15 digits: it is a whole number divided by a power of ten, and therefore rounded once.
 
-    Each line ends with a line feed, as `find` gives it: it is neither comma nor asterisk, sign, point or digit, so every search ends there.
+    Each line ends with a line feed, as `find` returns it. A line feed is neither comma nor asterisk, sign, point or digit, so every
+    search ends there.
     """
     good = np.zeros(starts.size, np.bool_)
     rows, one, zero, ten = out.shape[0], np.uintp(1), np.uint8(48), np.uint8(10)

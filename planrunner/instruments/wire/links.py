@@ -39,7 +39,7 @@ _making = threading.Lock()
 
 
 def lock_of(address: str) -> threading.RLock:
-    """The lock of a resource, the same for every link to it in this process."""
+    """The lock of a resource. Every link to the resource in this process uses the same lock."""
     with _making:
         return _locks.setdefault(address, threading.RLock())
 
@@ -53,7 +53,7 @@ class AnswerFraming(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class LineAnswers:
-    """Every answer is a line."""
+    """The framing in which every answer is a line."""
 
     end: bytes = b"\n"
 
@@ -63,9 +63,9 @@ class LineAnswers:
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
-    """address: VISA resource name. timeout: s, for opening and for an answer. sent_end: appended to every message. pace: minimum s between
-    two messages. baud: of a serial line. tries: of a request that may be repeated. idle: characters that may arrive without a request, such
-    as a prompt, and are discarded without a remark."""
+    """address: VISA resource name. timeout: s, for opening and for an answer. sent_end: appended to every message. pace: minimum
+    time between two messages, s. baud: of a serial line. tries: number of attempts for a request that may be repeated. idle:
+    characters that may arrive without a request, such as a prompt, and are discarded without a remark."""
 
     address: str
     timeout: float = 2.0
@@ -77,11 +77,11 @@ class LinkSettings:
 
 
 class LinkFailure(Exception):  # noqa: N818 - reported to users as an InstrumentError
-    """An exchange that failed; the text follows the resource name."""
+    """An exchange that failed. In messages, its text follows the resource name."""
 
 
 class Wire(Protocol):
-    """The interface used of a PyVISA resource. timeout: ms; baud_rate and bytes_in_buffer: of a serial line."""
+    """The part of a PyVISA resource that is used here. timeout: ms; baud_rate and bytes_in_buffer: of a serial line."""
 
     timeout: float
     read_termination: str | None
@@ -97,7 +97,7 @@ class Wire(Protocol):
 
 @dataclass(slots=True)
 class Incoming:
-    """The received bytes, until `deadline` [monotonic s]; `got` is the data so far."""
+    """The received bytes until `deadline` [monotonic s]. got: the data so far."""
 
     resource: Wire
     deadline: float
@@ -163,7 +163,7 @@ class MessageLink:
         self._remarks: deque[str] = deque(maxlen=MOST_REMARKS)
 
     def write(self, *texts: str) -> None:
-        """Send a message without reply. It is not repeated, because it is unknown how much arrived."""
+        """Sends a message without reply. It is not repeated, because it is unknown how much of it arrived."""
         with self._held(f"'{texts[-1]}'"):
             self._once(texts, None)
 
@@ -192,12 +192,12 @@ class MessageLink:
         return told
 
     def doubt(self) -> None:
-        """The received data do not answer the request, and the reply may still arrive: restart the link as after a failure."""
+        """Restarts the link as after a failure, because the received data do not answer the request and the reply may still arrive."""
         with self._lock:
             self._give_up()
 
     def close(self) -> None:
-        """Release the resource. May be called twice."""
+        """Releases the resource. May be called twice."""
         resource, self._resource = self._resource, None
         if resource is not None:
             with contextlib.suppress(Exception):  # a dead link cannot be closed politely
@@ -207,7 +207,7 @@ class MessageLink:
 
     @contextlib.contextmanager
     def _held(self, asked: str) -> Iterator[None]:
-        """One exchange at a time; failures become messages."""
+        """Holds the link for one exchange. Failures become messages."""
         address = self.settings.address
         patience = self.settings.tries * 3 * self.settings.timeout
         if not self._lock.acquire(timeout=patience):
@@ -220,7 +220,7 @@ class MessageLink:
             self._lock.release()
 
     def _once(self, texts: Sequence[str], framing: AnswerFraming | None) -> bytes:
-        """Send, and read one answer with `framing`. Raises `LinkFailure` with the link closed."""
+        """Sends a request and reads one answer with `framing`. Raises `LinkFailure` with the link closed."""
         incoming: Incoming | None = None
         settings = self.settings
         try:
@@ -270,7 +270,7 @@ class MessageLink:
         return self._resource
 
     def _give_up(self) -> None:
-        """Close the link, so that data in transit are not read later."""
+        """Closes the link, so that data in transit are not read later."""
         resource, self._disturbed = self._resource, True
         if resource is not None and _marks_ends(self.settings.address):
             with contextlib.suppress(Exception):
@@ -278,7 +278,7 @@ class MessageLink:
         self.close()
 
     def _drop_rests(self, resource: Wire) -> None:
-        """Discard unread data, which nobody requested."""
+        """Discards unread data that nobody requested."""
         if self.settings.address.startswith("ASRL") and not resource.bytes_in_buffer:
             return
         _wait_at_most(resource, GLANCE)
@@ -295,7 +295,8 @@ class MessageLink:
             raise LinkFailure(f"sends data without a request ({shown(rests[:40])}…): {_GARBAGE}")
 
     def _await_silence(self, resource: Wire) -> None:
-        """A serial line keeps late data: after a failure it must have been silent for a time-out before the next request."""
+        """Waits until a serial line is silent. After a failure, it must be silent for a time-out before the next request, because
+        it keeps late data."""
         if not self.settings.address.startswith("ASRL"):
             return
         end = time.monotonic() + 3 * self.settings.timeout
@@ -333,20 +334,20 @@ class LinkedCommands:
 
 
 def shown(data: bytes | bytearray) -> str:
-    """Bytes for a message."""
+    """Bytes as text for a message."""
     cut = bytes(data[:60])
     text = repr(cut)[1:]
     return text if len(data) <= len(cut) else f"{text}…"
 
 
 def _wait_at_most(resource: Wire, seconds: float) -> None:
-    """The time-out of the next read; set only if it changes."""
+    """Sets the time-out of the next read, if it changes."""
     if abs(resource.timeout - seconds * 1000) > 0.5:
         resource.timeout = seconds * 1000
 
 
 def _marks_ends(address: str) -> bool:
-    """Whether the bus marks where a message ends; a TCP stream and a serial line do not."""
+    """Whether the bus marks the end of a message; a TCP stream and a serial line do not."""
     upper = address.upper()
     return not (upper.startswith("ASRL") or upper.endswith("::SOCKET"))
 
@@ -361,8 +362,8 @@ def _manager() -> Any:
 
 
 def _count_steadily() -> None:
-    """PyVISA-py measures its time-outs with the computer's clock. If this clock is set back during a request, the time-out is extended
-    accordingly; therefore make it use the monotonic clock."""
+    """Makes PyVISA-py use the monotonic clock for its time-outs. It would otherwise use the computer's clock. If that clock were
+    set back during a request, the time-out would be extended accordingly."""
     steady = SimpleNamespace(time=time.monotonic, sleep=time.sleep, perf_counter=time.perf_counter)
     for name in ("sessions", "tcpip", "protocols.rpc"):
         module = sys.modules.get(f"pyvisa_py.{name}")

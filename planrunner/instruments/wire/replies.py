@@ -44,6 +44,6 @@ def identification(said: str) -> dict[str, str]:
 
 
 def written(value: float) -> str:
-    """A number as instruments read it: no exponent, at most six decimals, no trailing zeros."""
+    """A number in the form that instruments read: no exponent, at most six decimals, no trailing zeros."""
     text = f"{value:.6f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text

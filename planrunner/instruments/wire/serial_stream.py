@@ -1,4 +1,4 @@
-"""A serial port that streams: one thread reads in bulk into a limited ring buffer, from which consumers take the bytes.
+"""A serial port that streams: one thread reads in bulk into a limited ring buffer, and consumers take the bytes from it.
 
 pyserial reads a thousand times faster in bulk than byte by byte. Without a consumer the ring keeps only the newest bytes. With a consumer
 it keeps all bytes until it is full, and counts those that it must then drop.
@@ -26,7 +26,7 @@ MOST = 2**16
 
 
 class SerialPort(Protocol):
-    """The interface used of a pyserial port."""
+    """The part of a pyserial port that is used here."""
 
     @property
     def in_waiting(self) -> int: ...
@@ -36,7 +36,8 @@ class SerialPort(Protocol):
 
 
 class Ring:
-    """Pieces of a stream between the thread that reads and the one that takes. `dropped`: bytes dropped because the buffer was full."""
+    """Pieces of a stream between the thread that reads and the thread that takes them. `dropped`: bytes dropped because the buffer
+    was full."""
 
     def __init__(self, capacity: int = CAPACITY):
         self.capacity = capacity
@@ -68,8 +69,8 @@ class Ring:
         return pieces
 
     def follow(self, following: bool) -> None:
-        """Begin or end following; in both cases the waiting bytes are discarded. The count of dropped bytes restarts when following
-        begins."""
+        """Begins or ends following. In both cases the waiting bytes are discarded. The count of dropped bytes restarts when
+        following begins."""
         with self._lock:
             self._pieces, self._held, self._following = deque(), 0, following
             if following:
@@ -91,7 +92,8 @@ class SerialStream:
 
     @classmethod
     def open(cls, name: str, baud: int, now: Callable[[], float], capacity: int = CAPACITY) -> SerialStream:
-        """name: /dev/ttyUSB0, COM3, or a URL that pyserial knows, such as socket://host:port. Raises `InstrumentError`."""
+        """Opens a port. name: /dev/ttyUSB0, COM3, or a URL that pyserial knows, such as socket://host:port. Raises
+        `InstrumentError`."""
         import serial
 
         url = "://" in name
@@ -109,14 +111,15 @@ class SerialStream:
         return cls(port, name, now, capacity, bulk=url)
 
     def take(self) -> Sequence[Piece]:
-        """The bytes received since the last call. Raises `InstrumentError` if the port is gone and all earlier bytes have been returned."""
+        """The bytes received since the last call. Raises `InstrumentError` if the port no longer exists and all earlier bytes have
+        been returned."""
         pieces = self.ring.take()
         if not pieces and self._failure is not None:
             raise InstrumentError(self._failure)
         return pieces
 
     def write(self, data: bytes) -> None:
-        """Send a command. Raises `InstrumentError`."""
+        """Sends a command. Raises `InstrumentError`."""
         try:
             self._port.write(data)
         except Exception as error:  # pyserial raises what the operating system does
@@ -125,7 +128,7 @@ class SerialStream:
             ) from None
 
     def close(self) -> None:
-        """End the thread and close the port. May be called twice."""
+        """Ends the thread and closes the port. May be called twice."""
         self._closing.set()
         if threading.current_thread() is not self._thread:
             self._thread.join(timeout=2.0)
