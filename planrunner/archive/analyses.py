@@ -31,8 +31,8 @@ MOST_RESULTS = 2**27
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """The data that an analysis is made from: the journal after `events` events, where the last event has the digest `head`, and the
-    digest of the seal if the run had one."""
+    """The data from which an analysis is made: the journal after `events` events, where the last event has the digest `head`, and
+    the digest of the seal if the run had one."""
 
     events: int
     head: str
@@ -58,13 +58,13 @@ class StoredAnalysis:
 
     @property
     def basis(self) -> Basis | None:
-        """None in formats that did not record it."""
+        """The data from which the analysis was made; None in formats that did not record them."""
         if self.digests["planrunner_digests"] == 1:
             return None
         return Basis(self.digests["journal"]["events"], self.digests["journal"]["head"], self.digests["seal"])
 
     def read(self, name: str, limit: int = MOST_RESULTS) -> bytes:
-        """A file of the analysis, checked against its digest. Raises `IntegrityError`."""
+        """Reads a file of the analysis and checks its digest. Raises `IntegrityError`."""
         try:
             data = self._folder().read(name, limit)
         except OSError as error:
@@ -74,11 +74,11 @@ class StoredAnalysis:
         return data
 
     def read_json(self, name: str, schema: str, version_key: str, newest: int) -> JsonObject:
-        """A JSON file of the analysis, checked against its digest and its schema. Raises `IntegrityError`."""
+        """Reads a JSON file of the analysis and checks its digest and its schema. Raises `IntegrityError`."""
         return formats.parse_json(self.read(name), self.path / name, schema, version_key, newest)
 
     def check(self) -> Iterator[IntegrityError]:
-        """Missing, changed and added files, one entry per file."""
+        """Reports missing, changed and added files, one entry for each file."""
         folder, listed = self._folder(), self.digests["files"]
         standing = set(folder.entries()) - {DIGESTS}
         for name in sorted(standing | set(listed)):
@@ -155,7 +155,7 @@ def stored_analysis(run: GuardedFolder, number: int) -> StoredAnalysis:
 def add_analysis(
     run: GuardedFolder, files: Mapping[str, bytes], basis: Basis, *, storage: Storage | None = None
 ) -> StoredAnalysis:
-    """Add an analysis in `analyses/<n>` and return it. files: contents by file name.
+    """Adds an analysis in `analyses/<n>` and returns it. files: contents by file name.
 
     It is written under a temporary name and renamed, so it exists completely or not at all. Two simultaneous analyses get different
     numbers. Raises `InputError` if it cannot be written.
@@ -198,7 +198,7 @@ def _take_number(
     basis: Basis,
     storage: Storage,
 ) -> int:
-    """Give the analysis the next number and the digest of the previous one."""
+    """Gives the analysis the next number and the digest of the previous one."""
     while True:
         standing = numbers(run)
         last = stored_analysis(run, standing[-1]) if standing else None

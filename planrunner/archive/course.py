@@ -1,10 +1,10 @@
 """The signal that a motion causes in the samples of a segment: a turning or rocking sensor measures the Earth's rate, gravity and its
 own motion. The scatter of the samples is computed about this signal.
 
-Whatever its size and phase, the course repeats with the period of the motion: a straight line through what the sensor senses gives the
-fundamental, and a second-order effect its double. The fundamental may change evenly over the segment, because a table whose rate is off by
-some ppm runs away from the planned phase. A rocking table gives more harmonics, because what the sensor senses follows sines of an angle
-that is itself a sine.
+Whatever its size and phase, the course repeats with the period of the motion: a straight line through the sensed quantity gives the
+fundamental, and a second-order effect gives twice its frequency. The fundamental may change linearly over the segment, because a
+table whose rate is wrong by some ppm drifts away from the planned phase. A rocking table gives more harmonics, because the sensed
+quantity follows sines of an angle that is itself a sine.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _PER_COLUMN = 4  # times as many means as columns that a fit needs
 
 @dataclass(frozen=True, slots=True)
 class MotionCourse:
-    """columns: (c, p), its form over c short means, weighted by the samples in them orthonormal and of zero mean. samples: (c,), those of
-    each mean that count; none where the table is not in its steady motion. products: (p, p), of the same forms over the samples, where they
-    are not averaged."""
+    """The course of a motion. columns: (c, p), its form at c short means. Weighted by the number of samples in each mean, the
+    columns are orthonormal and have zero mean. samples: (c,), number of samples of each mean that count; zero if the table is not
+    in its steady motion. products: (p, p), inner products of the same forms over single samples, without averaging."""
 
     columns: Array
     samples: Array
@@ -43,7 +43,8 @@ def follows_course(motion: Motion) -> bool:
 def course_of(motion: Motion, time: Array, samples: Array, interval: float) -> MotionCourse | None:
     """The course of a periodic motion over short means of consecutive samples; None if there are too few of them.
 
-    time: (c,), middle of each, s since the segment's first sample. samples: (c,), numbers of samples. interval: s between samples.
+    time: (c,), s, middle of each mean since the segment's first sample. samples: (c,), numbers of samples. interval: s between
+    samples.
     """
     if isinstance(motion, Rock):
         since = time - motion.steady

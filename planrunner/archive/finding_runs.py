@@ -1,4 +1,4 @@
-"""Finding the run folders in an archive: a folder with run folders in it, at any depth. Links are not followed."""
+"""Finds the run folders in an archive, which is a folder that contains run folders at any depth. Links are not followed."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ DEEPEST = 32
 
 @dataclass(frozen=True, slots=True)
 class FoundFolder:
-    """A run folder, or a folder that cannot be searched. place: relative to the archive, with slashes. entries: of the run folder. fault:
-    why the folder cannot be searched, else empty."""
+    """A run folder, or a folder that cannot be searched. place: relative to the archive, with slashes. entries: entries of the run
+    folder. fault: the reason why the folder cannot be searched, otherwise empty."""
 
     place: str
     path: Path

@@ -15,8 +15,8 @@ from planrunner.base.documents import Json, JsonObject
 
 
 class IntegrityError(Exception):
-    """A file of a run folder is missing, changed or does not match its schema. The message names the file and the remedy; code: of the
-    finding that reports it."""
+    """A file of a run folder is missing, changed or does not match its schema. The message names the file and the remedy. code:
+    code of the finding that reports it."""
 
     def __init__(self, message: str, code: str = "run-changed"):
         super().__init__(message)
@@ -46,7 +46,8 @@ def digested(value: JsonObject) -> bytes:
 
 
 def require_own_digest(data: bytes, value: JsonObject, path: Path) -> None:
-    """Checks a file from `digested`, byte by byte. A file of an earlier format, without `digest`, passes. Raises `IntegrityError`."""
+    """Checks the digest in a file that `digested` has made, byte by byte. A file of an earlier format, without `digest`, passes.
+    Raises `IntegrityError`."""
     if "digest" in value and digested({key: item for key, item in value.items() if key != "digest"}) != data:
         raise IntegrityError(f"{path}: changed after it was written: it does not match its own digest; {FROM_BACKUP}")
 
@@ -133,7 +134,7 @@ def event_fault(event: Mapping[str, Json]) -> str | None:
 
 @lru_cache(maxsize=1)
 def _events() -> dict[str, Check]:
-    """Event kind → check of an event of that kind: the keys common to all events, and those of the kind."""
+    """Maps each kind of event to its check: the keys common to all events, and those of the kind."""
     whole = schema("journal-event")
     checks = {}
     for kind, branch in whole["$defs"]["events"].items():

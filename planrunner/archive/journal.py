@@ -38,12 +38,12 @@ def utc_now() -> str:
 
 @lru_cache(maxsize=1)
 def _whole_second(seconds: int) -> str:
-    """Of a time since 1970, UTC."""
+    """A time in whole seconds since 1970, UTC."""
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%S")
 
 
 def _plain(value: Json) -> Json:
-    """numpy scalars and arrays as JSON data."""
+    """Converts numpy scalars and arrays to JSON data."""
     if hasattr(value, "tolist"):
         return value.tolist()
     if isinstance(value, Mapping):
@@ -80,10 +80,10 @@ class Journal:
         return self._state[1]
 
     def append(self, event: str, data: Mapping[str, Json], *, acknowledge: bool = True) -> str:
-        """Add one event; returns the digest of its line.
+        """Adds one event; returns the digest of its line.
 
-        acknowledge: wait for the disk (in durable mode). False for events that announce something; the next acknowledged event writes them
-        to the disk too. Raises `OSError`, and ValueError for data that JSON cannot represent.
+        acknowledge: whether to wait for the disk (in durable mode). It is False for events that only announce something; the next
+        acknowledged event writes them to the disk too. Raises `OSError`, and ValueError for data that JSON cannot represent.
         """
         if self._broken:
             raise OSError("the journal could not be repaired after a failed write; resume the run to repair it")

@@ -1,4 +1,4 @@
-"""The state described by a journal: acknowledged segments, their files, and the point where the run was interrupted."""
+"""The state that a journal describes: acknowledged segments, their files, and the point where the run was interrupted."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_TURNS = 1000
 
 @dataclass(frozen=True, slots=True)
 class Acknowledged:
-    """A segment that counts: its files, its readings, and the reason if it is shorter than planned."""
+    """A segment that counts: its files, its readings, and the reason why it is shorter than planned, if it is."""
 
     index: int
     label: str
@@ -55,13 +55,14 @@ class Rejected:
 
 @dataclass(slots=True)
 class JournalState:
-    """clock, states: values at the last acknowledged segment, to resume from. open: the segment in which the process ended.
-    earlier_seals: SHA-256 of each seal that the run had when it was reopened → number of events at that time. turning_times: number and
-    time of the first and the last event, and of the two events at each place where the time goes back. planned: number of segments of the
-    schedule, 0 if the run never started. stamped, unstamped: the events about time stamps; unstamped_ends: numbers of the events
-    `finished` before which the journal was not stamped to its end. renewals: time of each event with which the run was reopened under
-    further approvals, and their entries. standards: time of each event with which the run was reopened on a bench with a check
-    standard, and its state then."""
+    """The state of a run according to its journal. clock, states: values at the last acknowledged segment, from which the run can
+    be resumed. open: the segment in which the process ended. earlier_seals: SHA-256 of each seal that the run had when it was
+    reopened → number of events at that time. turning_times: number and time of the first and the last event, and of the two events
+    at each place where the time goes back. planned: number of segments of the schedule, 0 if the run never started. stamped,
+    unstamped: the events about time stamps; unstamped_ends: numbers of the events `finished` before which the journal was not
+    stamped to its end. renewals: time of each event with which the run was reopened with further approvals, and their entries.
+    standards: time of each event with which the run was reopened on a bench with a check standard, and the state of the check
+    standard then."""
 
     created: JsonObject = field(default_factory=dict)
     acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
@@ -94,7 +95,7 @@ class JournalState:
             yield from self.open.parts
 
     def take(self, event: Mapping[str, Json]) -> None:
-        """Update the state with one event."""
+        """Updates the state with one event."""
         kind = event["event"]
         handler = getattr(self, f"_{kind}", None)
         if handler is not None:
@@ -103,7 +104,8 @@ class JournalState:
             self._end_of_others = event.get("seq", self._end_of_others)
 
     def take_time(self, number: int, at: str) -> None:
-        """Events are written with times of one form, so that their texts are in the order of the times."""
+        """Updates the times with those of one event. Times of events are written in one form, so that the order of their texts is
+        the order of the times."""
         kept = self.turning_times
         rising = len(kept) > 1 and kept[-2][1] <= kept[-1][1] <= at
         if rising or len(kept) > MOST_TURNS:

@@ -32,7 +32,8 @@ _STORAGE = Storage("flushed")
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A prompt that waits for an answer. id: a new one each time that a prompt is shown, so that an answer cannot apply to another one."""
+    """A prompt that waits for an answer. id: a new one each time a prompt is shown, so that an answer cannot apply to another
+    prompt."""
 
     id: str
     text: str
@@ -40,7 +41,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """question: its id. by: name of the person who confirmed the prompt."""
+    """An answer to a prompt. question: id of the prompt. by: name of the person who confirmed the prompt."""
 
     question: str
     by: str
@@ -48,7 +49,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """Extremes and mean of a channel over short consecutive intervals; NaN where there is none."""
+    """Extremes and mean of a channel over short consecutive intervals; NaN for an interval without samples."""
 
     least: tuple[float, ...] = ()
     mean: tuple[float, ...] = ()
@@ -79,9 +80,9 @@ class LiveNotice:
 
 @dataclass(frozen=True, slots=True)
 class LiveState:
-    """What a run does now. at: UTC, ISO 8601. index: of the segment, from 0. fraction: completed part of the planned time, 0 to 1.
-    time_left: s of real time, None while unknown. strip_time: end of each interval of the strips, on the sensor's clock, s.
-    hidden_channels: number of channels beyond those listed."""
+    """The present state of a run. at: UTC, ISO 8601. index: index of the segment, from 0. fraction: completed part of the planned
+    time, 0 to 1. time_left: s of real time, None if it is not yet known. strip_time: end of each interval of the strips, on the
+    sensor's clock, s. hidden_channels: number of channels beyond those listed."""
 
     at: str
     index: int
@@ -116,7 +117,7 @@ class LiveState:
 
     @classmethod
     def from_json(cls, data: JsonObject) -> LiveState:
-        """From data that match the schema."""
+        """Reads data that match the schema."""
         segment, question = data["segment"], data["question"]
         return cls(
             data["at"],
@@ -172,12 +173,13 @@ def _channel(data: JsonObject) -> LiveChannel:
 
 
 def _short(text: str) -> str:
-    """A plan or a driver may give a text of any length; the schema does not allow more."""
+    """A text, shortened if necessary. A plan or a driver may give a text of any length, but the schema limits the length."""
     return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 1] + "…"
 
 
 def _number(value: float) -> float | None:
-    """For display: ten significant digits, because a bias can be a millionth of what a channel reads. NaN and infinities become null."""
+    """A number for display, with ten significant digits, because a bias can be a millionth of the reading of a channel. NaN and
+    infinities become null."""
     return float(f"{value:.10g}") if math.isfinite(value) else None
 
 
@@ -191,7 +193,7 @@ def publish(run: GuardedFolder, state: LiveState) -> None:
 
 
 def withdraw(run: GuardedFolder) -> None:
-    """The run has ended: removes the live state and an answer that was not used, as far as possible."""
+    """Removes the live state and an unused answer, as far as possible, because the run has ended."""
     for name in (NAME, ANSWER):
         with contextlib.suppress(OSError):
             run.remove(name)
@@ -204,7 +206,7 @@ def read_live(run: GuardedFolder) -> LiveState | None:
 
 
 def write_answer(run: GuardedFolder, answer: Answer) -> None:
-    """Raises `OSError`."""
+    """Writes the answer to a prompt. Raises `OSError`."""
     data = {"planrunner_answer": FORMAT, "question": answer.question, "by": answer.by}
     _STORAGE.write_whole(run, ANSWER, formats.to_bytes(data))
 

@@ -14,7 +14,7 @@ EMPTY = hashlib.sha256(b"").digest()
 
 
 class ProofError(ValueError):
-    """A proof does not fit the tree. The message says why."""
+    """A proof does not fit the tree. The message gives the reason."""
 
 
 def leaf_hash(entry: bytes) -> bytes:
@@ -46,7 +46,7 @@ def complete_nodes(leaves: Hashes) -> list[list[bytes]]:
 
 
 def root_of(levels: Sequence[Hashes], size: int) -> bytes:
-    """MTH of the tree of the first `size` leaves, from `complete_nodes`, in a time that grows with the logarithm of the size."""
+    """MTH of the tree of the first `size` leaves, from `complete_nodes`. The time grows with the logarithm of the size."""
     root, end = None, size
     for height, level in enumerate(
         levels
@@ -79,7 +79,7 @@ def consistency_proof(size: int, leaves: Hashes) -> list[bytes]:
 
 
 def _subproof(m: int, leaves: Hashes, *, whole: bool) -> list[bytes]:
-    """SUBPROOF(m, leaves, b), where b is `whole`: whether the first m leaves are a tree whose hash the verifier knows."""
+    """SUBPROOF(m, leaves, b), where b is `whole`: whether the verifier knows the hash of the tree of the first m leaves."""
     n = len(leaves)
     if m == n:
         return [] if whole else [tree_hash(leaves)]

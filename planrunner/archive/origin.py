@@ -1,4 +1,4 @@
-"""Checks if a run folder was made on this computer by this user, without a network and without trusting the folder.
+"""Checks whether this user made a run folder on this computer. It needs no network and does not trust the folder.
 
 A key of 32 random bytes stays in the user's state folder. The run folder contains `.origin`: the HMAC-SHA-256 with that key of the digest
 of the journal's first line, which contains the digests of run.json, plan and bench. It cannot be made without the key, is valid for one run
@@ -51,15 +51,16 @@ def state_folder() -> Path:
 
 
 def _home() -> Path:
-    """The home folder from the environment. An empty HOME counts as none: it would mean the current folder, which may belong to anyone."""
+    """The home folder from the environment. An empty HOME counts as missing, because it would mean the current folder, which may
+    belong to anyone."""
     if os.environ.get("HOME") == "":
         raise RuntimeError
     return Path.home()
 
 
 def leave_origin(run: GuardedFolder, first: str) -> None:
-    """Mark a new run folder as made here, if a key is available. first: digest of the journal's first line. Raises `OSError` if the run
-    folder cannot be written."""
+    """Marks a new run folder as made here, if a key is available. first: digest of the journal's first line. Raises `OSError` if
+    the run folder cannot be written."""
     try:
         key = _key(make=True)
     except OriginUnknownError:
@@ -71,7 +72,7 @@ def leave_origin(run: GuardedFolder, first: str) -> None:
 
 
 def made_here(run: GuardedFolder, first: str) -> bool:
-    """Whether the run folder was made on this computer by this user. Raises `OriginUnknownError` if that cannot be determined."""
+    """Whether this user made the run folder on this computer. Raises `OriginUnknownError` if that cannot be determined."""
     key = _key(make=False)
     if not key:
         return False
@@ -83,8 +84,8 @@ def made_here(run: GuardedFolder, first: str) -> bool:
 
 
 def foreign(run: GuardedFolder, first: str) -> str:
-    """Why a run folder counts as made elsewhere, so that its bench file must not decide what is connected to or signed; empty if this user
-    made it on this computer."""
+    """The reason why a run folder counts as made elsewhere, so that its bench file must not decide what to connect to or to sign;
+    empty if this user made it on this computer."""
     try:
         return "" if made_here(run, first) else "you did not make this run folder on this computer"
     except OriginUnknownError as error:
@@ -96,7 +97,7 @@ def _mark(key: bytes, first: str) -> str:
 
 
 def _key(make: bool) -> bytes:
-    """The key. If it is absent it is made on request; otherwise the result is empty. Raises `OriginUnknownError`."""
+    """Reads the key. If it does not exist, it is made on request; otherwise the result is empty. Raises `OriginUnknownError`."""
     path = state_folder()
     try:
         if make:
@@ -115,7 +116,7 @@ def _key(make: bool) -> bytes:
 
 
 def _make_key(folder: GuardedFolder) -> None:
-    """If two processes start at once, the second waits and uses the key of the first."""
+    """Makes the key. If two processes start at once, the second waits and uses the key of the first."""
     with _alone(folder):
         if folder.entry(KEY) is not None:
             return
@@ -131,7 +132,7 @@ def _make_key(folder: GuardedFolder) -> None:
 
 @contextlib.contextmanager
 def _alone(folder: GuardedFolder) -> Iterator[None]:
-    """Raises `OSError` if another process does not release the lock."""
+    """Runs alone under a lock. Raises `OSError` if another process does not release the lock."""
     deadline = time.monotonic() + PATIENCE
     while True:
         try:

@@ -13,7 +13,7 @@ NAME = ".pause"
 
 
 def ask_to_pause(run: GuardedFolder) -> None:
-    """Raises `OSError` when the folder cannot be written."""
+    """Requests a pause. Raises `OSError` if the folder cannot be written."""
     os.close(run.open_or_make(NAME))
 
 
@@ -22,7 +22,7 @@ def asked_to_pause(run: GuardedFolder) -> bool:
 
 
 def take_back(run: GuardedFolder) -> bool:
-    """End a requested pause. Returns whether a process continues the run; a run that has ended meanwhile must be resumed."""
+    """Ends a requested pause. Returns whether a process continues the run. A run that has ended in the meantime must be resumed."""
     asked = asked_to_pause(run)
     run.remove(NAME)
     return asked and is_written(run)

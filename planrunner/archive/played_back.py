@@ -18,7 +18,7 @@ from planrunner.plan.schedule import Segment
 
 
 def played(player: RecordingPlayer | SummaryPlayer, segments: Sequence[Segment]) -> tuple[RecordedSegment, ...]:
-    """The segments of a player. Its recording can then be read many times. Raises `InstrumentError`."""
+    """The segments that a player plays back. Its recording can then be read many times. Raises `InstrumentError`."""
     if isinstance(player, SummaryPlayer):
         name, units = player.parameters.file, player.channels()
         return tuple(summarised(one, units, player.summary, player.stream(one), name) for one in segments)
@@ -30,7 +30,7 @@ def played(player: RecordingPlayer | SummaryPlayer, segments: Sequence[Segment])
 
 
 def _play(player: RecordingPlayer, segment: Segment, passed: RowsRead) -> RecordedSegment:
-    """A segment of the recording. Its blocks are in memory if the recording is; otherwise every pass reads them again."""
+    """Plays back one segment of the recording. Its blocks are in memory if the recording is; otherwise every pass reads them again."""
     units = dict(player.channels())
     read = partial(player.stream, segment)
     if isinstance(player.file, HeldRecording):

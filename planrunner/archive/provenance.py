@@ -14,7 +14,7 @@ LIBRARIES = ("numpy", "scipy", "pyarrow", "pint", "pyyaml", "jsonschema", "jinja
 
 
 def versions() -> dict[str, str]:
-    """Name → version; a library that is not installed is left out."""
+    """Maps the name of each installed library to its version."""
     found = {
         "planrunner": __version__,
         "python": f"{platform.python_implementation()} {platform.python_version()}",
@@ -44,7 +44,7 @@ _BLAS = ("internal_api", "version", "architecture")
 
 @functools.cache
 def _libraries() -> dict[str, str]:
-    """Read once, because a process keeps the libraries that it has loaded."""
+    """The versions of the libraries. They are read once, because a process keeps the libraries that it has loaded."""
     found = {}
     for name in LIBRARIES:
         try:

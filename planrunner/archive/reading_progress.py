@@ -12,14 +12,14 @@ from planrunner.instruments.interfaces import Block
 
 
 class RowsRead:
-    """RowsRead that were read of a known number, over several segments."""
+    """Number of rows read of a known total, over several segments."""
 
     def __init__(self, what: str, rows: float, notice: Announce | None):
         self._pace = Pace(what, rows, notice)
         self._done = 0
 
     def through(self, blocks: Iterator[Block]) -> Iterator[Block]:
-        """The same blocks."""
+        """Yields the same blocks and counts their rows."""
         for block in blocks:
             yield block
             self._done += len(block.time)
@@ -27,8 +27,8 @@ class RowsRead:
 
 
 def announced(recording: Sequence[RecordedSegment], what: str, notice: Announce | None) -> tuple[RecordedSegment, ...]:
-    """The same segments. Passes over their samples that take long are announced to `notice` as `what`, with the part of all rows that was
-    read at least once; when all have been read, a further pass begins anew."""
+    """The same segments. Long passes over their samples are reported to `notice` as `what`, with the fraction of all rows that was
+    read at least once. When all have been read, a further pass starts from zero."""
     if notice is None:
         return tuple(recording)
     passes = _Passes([item.statistics.count + item.statistics.rejected for item in recording], what, notice)
@@ -39,7 +39,7 @@ def announced(recording: Sequence[RecordedSegment], what: str, notice: Announce 
 
 
 class _Passes:
-    """rows: of each segment."""
+    """The passes over the segments. rows: number of rows of each segment."""
 
     def __init__(self, rows: Sequence[int], what: str, notice: Announce):
         self._rows, self._what, self._notice = rows, what, notice

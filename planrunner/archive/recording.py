@@ -1,4 +1,4 @@
-"""A recording as seen by estimators: segments with their planned state, one-pass statistics, and samples in blocks."""
+"""A recording in the form that estimators use: segments with their planned state, one-pass statistics, and samples in blocks."""
 
 from __future__ import annotations
 
@@ -26,12 +26,13 @@ BATCHES = 32
 class Statistics:
     """One-pass statistics of one segment. Arrays run over `channels`; values are in the channels' units.
 
-    count: samples (rows with a NaN in any channel are left out and counted in `rejected`). mean, minimum, maximum: (k,). covariance: (k, k)
-    between samples. standard_error: (k,) of the mean, from the scatter of `batches` consecutive batch means, which allows for noise that is
-    correlated within a batch. A motion that is known changes the output within the segment (its course); both scatters are those of the
-    differences from this course. start, end: s, of the first and the last sample; largest_gap: s between consecutive samples. course:
-    (p, batches), the fitted course: for uncorrelated samples, its part of the scatter of the batch means is the sum of its squares.
-    mean_covariance: (k, k) of the means, from the same scatter as their standard errors; (0, 0) if it is unknown.
+    count: samples (rows with a NaN in any channel are left out and counted in `rejected`). mean, minimum, maximum: (k,).
+    covariance: (k, k) between samples. standard_error: (k,) of the mean, from the scatter of `batches` consecutive batch means,
+    which allows for noise that is correlated within a batch. A known motion changes the output within the segment (its course).
+    Both scatters are those of the differences from this course. start, end: s, of the first and the last sample; largest_gap: s
+    between consecutive samples. course: (p, batches), the fitted course: for uncorrelated samples, its part of the scatter of the
+    batch means is the sum of its squares. mean_covariance: (k, k) of the means, from the same scatter as their standard errors; (0,
+    0) if it is unknown.
     """
 
     channels: tuple[str, ...]
@@ -83,7 +84,7 @@ def duration_of(statistics: Iterable[Statistics]) -> float | None:
 
 
 class FindKind(StrEnum):
-    """What may be wrong with single samples."""
+    """Kinds of faults of single samples."""
 
     SPIKE = "spike"
     BURST = "burst"
@@ -96,13 +97,13 @@ class FindKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Find:
-    """Samples of a segment that are not what the sensor measured.
+    """Samples of a segment that are faulty or suspect.
 
-    channel: empty if all are concerned. first, rows: the first row of the segment, counted from 0, and how many. time: of the first, s;
-    seconds: duration. size: in the channel's unit, largest distance from the samples around them; the value of a stuck or clipped stretch;
-    the number of lost samples. noise: standard deviation of the samples around it, same unit; NaN if unknown. before, after: level of the
-    samples before and after, same unit. count: number of finds that this one stands for. bad: by the rule of the screening the samples do
-    not count.
+    channel: empty if all channels are affected. first, rows: index of the first row in the segment, counted from 0, and number of
+    rows. time: of the first, s; seconds: duration. size: largest distance from the surrounding samples, in the channel's unit; for
+    a stuck or clipped stretch, its value; for lost samples, their number. noise: standard deviation of the surrounding samples,
+    same unit; NaN if unknown. before, after: level of the samples before and after, same unit. count: number of findings that this
+    finding represents. bad: whether the screening excludes the samples.
     """
 
     kind: FindKind
@@ -121,9 +122,10 @@ class Find:
 
 @dataclass(frozen=True)
 class RecordedSegment:
-    """A segment as executed. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block. expected: the
+    """A recorded segment. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block. expected: the
     segment was not recorded, and the statistics are predicted from the schedule: the noise is the declared noise, and the means are
-    without noise. finds: what screening found; None for a segment that has not been screened. share: of its samples that count."""
+    without noise. finds: findings of the screening; None for a segment that has not been screened. share: fraction of its samples
+    that are used."""
 
     segment: Segment
     units: dict[str, str]
@@ -141,7 +143,7 @@ class RecordedSegment:
 
     @property
     def in_mode(self) -> float | None:
-        """Seconds that the sensor had been in its mode when the record began; None if not recorded."""
+        """Time [s] that the sensor had been in its mode when the record began; None if not recorded."""
         return self.readings.get(IN_MODE)
 
 
@@ -164,21 +166,21 @@ def expected_segment(segment: Segment, units: dict[str, str], statistics: Statis
 
 @dataclass(frozen=True, slots=True)
 class Ranges:
-    """Smallest and largest number in a block. values: by channel; NaN if one of the numbers is missing. steps: of the times from one row
-    to the next, s; infinite for a single row, NaN if not known."""
+    """Smallest and largest number in a block. values: by channel; NaN if one of the numbers is missing. steps: smallest and largest
+    step of the times between rows, s; infinite for a single row, NaN if not known."""
 
     values: Mapping[str, tuple[float, float]]
     steps: tuple[float, float]
 
 
 class Watcher(Protocol):
-    """Looks at samples while they are read for their statistics."""
+    """Examines samples while they are read for their statistics."""
 
     def add(self, block: Block, ranges: Ranges | None = None) -> None:
-        """The next samples. ranges: of all channels in them, if known."""
+        """Processes the next samples. ranges: of all channels in them, if known."""
 
     def finds(self) -> tuple[Find, ...]:
-        """What was found, when the blocks are at their end."""
+        """The findings, after all blocks have been processed."""
 
 
 WatcherOf = Callable[[Segment, Mapping[str, str], int], Watcher]

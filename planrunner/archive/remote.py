@@ -1,16 +1,16 @@
 """Archives on object storage or another remote file system, through fsspec: `s3://bucket/archive`, `gs://…`, `ftp://…`.
 
-Nothing is read from a remote file system directly. A remote folder is first copied to a private folder of this user (`fetched`). The copy
-is then read as any other folder: through `base.guarded_folder`, with everything held against its digests. The copy accepts only plain names
-and files of limited size; it never follows where a remote name might lead. A verification copies everything again, so that it does not
-judge an older copy.
+Nothing is read from a remote file system directly. A remote folder is first copied to a private folder of this user (`fetched`).
+The copy is then read like any other folder: through `base.guarded_folder`, with every file checked against its digest. The copy
+accepts only plain names and files of limited size. It never follows a remote name to another place. A verification copies
+everything again, so that it does not check an older copy.
 
-Sealed runs are written once (`push_run`): a file that exists is never replaced, and what was written is read back and compared. The seal is
-written last, so that an interrupted push leaves a run that is not sealed, and the next push completes it. A file system that writes a
-file piece by piece gets it under another name first, so that no file is ever there in part.
+Sealed runs are written once (`push_run`): an existing file is never replaced, and every written file is read back and compared. The
+seal is written last, so that an interrupted push leaves a run that is not sealed, and the next push completes it. If a file system
+writes files piece by piece, a file has another name until it is complete, so that no incomplete file has its final name.
 
-A command that has copied a remote folder holds a lock on the copies of that archive until it ends: otherwise another command could remove
-an analysis that is not written to the remote run yet.
+A command that has copied a remote folder holds a lock on the copies of that archive until it ends. Otherwise another command could
+remove an analysis that has not yet been written to the remote run.
 """
 
 from __future__ import annotations
@@ -69,7 +69,8 @@ _Place = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True)
 class Pushed:
-    """written: number of files that were written; present: of those that were there with the same content."""
+    """Result of `push_run`. written: number of files that were written; present: number of files that already existed with the same
+    content."""
 
     written: int
     present: int
@@ -77,7 +78,8 @@ class Pushed:
 
 @dataclass(frozen=True, slots=True)
 class _RemoteFile:
-    """path: for the file system; size in bytes; changed: ns since 1970, None if the file system does not tell."""
+    """A file of a remote folder. path: for the file system; size: in bytes; changed: ns since 1970, None if the file system does
+    not report it."""
 
     path: str
     size: int
@@ -132,14 +134,14 @@ def _hold(place: Path, url: str) -> None:
 
 
 class _Copying:
-    """The copying of a remote folder. anew: unchanged files too."""
+    """Copies a remote folder. anew: whether to copy unchanged files too."""
 
     def __init__(self, files: AbstractFileSystem, url: str, anew: bool, notice: Announce | None):
         self.files, self.url, self.anew, self.notice = files, url, anew, notice
 
 
 def _copy(copying: _Copying, root: str, folder: GuardedFolder, place: _Place) -> None:
-    """Makes a folder equal to the remote one."""
+    """Makes a folder equal to the remote folder."""
     if len(place) > DEEPEST:
         raise _refused(copying.url, f"{'/'.join(place)}: more than {DEEPEST} folders inside one another")
     listed = {
@@ -182,7 +184,7 @@ def _copy_files(
     place: _Place,
     but: set[str] | None = None,
 ) -> None:
-    """Makes a folder contain these files, by their places, and nothing else. but: entries that are left alone."""
+    """Makes a folder contain these files, by their places, and nothing else. but: entries that are not changed."""
     below: dict[str, dict[_Place, _RemoteFile]] = {}
     own: dict[str, _RemoteFile] = {}
     for parts, file in wanted.items():
@@ -234,8 +236,8 @@ def _copy_file(copying: _Copying, file: _RemoteFile, folder: GuardedFolder, name
 
 
 def _counts(info: Mapping[str, object]) -> bool:
-    """Whether an entry belongs to the archive: it is no empty object that consoles of storage make for a folder, and no file that was being
-    written."""
+    """Whether an entry belongs to the archive. Empty objects that storage consoles make for folders, and files that are being
+    written, do not."""
     name = str(info["name"])
     return not (name.endswith("/") and info["type"] != "directory" and not info["size"]) and not name.endswith(ASIDE)
 
@@ -245,7 +247,7 @@ def _file(info: Mapping[str, object]) -> _RemoteFile:
 
 
 def _changed(info: Mapping[str, object]) -> int | None:
-    """When an object changed last. The names are those of the implementations of fsspec."""
+    """The time when an object was last changed. The names of the attributes are those of the implementations of fsspec."""
     for key in ("LastModified", "last_modified", "mtime", "modified", "updated", "created"):
         value = info.get(key)
         if isinstance(value, str):
@@ -263,7 +265,7 @@ def _name(info: Mapping[str, object], root: str) -> str:
 
 
 def _parts(info: Mapping[str, object], root: str, url: str) -> _Place:
-    """Names below the root. Raises `InputError` for an object whose name would lead elsewhere."""
+    """Names below the root. Raises `InputError` for an object whose name would lead to another place."""
     inner = str(info["name"]).strip("/").removeprefix(root.strip("/")).removeprefix("/")
     parts = tuple(inner.split("/")) if inner else ()
     for part in parts:
@@ -287,15 +289,15 @@ def _refused(url: str, what: str) -> InputError:
 
 @dataclass(frozen=True, slots=True)
 class Pulled:
-    """runs: those that were copied; present: number of those that were there."""
+    """Result of `pull_runs`. runs: those that were copied; present: number of runs that already existed."""
 
     runs: tuple[Path, ...]
     present: int
 
 
 def pull_runs(copy: Path, folder: Path) -> Pulled:
-    """Puts the runs of a copy, which are verified first, into a folder. Runs of a name that is there stay as they are. Raises
-    `IntegrityError` for a run that was changed; then no run is put there."""
+    """Copies the runs of a copy into a folder, after they have been verified. Runs whose name already exists stay as they are.
+    Raises `IntegrityError` for a run that was changed; in that case no run is copied."""
     found = [one for one in find_runs(copy) if not one.fault]
     for one in found:
         examine(open_run(one.path), samples="digests").require_whole()
@@ -318,10 +320,10 @@ def pull_runs(copy: Path, folder: Path) -> Pulled:
 
 
 def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
-    """Writes a sealed run to a remote archive, or what it has more than the run there, such as a new analysis.
+    """Writes a sealed run to a remote archive, or the parts that the remote run lacks, such as a new analysis.
 
-    including: a folder of the run that must be there. Raises `IntegrityError` for a run that was changed. Raises `InputError` if it is not
-    sealed, if the archive has another run of this name, or if the archive cannot be written.
+    including: a folder of the run that must be written. Raises `IntegrityError` for a run that was changed. Raises `InputError` if
+    it is not sealed, if the archive has another run of this name, or if the archive cannot be written.
     """
     found = examine(open_run(run), samples="digests")
     found.require_whole()
@@ -346,7 +348,7 @@ def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
 
 
 def _content(folder: GuardedFolder) -> Iterator[tuple[str, bytes]]:
-    """The files of a run by place, the seal last."""
+    """The files of a run by place. The seal is the last."""
     entries = folder.entries()
     for name, entry in entries.items():
         if entry.kind == "file" and name in FILES and name not in _LOCAL and name != seals.NAME:
@@ -367,15 +369,15 @@ def _below(folder: GuardedFolder, place: str) -> Iterator[tuple[str, bytes]]:
 
 
 def push_back(run: Path, analysis: Path) -> None:
-    """Writes what was added to the copy of a remote run, this new analysis among it, to the remote run. Nothing happens for other runs.
-    Raises as `push_run`."""
+    """Writes to a remote run what was added to its copy, including this new analysis. For other runs it does nothing. Raises the
+    same errors as `push_run`."""
     source = source_of_copy(run)
     if source is not None:
         push_run(run, source.rpartition("/")[0], including=f"{ANALYSES}/{analysis.name}")
 
 
 def source_of_copy(run: Path) -> str | None:
-    """URL of the folder that this is a copy of; None if it is none."""
+    """URL of the folder of which this is a copy; None if it is not a copy."""
     inner, cache = run.resolve(), _cache().resolve()
     if not inner.is_relative_to(cache) or len(inner.relative_to(cache).parts) < 2:
         return None
@@ -385,12 +387,12 @@ def source_of_copy(run: Path) -> str | None:
 
 
 def _source(name: str) -> str:
-    """Name of the file with the URL of a copy, beside it."""
+    """Name of the file with the URL of a copy, next to the copy."""
     return f".{name}.url"
 
 
 def _written(files: AbstractFileSystem, path: str, data: bytes, archive: str) -> bool:
-    """Whether a file had to be written. Raises `InputError` if it exists with another content."""
+    """Writes a file if necessary; returns whether it was written. Raises `InputError` if it exists with another content."""
     new = not files.exists(path)
     if new:
         files.makedirs(path.rpartition("/")[0], exist_ok=True)
@@ -407,7 +409,7 @@ def _written(files: AbstractFileSystem, path: str, data: bytes, archive: str) ->
 
 
 def _write(files: AbstractFileSystem, path: str, data: bytes) -> None:
-    """Writes a new file, all of it or nothing. Raises `FileExistsError` if the storage finds that it is there."""
+    """Writes a new file completely or not at all. Raises `FileExistsError` if the storage already has it."""
     from fsspec import AbstractFileSystem
 
     write = files.pipe_file
@@ -449,7 +451,7 @@ def _missing(url: str, why: str) -> InputError:
 
 @contextlib.contextmanager
 def _told(url: str) -> Iterator[None]:
-    """Failures of the file system, whose libraries have exceptions of their own, as `InputError`."""
+    """Converts failures of the file system, whose libraries have their own exceptions, to `InputError`."""
     try:
         yield
     except InputError:

@@ -1,4 +1,4 @@
-"""Where an interrupted run continues, and what happens to the segment in which it was interrupted."""
+"""The point where an interrupted run continues, and the treatment of the segment in which it was interrupted."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ REASON = "the process ended in this segment"
 class ResumePoint:
     """states: states that resumable instruments and the executor stored with the last acknowledged segment; clock: time then, s.
 
-    instruments: their earlier descriptions of themselves. files: name → SHA-256 of everything recorded so far, for the seal. attempts: how
-    often each segment was begun.
+    instruments: descriptions that the instruments gave of themselves before. files: name → SHA-256 of everything recorded so far,
+    for the seal. attempts: how often each segment was begun.
     """
 
     clock: float = 0.0
@@ -43,10 +43,10 @@ class ResumePoint:
 
 
 def settle_break(folder: GuardedFolder, storage: Storage, journal: Journal, state: JournalState) -> ResumePoint:
-    """Reconcile the journal and the files of an interrupted run; returns where to continue.
+    """Reconciles the journal and the files of an interrupted run; returns the point where to continue.
 
-    Temporary files are removed. The segment in progress keeps its finished parts. With `on_break: keep` in the plan they count and are
-    marked as truncated; otherwise they are rejected and the segment is repeated.
+    Temporary files are removed. The segment in progress keeps its finished parts. With `on_break: keep` in the plan, these parts
+    count and are marked as truncated. Otherwise they are rejected and the segment is repeated.
     """
     found = _unknown_files(folder, storage, state)
     begun = state.open

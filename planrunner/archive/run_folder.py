@@ -53,8 +53,8 @@ from planrunner.plan.schedule import Segment
 
 @dataclass(frozen=True, slots=True)
 class Witnessed:
-    """A time stamp of the journal after `events` events, to be kept in the run folder. token: the reply of the authority, in DER; None if
-    there is none for the reason `why`. at: time in the token, UTC."""
+    """A time stamp of the journal after `events` events, to be kept in the run folder. token: the reply of the authority, in DER;
+    None if there is none. why: the reason for that. at: time in the token, UTC."""
 
     events: int
     token: bytes | None
@@ -66,16 +66,17 @@ class Witness(Protocol):
     """Obtains time stamps of the journal while it grows, without making the run wait."""
 
     def see(self, events: int, line: bytes, *, last: bool = False) -> None:
-        """The journal has now so many acknowledged events, and ends with this line. last: it is finished, so a stamp is due now."""
+        """Informs the witness that the journal has this number of acknowledged events and ends with this line. last: whether the
+        journal is finished, so that a stamp is due now."""
         ...
 
     def take(self, *, wait: bool = False) -> Sequence[Witnessed]:
-        """The stamps that have arrived since the last call. wait: wait for those that are missing."""
+        """The stamps that have arrived since the last call. wait: whether to wait for stamps that are still missing."""
         ...
 
 
 class RunWriter:
-    """The only writer of a run folder. Made by `create` or `reopen`; `close` it, or use it as a context manager."""
+    """The only writer of a run folder. It is made by `create` or `reopen`; `close` it, or use it as a context manager."""
 
     def __init__(
         self,
@@ -121,15 +122,15 @@ class RunWriter:
         check_standard: JsonObject | None = None,
         parameters: Mapping[str, str] = MappingProxyType({}),
     ) -> RunWriter:
-        """A new run folder in `root`, which is created if absent.
+        """Makes a new run folder in `root`, which is created if it does not exist.
 
-        identity: the last part of its name, hexadecimal digits; random by default. A caller that must find the folder again, even if it
-        is killed, chooses it.
+        identity: the last part of its name, hexadecimal digits; random by default. A caller states it in order to find the folder
+        again, even if it is killed.
 
-        info: JSON data given with the run (device serial, operator, ambient …). approvals: content of approvals.json, if the bench requires
-        approvals. check_standard: state of the check standard of the bench, if it has one. parameters: values that were given for
-        parameters of the plan. If the folder has a log, the run is entered as
-        begun. Raises `InputError` when it cannot be written, and `IntegrityError` for a log that was changed.
+        info: JSON data given with the run (device serial, operator, ambient …). approvals: content of approvals.json, if the bench
+        requires approvals. check_standard: state of the check standard of the bench, if it has one. parameters: values that were
+        given for parameters of the plan. If the folder has a log, the run is entered as begun. Raises `InputError` if the folder
+        cannot be written, and `IntegrityError` for a log that was changed.
         """
         storage = storage or Storage(durability)
         now = datetime.now(UTC)
@@ -212,14 +213,14 @@ class RunWriter:
         approvals: Sequence[JsonObject] = (),
         check_standard: JsonObject | None = None,
     ) -> RunWriter:
-        """Continue an interrupted run: removes an incomplete last line and settles the segment in progress.
+        """Continues an interrupted run: removes an incomplete last line and settles the segment in progress.
 
         run: its path, or the result of `examine` with samples under the given lock, so that nothing is verified twice.
 
-        reason: why a finished, sealed run is reopened; required for such a run. lock: lock of the folder if the caller holds it already;
-        the writer takes it over. bench: a bench file to use in place of the one in the folder; the journal records its digest.
-        approvals: entries of approvals of the plan that were given since the run began; the journal records them, and check_standard: the
-        state of the check standard of the bench now.
+        reason: reason for reopening a finished, sealed run; required for such a run. lock: lock of the folder, if the caller
+        already holds it; the writer takes it over. bench: a bench file that replaces the one in the folder; the journal records its
+        digest. approvals: entries of approvals of the plan that were given since the run began; the journal records them.
+        check_standard: the present state of the check standard of the bench.
 
         Raises `InputError` (in use, finished, unwritable) and `IntegrityError`.
         """
@@ -288,11 +289,11 @@ class RunWriter:
     # -- growing -----------------------------------------------------------------------------------------------------
 
     def note(self, event: str, **data: Json) -> None:
-        """Add an event about the run as a whole (`started`, `failed`, `stopped`, `safe`, `instruments` …)."""
+        """Adds an event about the run as a whole (`started`, `failed`, `stopped`, `safe`, `instruments` …)."""
         self._append(event, data)
 
     def take_watchdog_report(self) -> None:
-        """Enter the actions of a watchdog since the run ended into the journal. Raises `OSError`."""
+        """Enters the actions of a watchdog since the end of the run into the journal. Raises `OSError`."""
         report = read_report(self.folder)
         if report is not None:
             self.note("rescued", report=report)
@@ -301,8 +302,8 @@ class RunWriter:
     def begin(
         self, segment: Segment, clock: float, channels: Mapping[str, str], summary: SummaryChannels | None = None
     ) -> None:
-        """Begin a segment; channels (name → unit) is empty if nothing is recorded. summary: meaning of the channels, if the segment is
-        recorded as a summary."""
+        """Begins a segment; channels (name → unit) is empty if nothing is recorded. summary: meaning of the channels, if the
+        segment is recorded as a summary."""
         index = segment.index
         self._attempt = self._point.attempts[index] = self._point.attempts.get(index, 0) + 1
         self._segment, self._parts, self._samples = segment, [], None
@@ -335,7 +336,7 @@ class RunWriter:
             )
 
     def append(self, block: Block, clock: float) -> None:
-        """Add samples to the segment. Each part that becomes complete is acknowledged by an event."""
+        """Adds samples to the segment. Each part that becomes complete is acknowledged by an event."""
         assert self._segment is not None and self._samples is not None
         self._samples.append(block)
         for part in self._samples.take_finished():
@@ -353,8 +354,8 @@ class RunWriter:
         reason: str = "",
         frames: Mapping[str, Json] | None = None,
     ) -> None:
-        """Finish the segment's files and acknowledge it. clock, states: values from which the run can continue after it; frames: frame
-        counts of the sensor."""
+        """Finishes the segment's files and acknowledges it. clock, states: values from which the run can continue after it; frames:
+        frame counts of the sensor."""
         assert self._segment is not None
         parts = self._close_samples()
         event = {
@@ -375,7 +376,7 @@ class RunWriter:
         self._account(parts)
 
     def break_off(self, reason: str, clock: float, states: Mapping[str, Json]) -> None:
-        """The segment in progress, if any, was interrupted: keep its samples, and count them if the plan says so."""
+        """Ends the segment in progress, if any, after an interruption. Its samples are kept, and count if the plan says so."""
         segment = self._segment
         if segment is None:
             return
@@ -386,7 +387,7 @@ class RunWriter:
         self.set_aside(reason)
 
     def set_aside(self, reason: str, frames: Mapping[str, Json] | None = None) -> None:
-        """The segment in progress is unusable and will be repeated. Its data are kept with the reason."""
+        """Ends the segment in progress because it is unusable and will be repeated. Its data are kept with the reason."""
         segment = self._segment
         assert segment is not None
         parts = self._keep_what_there_is()
@@ -405,14 +406,15 @@ class RunWriter:
         self._account(parts)
 
     def reject(self, index: int, reason: str) -> None:
-        """Reject an acknowledged segment, so that it is repeated. Its data are kept with the reason."""
+        """Rejects an acknowledged segment, so that it is repeated. Its data are kept with the reason."""
         item = self._point.acknowledged.pop(index)
         parts = [part.to_json() for part in item.parts]
         data = {"segment": index, "label": item.label, "attempt": item.attempt, "parts": parts, "reason": reason}
         self._append("rejected", data)
 
     def finish(self) -> None:
-        """Every segment is acknowledged: write the last event, enter the seal into the log of the archive, if any, and seal the folder."""
+        """Finishes the run after every segment is acknowledged: writes the last event, enters the seal into the log of the archive,
+        if any, and seals the folder."""
         if self.witness is not None:
             self.witness.see(self._journal.count, self._journal.last, last=True)
             self._keep(self.witness.take(wait=True))
@@ -422,7 +424,7 @@ class RunWriter:
         self._storage.write_whole(self.folder, seals.NAME, seal)
 
     def close(self) -> None:
-        """Release the folder. A segment in progress stays as after a crash."""
+        """Releases the folder. A segment in progress stays as it would after a crash."""
         try:
             self._drop_samples()
         finally:
@@ -437,14 +439,14 @@ class RunWriter:
         self.close()
 
     def _append(self, event: str, data: Mapping[str, Json]) -> None:
-        """Add an acknowledged event, and the stamps that have arrived."""
+        """Adds an acknowledged event, and the stamps that have arrived."""
         self._journal.append(event, data)
         if self.witness is not None:
             self._keep(self.witness.take())
             self.witness.see(self._journal.count, self._journal.last)
 
     def _keep(self, stamps: Sequence[Witnessed]) -> None:
-        """Keep stamps of the journal, and record them in it."""
+        """Stores stamps of the journal and records them in it."""
         for stamp in stamps:
             if stamp.token is None:
                 self._journal.append("unstamped", {"events": stamp.events, "reason": stamp.why})
@@ -454,14 +456,14 @@ class RunWriter:
             self._journal.append("stamped", data)
 
     def _enter(self, event: LogEvent, seal: str = "") -> None:
-        """Add an entry about the run to the log of its archive, if there is one. Raises `OSError`, and `IntegrityError` for a log that was
-        changed."""
+        """Adds an entry about the run to the log of its archive, if there is one. Raises `OSError`, and `IntegrityError` for a log
+        that was changed."""
         log = RunLog.of(self.path.parent, self._storage)
         if log is not None:
             log.append(event, self._name, events=self._journal.count, head=self._journal.head, seal=seal)
 
     def _account(self, parts: list[Part]) -> None:
-        """Record the end of the segment by an event that names its files."""
+        """Records the end of the segment by an event that names its files."""
         self._point.files.update((part.file, part.sha256) for part in parts)
         self._segment = None
 
@@ -472,7 +474,7 @@ class RunWriter:
         return self._parts
 
     def _keep_what_there_is(self) -> list[Part]:
-        """Finish the file in progress as far as the disk permits; returns the segment's parts."""
+        """Finishes the file in progress as far as the disk permits; returns the segment's parts."""
         if self._samples is not None and self._samples.rows:
             try:
                 self._close_samples()
@@ -481,7 +483,7 @@ class RunWriter:
         return self._drop_samples()
 
     def _drop_samples(self) -> list[Part]:
-        """Discard the file in progress; returns the finished parts."""
+        """Discards the file in progress; returns the finished parts."""
         if self._samples is not None:
             samples, self._samples = self._samples, None
             self._parts.extend(samples.take_finished())

@@ -1,12 +1,13 @@
-"""The log of an archive: an append-only Merkle tree (RFC 9162) over the runs in a folder, so that a removed or replaced run shows.
+"""The log of an archive: an append-only Merkle tree (RFC 9162) over the runs in a folder, which reveals a removed or replaced run.
 
     runs/.log/entries.jsonl   one entry per line, only ever appended: a run was begun, sealed, or taken out
     runs/.log/head.json       the tree head: number of entries and root; replaced after each entry
 
-A leaf of the tree is a line without its line feed. An entry counts when its line is complete. A process that is killed between the two
-writes leaves a head that is one entry behind; the next entry brings it up to date. A seal is entered before it is written, so that every
-seal in the archive is in the log. If planrunner ends in between, the run is sealed again when it is resumed, and both entries name the same
-journal. In turn, run.json contains the tree head before the run, so that the runs show whether the log was removed or rewritten.
+A leaf of the tree is a line without its line feed. An entry counts when its line is complete. A process that is killed between the
+two writes leaves a head that is one entry behind; the next entry brings it up to date. A seal is entered before it is written, so
+that every seal in the archive is in the log. If planrunner ends between these two steps, the run is sealed again when it is
+resumed, and both entries name the same journal. In addition, run.json contains the tree head before the run, so that the runs
+reveal a log that was removed or rewritten.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ LogEvent = Literal["created", "begun", "sealed", "retired"]
 
 @dataclass(frozen=True, slots=True)
 class LogEntry:
-    """One entry. seq: 1, 2, 3 …; at: UTC. events, head: number of events in the journal at that time, and SHA-256 of the last one; seal:
-    SHA-256 of seal.json, of a sealed run; why: reason for taking the run out of the archive."""
+    """One entry. seq: 1, 2, 3 …; at: UTC; events, head: number of events in the journal at that time, and SHA-256 of the last
+    event; seal: SHA-256 of seal.json, for a sealed run; why: reason for removing the run from the archive."""
 
     seq: int
     at: str
@@ -60,7 +61,7 @@ class LogEntry:
     why: str = ""
 
     def to_json(self) -> JsonObject:
-        """Without the values that the entry does not have."""
+        """The entry as JSON data, without absent values."""
         value = {name: getattr(self, name) for name in self.__slots__}
         return {name: item for name, item in value.items() if item not in (0, "")}
 
@@ -71,7 +72,7 @@ class LogEntry:
 
     @classmethod
     def from_json(cls, value: Json) -> LogEntry | None:
-        """None if it is no entry."""
+        """Reads an entry; None if the data are not an entry."""
         if not isinstance(value, dict) or not set(value) <= set(cls.__slots__):
             return None
         numbers, texts = ("seq", "events"), ("at", "event", "run", "head", "seal", "why")
@@ -136,11 +137,11 @@ class LogContent:
 
     @property
     def origin(self) -> str:
-        """Hash of the first entry, which identifies the log; empty if there is none."""
+        """Hash of the first entry, which identifies the log; empty if there is no entry."""
         return self.leaves[0].hex() if self.leaves else ""
 
     def head(self) -> TreeHead:
-        """The head of all entries, made now."""
+        """The head of all entries, made at this time."""
         return TreeHead(len(self.entries), self.root(len(self.entries)), utc_now())
 
 
@@ -163,9 +164,9 @@ class RunLog:
 
     @classmethod
     def create(cls, archive: Path, storage: Storage | None = None) -> RunLog:
-        """A new log. Its first entry has a random name, so that no other log begins with it.
+        """Makes a new log. Its first entry has a random name, so that no other log begins with the same entry.
 
-        Raises `InputError` if there is one already, or if it cannot be written.
+        Raises `InputError` if the folder already has a log, or if it cannot be written.
         """
         storage = storage or Storage()
         try:
@@ -190,7 +191,7 @@ class RunLog:
         return self.folder.path
 
     def read(self) -> LogContent:
-        """All entries and the stored head. Raises `IntegrityError` if they were changed, and `OSError`."""
+        """Reads all entries and the stored head. Raises `IntegrityError` if they were changed, and `OSError`."""
         try:  # the head first: entries can then only be more than it counts
             stored = parse_head(self.folder.read(HEAD, MOST_HEAD), self.path / HEAD)
         except FileNotFoundError:
@@ -233,12 +234,12 @@ class RunLog:
             return grown
 
     def write_beside(self, name: str, data: bytes) -> None:
-        """Writes a file beside the entries, such as a signed head. The caller holds the lock. Raises `OSError`."""
+        """Writes a file next to the entries, such as a signed head. The caller must hold the lock. Raises `OSError`."""
         self._storage.write_whole(self.folder, name, data)
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Excludes other writers. Raises `OSError` if another one does not end."""
+        """Excludes other writers. Raises `OSError` if another writer does not finish."""
         until = time.monotonic() + PATIENCE
         while True:
             try:
@@ -265,7 +266,7 @@ def require_growth(content: LogContent, path: Path) -> None:
 
 
 def head_faults(content: LogContent, head: TreeHead, named: str) -> Iterator[tuple[str, str]]:
-    """What contradicts a remembered head, as code and message. named: the head, in messages."""
+    """Contradictions to a remembered head, as code and message. named: the head, as messages name it."""
     if head.size > len(content.entries):
         yield "log-cut", f"the log was cut: {named} counts {head.size} entries, the log has {len(content.entries)}"
     elif content.root(head.size) != head.root:
@@ -279,7 +280,7 @@ def unwritable(archive: Path, error: OSError) -> InputError:
 
 
 def _parsed(line: bytes) -> LogEntry | None:
-    """The entry of a line; None if it is none."""
+    """The entry in a line; None if the line is not an entry."""
     try:
         value: Json = formats.from_bytes(line)
     except ValueError:

@@ -37,9 +37,9 @@ from planrunner.plan.selection import spelt_alike
 class RunReader:
     """A run folder as it was when opened. Reading changes nothing and needs no lock.
 
-    run: the content of run.json. torn: bytes of an incomplete last line of the journal. first: digest of its first line. basis: the data
-    that an analysis is made from. analyses: oldest first. findings: warnings, such as that the run is not sealed.
-    approvals: content of approvals.json, if the bench required approvals.
+    run: the content of run.json. torn: bytes of an incomplete last line of the journal. first: digest of its first line. basis: the
+    data from which an analysis is made. analyses: oldest first. findings: warnings, such as that the run is not sealed. approvals:
+    content of approvals.json, if the bench required approvals.
     """
 
     folder: GuardedFolder
@@ -59,14 +59,14 @@ class RunReader:
     def open(cls, path: Path, *, to_reopen: bool = False) -> RunReader:
         """Opens a run folder. Digests of everything except samples are checked here; samples are checked when read (see `verifying`).
 
-        Raises `InputError` if `path` is not a run folder, and `IntegrityError` if it differs from what was written. The incomplete last
-        line of a killed run is ignored. to_reopen: faults that reopening repairs are accepted.
+        Raises `InputError` if `path` is not a run folder, and `IntegrityError` if it differs from what was written. The incomplete
+        last line of a killed run is ignored. to_reopen: whether faults that reopening repairs are accepted.
         """
         return cls.of(examine(open_run(path)), to_reopen=to_reopen)
 
     @classmethod
     def of(cls, found: Examined, *, to_reopen: bool = False) -> RunReader:
-        """A run folder that was examined already; see `open`."""
+        """A run folder that has already been examined; see `open`."""
         found.require_whole(*(MENDED if to_reopen else ()))
         assert found.state is not None and found.scan is not None
         return cls(
@@ -92,7 +92,7 @@ class RunReader:
 
     @property
     def instruments(self) -> dict[str, dict[str, str]]:
-        """Instrument name → its description of itself."""
+        """Maps the name of each instrument to its description of itself."""
         return self.state.instruments
 
     @property
@@ -109,7 +109,7 @@ class RunReader:
         return tuple(self.state.rejected)
 
     def warnings(self, planned: int | None = None) -> list[str]:
-        """Unusual events of the run that a reader must know. planned: number of segments, by default that of the journal."""
+        """Unusual events of the run that a reader must know. planned: number of segments, by default the number in the journal."""
         planned = self.state.planned if planned is None else planned
         warnings = [f"Fault during the run: {text}" for text in self.state.failures]
         held = len(self.acknowledged())
@@ -145,7 +145,7 @@ class RunReader:
         """The acknowledged segments with statistics, in the order of the schedule. Each file is read once.
 
         schedule: made from the run's own plan and bench. watch: screens the samples in the same pass. notice: receives the
-        progress. Raises `IntegrityError` if it does not match the recording.
+        progress. Raises `IntegrityError` if the schedule does not match the recording.
         """
         segments = []
         whole = sum(part.rows for item in self.acknowledged() for part in item.parts)
@@ -183,14 +183,14 @@ class RunReader:
     # -- analyses ------------------------------------------------------------------------------------------------------
 
     def add_analysis(self, files: Mapping[str, bytes]) -> StoredAnalysis:
-        """Store an analysis made from the data read here; see `analyses.add_analysis`."""
+        """Stores an analysis made from the data that were read here; see `analyses.add_analysis`."""
         return add_analysis(self.folder, files, self.basis)
 
     # -- integrity -----------------------------------------------------------------------------------------------------
 
     def check_digests(self) -> int:
-        """Check everything in the folder as it is now, samples included, against its digests; returns the number of recorded files.
-        Raises `IntegrityError`."""
+        """Checks everything in the folder as it is now, including samples, against its digests; returns the number of recorded
+        files. Raises `IntegrityError`."""
         found = examine(self.folder, samples="contents")
         found.require_whole()
         assert found.state is not None
@@ -198,7 +198,7 @@ class RunReader:
 
 
 def _with_first(first: SegmentData | None, others: Iterator[SegmentData]) -> Iterator[SegmentData]:
-    """All parts of a segment. A part is not kept after it has been used."""
+    """All parts of a segment, beginning with a part that is already open. A part is not kept after it has been used."""
     if first is not None:
         yield first
     first = None

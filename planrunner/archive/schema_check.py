@@ -1,8 +1,9 @@
-"""JSON Schema, compiled once into functions: fast enough to check journals with hundreds of thousands of events completely.
+"""JSON Schema, compiled once into functions. They are fast enough to check journals with hundreds of thousands of events
+completely.
 
-Only the keywords used in the schemas of run folders are supported. Any other keyword makes the compilation fail, so that none is ignored.
-The check is stricter than the standard in three points, to match how these files are written: an integer has no decimal point, a number is
-finite, and `format` (date-time with an offset, date) is checked.
+Only the keywords used in the schemas of run folders are supported. Any other keyword makes the compilation fail, so that no keyword
+is ignored. The check is stricter than the standard in three points, to match how these files are written: an integer has no decimal
+point, a number is finite, and `format` (date-time with an offset, date) is checked.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def _compiled(schema: Json, whole: Mapping[str, Json], known: dict[str, list[Che
 
 
 def _referred(reference: str, whole: Mapping[str, Json], known: dict[str, list[Check]]) -> Check:
-    """A definition, compiled once; it may refer to itself."""
+    """A definition that a schema refers to, compiled once. It may refer to itself."""
     if reference not in known:
         known[reference] = []
         target: Json = whole

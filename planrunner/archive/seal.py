@@ -49,7 +49,8 @@ def seal_faults(
     """Differences between a seal and the journal, each as code and message. scan: has the head and the digest of the journal after the
     number of events in the seal.
 
-    If a finished run was reopened to repeat a segment, its journal continues after the seal; then only the sealed beginning is checked.
+    If a finished run was reopened to repeat a segment, its journal continues after the seal; in that case only the sealed beginning
+    is checked.
     """
     sealed = seal["journal"]
     if sealed["events"] > scan.count:

@@ -65,7 +65,7 @@ class Part:
 
 
 def safe_name(label: str) -> str:
-    """A label as part of a file name on every platform: letters, digits, `+`, `-` and `_`, at most 60."""
+    """A label in a form that every platform accepts in a file name: letters, digits, `+`, `-` and `_`, at most 60."""
     return re.sub(r"[^A-Za-z0-9+_-]+", "_", label).strip("_")[:60] or "segment"
 
 
@@ -115,7 +115,7 @@ class SegmentWriter:
         self._finished: list[Part] = []
 
     def append(self, block: Block) -> None:
-        """Add consecutive samples. Raises `InstrumentError` for samples that do not fit, and `OSError` if they cannot be written."""
+        """Adds consecutive samples. Raises `InstrumentError` for samples that do not fit, and `OSError` if they cannot be written."""
         self._check(block)
         start = 0
         while start < len(block.time):
@@ -145,13 +145,13 @@ class SegmentWriter:
         return finished
 
     def close(self) -> list[Part]:
-        """Finish the last part; a segment without samples gets one empty file. Returns the parts not yet taken."""
+        """Finishes the last part; a segment without samples gets one empty file. Returns the parts that were not yet taken."""
         if self._part_filled or self.parts == 0:
             self._finish_part()
         return self.take_finished()
 
     def abandon(self) -> None:
-        """Drop the part in progress and its file."""
+        """Discards the part in progress and its file."""
         part, self._open, self._waiting = self._open, None, []
         if part is not None:
             part.abandon()
@@ -241,7 +241,7 @@ class _HashedSink:
         return False
 
     def close(self) -> None:
-        """pyarrow closes its output; the file stays open until it is synced."""
+        """Does not close the file: pyarrow closes its output, but the file stays open until it is synced."""
 
 
 class _OpenPart:
@@ -286,7 +286,7 @@ class _OpenPart:
         return Part(f"{FOLDER}/{self.name}", self._sink.hash.hexdigest(), self.rows, self._sink.size)
 
     def abandon(self) -> None:
-        """Close the file and remove it, as far as possible."""
+        """Closes the file and removes it, as far as possible."""
         self._sink.broken = True
         try:
             with contextlib.suppress(Exception):
@@ -403,7 +403,7 @@ class SegmentData:
                     raise self._foreign("its samples would need more memory than a part may use")
 
     def _later(self, time: NDArray[np.float64], last: float) -> float:
-        """The last time of a block, after checking that its times are finite and increase from `last` on, as the writer requires."""
+        """The last time of a block, after checking that its times are finite and increase after `last`, as the writer requires."""
         if len(time) == 0:
             return last
         if not (time[0] > last and np.isfinite(time[-1]) and bool(np.all(time[1:] > time[:-1]))):
@@ -426,12 +426,12 @@ def rows_of(data: bytes) -> int:
 
 
 def check_part(folder: GuardedFolder, part: Part) -> None:
-    """Check a part against the journal without decoding its samples. Raises `IntegrityError`."""
+    """Checks a part against the journal without decoding its samples. Raises `IntegrityError`."""
     SegmentData(folder, part)
 
 
 def _checked_bytes(folder: GuardedFolder, part: Part) -> bytes:
-    """The bytes of a part, checked against the digest in the journal. Raises `IntegrityError`."""
+    """Reads the bytes of a part and checks them against the digest in the journal. Raises `IntegrityError`."""
     path = folder.path / part.file
     try:
         data = folder.folder(FOLDER).read(part.file.removeprefix(f"{FOLDER}/"), MOST_BYTES)

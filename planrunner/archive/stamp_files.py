@@ -1,7 +1,7 @@
-"""Time stamps in a run folder: `stamps/<number>-<what>.tsr`, each the reply of an authority in DER (RFC 3161).
+"""Time stamps in a run folder. `stamps/<number>-<what>.tsr` contains the reply of an authority in DER (RFC 3161).
 
-`0001-after-12.tsr` stamps the journal after 12 events: the digest in it is that of line 12. `0004-seal-<digest>.tsr` stamps the seal; the
-name contains the first digits of the SHA-256 of the file, because no journal can contain it any more.
+`0001-after-12.tsr` stamps the journal after 12 events: it contains the digest of line 12. `0004-seal-<digest>.tsr` stamps the seal.
+The journal has ended by then and cannot contain its digest, so the name contains the first digits of the SHA-256 of the file.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ _FILE = re.compile(r"(?P<number>[0-9]{4,})-(?:after-(?P<events>[1-9][0-9]*)|seal
 
 @dataclass(frozen=True, slots=True)
 class StampName:
-    """events: of a stamp of the journal; own: first digits of the digest of the file, of a stamp of the seal."""
+    """The parts of a stamp's name. events: for a stamp of the journal; own: for a stamp of the seal, first digits of the digest of
+    the file."""
 
     file: str
     number: int
@@ -31,7 +32,7 @@ class StampName:
 
 
 def stamp_names(folder: GuardedFolder) -> tuple[StampName, ...]:
-    """The stamps of a run in the order of their numbers. Raises `OSError`."""
+    """The names of the stamps of a run in the order of their numbers. Raises `OSError`."""
     if folder.entry(FOLDER) is None:
         return ()
     matches = [match for match in map(_FILE.match, folder.folder(FOLDER).entries()) if match is not None]

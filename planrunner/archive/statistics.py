@@ -5,8 +5,8 @@ blocks, row groups or files. Means and covariances of chunks are merged by the f
 pairwise algorithm for computing sample variances" (1979). The standard error of the mean comes from the scatter of consecutive batch means
 (Law, "Simulation Modeling and Analysis", 5th ed., section 9.5.3), which allows for noise that is correlated over less than a batch.
 
-The scatter of a segment that turns or rocks is about the course that the motion gives. Its form is fitted to short means, many in a batch,
-and its part is taken from batch means and covariance.
+The scatter of a segment that turns or rocks is computed about the course that the motion causes. The course is fitted to short
+means, of which a batch contains many, and its contribution is subtracted from batch means and covariance.
 """
 
 from __future__ import annotations
@@ -41,10 +41,11 @@ def statistics_of(
     watcher: Watcher | None = None,
     motion: Motion = AT_REST,
 ) -> Statistics:
-    """Statistics of `blocks`, which have `rows` rows in total (known from the files before the pass), recorded in some motion.
+    """Statistics of `blocks`, which have `rows` rows in total (known from the files before the pass) and were recorded in the given
+    motion.
 
-    A row with a non-finite value in any channel is left out and counted in `rejected`. With one sample, covariance and standard error are
-    NaN; with none, the mean too. watcher: looks at the blocks in the same pass.
+    A row with a non-finite value in any channel is omitted and counted in `rejected`. With one sample, covariance and standard
+    error are NaN; without samples, the mean is NaN too. watcher: examines the blocks in the same pass.
     """
     gathered = _Gathered(len(channels), rows, motion)
     for block in blocks:
@@ -57,8 +58,8 @@ def statistics_of(
 
 
 def _products(values: Array) -> Array:
-    """values @ values.T, (k, k), as inner products of short pieces. Longer pieces would start threads that cost more than the sums, and
-    a matrix product of a few long rows is slower too."""
+    """The product values @ values.T, (k, k), computed as inner products of short pieces. Longer pieces would start threads that
+    cost more than the sums, and a matrix product of a few long rows is slower too."""
     channels, rows = values.shape
     whole = rows - rows % UNSHARED
     out = np.zeros((channels, channels))
@@ -79,8 +80,8 @@ def _range(columns: list[Array]) -> tuple[Array, Array]:
 class _Gathered:
     """State of one pass: a chunk of samples and a few numbers per channel and batch, independent of the length.
 
-    The chunk holds samples as deviations from its first sample. Of n samples none is further than √n standard deviations from their mean,
-    so referring sums of products to the mean loses at most a factor n in rounding.
+    The chunk holds samples as deviations from its first sample. Of n samples, none is further than √n standard deviations from
+    their mean. Relating sums of products to the mean therefore loses at most a factor n in rounding.
     """
 
     def __init__(self, channels: int, rows: int, motion: Motion):
@@ -111,7 +112,7 @@ class _Gathered:
         self.batch_count = np.zeros(batches)
 
     def add(self, time: Array, columns: list[Array]) -> tuple[Array, Array]:
-        """Add the next rows, one or more. Returns their smallest and largest number by column, NaN if one is missing."""
+        """Adds the next rows, one or more. Returns their smallest and largest number by column, NaN if a number is missing."""
         here = np.flatnonzero((self.edges[:-1] > self.row) & (self.edges[:-1] <= self.row + len(time)))
         at = self.edges[here] - self.row
         if self.follows:
@@ -164,7 +165,7 @@ class _Gathered:
                 self._merge()
 
     def _merge(self) -> None:
-        """Merge the chunk into the totals."""
+        """Merges the chunk into the totals."""
         values, count, shift = self.chunk[:, : self.filled], self.filled, self.first - self.origin
         at = np.minimum(np.maximum(self.begins - self.merged, 0), count)
         sizes = at[1:] - at[:-1]
@@ -227,7 +228,7 @@ class _Gathered:
         )
 
     def _course(self) -> MotionCourse | None:
-        """The course that the motion gives to the short means."""
+        """The course that the motion causes in the short means."""
         if not self.follows or self.count < 3:
             return None
         interval = (self.end - self.start - self.gap) / max(self.count - 2, 1)
@@ -236,7 +237,7 @@ class _Gathered:
 
 
 def _less(squares: Array, explained: Array) -> Array:
-    """Sums of products (k, k) without the explained part; zero where only rounding is left."""
+    """Sums of products (k, k) without the explained part; zero if only rounding remains."""
     left = np.asarray(squares - explained)
     left[:, (gone := np.diagonal(left) <= _ROUNDING * np.diagonal(squares))] = 0.0
     left[gone] = 0.0

@@ -1,8 +1,8 @@
 """All write operations on a run folder.
 
-Every write of the archive goes through a `Storage`, which knows whether a write must survive a power failure (`durable`: fsync of the file
-and of the folder that names it) or only the end of the process (`flushed`: handed to the operating system). It writes to a `GuardedFolder`,
-so that no link redirects a write.
+Every write of the archive uses a `Storage`. It knows whether a write must survive a power failure (`durable`: fsync of the file and
+of the folder that names it) or only the end of the process (`flushed`: handed to the operating system). It writes to a
+`GuardedFolder`, so that no link redirects a write.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ ASIDE = ".partial"
 
 
 class Storage:
-    """File operations at one durability. Errors are `OSError`, as the operating system gives them."""
+    """File operations with one degree of durability. Errors are `OSError`, as the operating system gives them."""
 
     def __init__(self, durability: Durability = "durable"):
         if durability not in ("durable", "flushed"):
@@ -32,17 +32,17 @@ class Storage:
         return folder.make_folder(name)
 
     def open_new(self, folder: GuardedFolder, name: str) -> FileIO:
-        """Open a new file for writing, unbuffered."""
+        """Opens a new file for writing, unbuffered."""
         return folder.open_new(name)
 
     def open_existing(self, folder: GuardedFolder, name: str) -> FileIO:
-        """Open a file for reading and writing, unbuffered, at its end."""
+        """Opens a file for reading and writing, unbuffered, at its end."""
         file = folder.open_existing(name)
         file.seek(0, os.SEEK_END)
         return file
 
     def write(self, file: FileIO, data: bytes | memoryview) -> None:
-        """Write all of `data`."""
+        """Writes all of `data`."""
         written = file.write(data)
         if written == len(data):
             return
@@ -55,12 +55,12 @@ class Storage:
         file.seek(size)
 
     def sync(self, file: FileIO) -> None:
-        """Wait until the file's content is on the disk, in durable mode."""
+        """Waits until the file's content is on the disk, in durable mode."""
         if self.durable:
             os.fsync(file.fileno())
 
     def sync_folder(self, folder: GuardedFolder) -> None:
-        """Wait until the names in a folder are on the disk, in durable mode."""
+        """Waits until the names in a folder are on the disk, in durable mode."""
         if self.durable:
             folder.sync()
 
@@ -74,7 +74,7 @@ class Storage:
         folder.remove(name)
 
     def write_whole(self, folder: GuardedFolder, name: str, data: bytes) -> None:
-        """Write a file atomically: it exists completely or not at all, even after a power failure."""
+        """Writes a file atomically: it exists completely or not at all, even after a power failure."""
         aside = name + ASIDE
         try:
             with self.open_new(folder, aside) as file:
@@ -89,10 +89,10 @@ class Storage:
 
 
 def digest(data: bytes) -> str:
-    """SHA-256 as 64 hexadecimal digits."""
+    """The SHA-256 digest as 64 hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()
 
 
 def digest_of(file: BufferedReader) -> str:
-    """SHA-256 of an open file, read in pieces."""
+    """The SHA-256 digest of an open file, which is read in pieces."""
     return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,4 +1,4 @@
-"""Segments of which only a summary is recorded: the means of their samples, with standard deviations and counts."""
+"""Segments that are recorded only as a summary: the means of their samples, with standard deviations and counts."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ METADATA = "planrunner_summary"
 
 
 def to_text(summary: SummaryChannels) -> str:
-    """For the metadata of a file."""
+    """A summary as text for the metadata of a file."""
     return json.dumps(asdict(summary), ensure_ascii=False, sort_keys=True)
 
 
 def from_text(text: str) -> SummaryChannels:
-    """Raises ValueError for anything but a summary."""
+    """Reads a summary. Raises ValueError for any other text."""
     data = json.loads(text)
     if not isinstance(data, dict) or set(data) != {"deviations", "count", "seconds"}:
         raise ValueError("it is not the description of a summary")
@@ -80,7 +80,7 @@ def summarised(
 
 
 def _no_samples(where: str, label: str, channels: Sequence[str]) -> Iterator[Block]:
-    """Raises `InputError`: there are no samples to read."""
+    """Raises `InputError`, because there are no samples to read."""
     message = f"'{label}' is a row of a table, with the mean, the standard deviation and the number of its samples; this needs the samples"
     hint = "use a recording of samples, or an estimator that works with the means of segments"
     raise InputError.at(Mark(where), "recording-summary", message, hint)

@@ -1,7 +1,7 @@
 """Verifying a run folder: its contents are checked against all of its digests, schemas and chains.
 
-All commands use `examine`, which returns the verified contents and the faults as findings. An error means that the folder differs from what
-was written. A warning means that it is not sealed, so that less can be verified.
+All commands use `examine`, which returns the verified contents, and the faults as findings. An error means that the folder differs
+from what was written. A warning means that it is not sealed, so that less can be verified.
 """
 
 from __future__ import annotations
@@ -111,8 +111,8 @@ CLOCK_STEP = timedelta(seconds=1)
 class Examined:
     """The verified part of a run folder. findings: errors, warnings and notes.
 
-    seal_digest: SHA-256 of seal.json. sealed_before: whether it was sealed before, according to its contents. state, scan: None if the
-    journal cannot be read; then nothing is verified. unknown: entries that planrunner did not write.
+    seal_digest: SHA-256 of seal.json. sealed_before: whether it was sealed before, according to its contents. state, scan: None if
+    the journal cannot be read; then nothing is verified. unknown: entries that planrunner did not write.
     """
 
     folder: GuardedFolder
@@ -142,7 +142,7 @@ class Examined:
         self.findings.error(code, Mark(str(self.folder.path)), message, hint)
 
     def require_whole(self, *but: str) -> None:
-        """Raises `IntegrityError` with all errors, except those of these codes."""
+        """Raises `IntegrityError` with all errors, except errors with these codes."""
         found = [
             f"{item.message}; {item.hint}" if item.hint else item.message
             for item in self.findings.errors
@@ -154,15 +154,15 @@ class Examined:
 
 
 def verify(run: Path, *, samples: SampleCheck = "contents") -> list[Finding]:
-    """All errors, warnings and notes about a run folder; empty for a sealed folder without changes.
+    """Verifies a run folder. Returns all errors, warnings and notes; empty for a sealed folder without changes.
 
-    samples: how the files of samples are checked. Raises `InputError` if there is no run folder.
+    samples: how to check the files of samples. Raises `InputError` if there is no run folder.
     """
     return list(examine(open_run(run), samples=samples).findings)
 
 
 def open_run(path: Path) -> GuardedFolder:
-    """The folder of a run, as named by the user. Raises `InputError` if it is not a run folder."""
+    """Opens the folder of a run that the user named. Raises `InputError` if it is not a run folder."""
     try:
         folder = GuardedFolder.open(path)
         known = any(folder.entry(name) is not None for name in SIGNS)
@@ -176,9 +176,10 @@ def open_run(path: Path) -> GuardedFolder:
 
 
 def examine(folder: GuardedFolder, *, samples: SampleCheck = "sizes") -> Examined:
-    """Examine a run folder. samples: how the files of samples are checked.
+    """Examines a run folder. samples: how to check the files of samples.
 
-    A run that is being written can be examined too: files are listed before the journal is read, so the journal can only know more.
+    A run that is being written can be examined too. Files are listed before the journal is read, so the journal can only contain
+    more.
     """
     found = Examined(folder)
     standing = _entries(found)
@@ -388,9 +389,9 @@ def _follows_seal(found: Examined, basis: Basis) -> bool:
 
 
 def _check_times(found: Examined) -> None:
-    """Checks that no time is before the time of what it follows, and none is in the future.
+    """Checks that no time is before the time of the preceding data, and that none is in the future.
 
-    A clock that was set back looks the same. Therefore other commands only warn; the data themselves are as they were recorded.
+    A clock that was set back causes the same findings. Therefore other commands only warn; the data themselves are unchanged.
     """
     assert found.state is not None and found.scan is not None
     path = found.folder.path
@@ -469,7 +470,7 @@ def _check_samples(found: Examined, recorded: RecordedEntries, samples: SampleCh
 
 
 def _check_digest(found: Examined, folder: GuardedFolder, own: str, part: Part, size: int, *, read: bool) -> None:
-    """Checks the digest of a file of samples, or reports its wrong size. read: whether the file may be read."""
+    """Checks the digest of a file of samples, or reports its wrong size. read: whether the file may be read to compute its digest."""
     path = folder.path / own
     value = ""
     if read:
@@ -517,7 +518,7 @@ def _tell_unknown(found: Examined, path: Path, entry: Entry) -> None:
 
 
 def _aside(name: str, entry: Entry, kind: str) -> bool:
-    """Whether an entry is the remainder of an interrupted write; such entries are ignored."""
+    """Whether an entry is left over from an interrupted write; such entries are ignored."""
     return name.endswith(ASIDE) and entry.kind == kind
 
 

@@ -1,4 +1,4 @@
-"""What a diagnosis says of each effect that it names: plain name, physics, who acts, and what to do, with the fitted parameters."""
+"""The description of each effect that a diagnosis names: plain name, physics, who acts, and what to do, with the fitted parameters."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CLEAR = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """On one named effect. remedy: a sentence that contains the fitted parameters."""
+    """Advice about one named effect. remedy: a sentence that contains the fitted parameters."""
 
     effect: str
     name: str
@@ -29,13 +29,13 @@ class Advice:
     remedy: str
 
     def to_json(self) -> JsonObject:
-        """According to `named` of `schemas/diagnosis.schema.json`."""
+        """JSON data according to `named` of `schemas/diagnosis.schema.json`."""
         plain: JsonObject = asdict(self) | {"actor": self.actor.value}
         return plain
 
 
 def advice(effect: Effect, fitted: Sequence[ParameterEstimate]) -> Advice:
-    """Advice on an effect. fitted: estimates of all named effects."""
+    """The advice about an effect. fitted: estimates of all named effects."""
     own = [one for one in fitted if one.effect == effect.id]
     shape_name = effect.shape_name if isinstance(effect, HasShape) else None
     shape = next((one for one in own if one.name == shape_name), None)
@@ -50,7 +50,7 @@ def advice(effect: Effect, fitted: Sequence[ParameterEstimate]) -> Advice:
 
 
 def found(own: Sequence[ParameterEstimate], shape_name: str | None = None) -> str:
-    """Estimates in words: the shape, then the clearest amplitudes."""
+    """The estimates of an effect in words: the shape, then the most significant amplitudes."""
     shape = [one for one in own if one.name == shape_name]
     amplitudes = sorted((one for one in own if one.name != shape_name), key=_clearness, reverse=True)
     clear = [one for one in amplitudes if _clearness(one) >= CLEAR] or amplitudes[:1]

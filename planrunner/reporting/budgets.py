@@ -12,11 +12,11 @@ from planrunner.uncertainty.influences import Budget, BudgetLine
 
 
 def budget_views(estimate: Estimate) -> list[JsonObject]:
-    """The budgets with contributions other than the data; those of the headline coefficients come first.
+    """The budgets that have contributions other than the data; those of the headline coefficients come first.
 
-    Each {coefficient, unit, headline, lines, standard, freedom, factor, expanded}, its lines {quantity, kind, value, standard, unit,
-    distribution, freedom, sensitivity, contribution, share, source, added}, all text but `headline` and `added`. Shares are of the
-    combined variance and add up to 100 %.
+    Each budget has the keys {coefficient, unit, headline, lines, standard, freedom, factor, expanded}; each of its lines has
+    {quantity, kind, value, standard, unit, distribution, freedom, sensitivity, contribution, share, source, added}. All values
+    except `headline` and `added` are text. Shares are of the combined variance and add up to 100 %.
     """
     shown = [_view(one, not estimate.headline or one.coefficient in estimate.headline) for one in estimate.budgets]
     told = [

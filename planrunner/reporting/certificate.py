@@ -1,7 +1,7 @@
 """Data for the template of a certificate in addition to those of the report: plain text in parts that catalogues translate.
 
-The template has the wording; names, figures and dates are prepared here. A missing figure is an empty text, which the page shows as not
-stated.
+The template has the wording; names, figures and dates are prepared here. A missing value is an empty text, which the page shows as
+not stated.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from planrunner.uncertainty.decision import coverage_factor
 
 
 def certificate_view(context: ReportContext) -> JsonObject:
-    """Keys: number, number_css (a CSS string), laboratory, told, corrected, references, conditions, events, performed, issued, plan_digest,
-    approvals, run, analysis, duration, before_run, simulated, replayed, results, has_before, rules, conformity, warnings."""
+    """Data with these keys: number, number_css (a CSS string), laboratory, told, corrected, references, conditions, events,
+    performed, issued, plan_digest, approvals, run, analysis, duration, before_run, simulated, replayed, results, has_before, rules,
+    conformity, warnings."""
     facts = context.certificate
     if facts is None:
         facts = CertificateFacts("")

@@ -1,6 +1,6 @@
 """Names that certificates show in their own language: of conditions, of references that are named after their role, and of estimators.
 
-In English, an estimator is shown with the name that plans use; so is one of a plug-in package in every language.
+In English, an estimator has the name that plans use. An estimator of a plug-in package has this name in every language.
 """
 
 from __future__ import annotations
@@ -34,12 +34,13 @@ _BY_NAME = {str(name): name for name in _ESTIMATORS}
 
 
 def of_room(condition: str) -> Said:
-    """A condition of the room, such as `pressure`; a laboratory can state others, which keep its words."""
+    """The translated name of a condition of the room, such as `pressure`. A laboratory can state other conditions, which are not
+    translated."""
     return _ROOM.get(condition) or said("Ambient {condition}", condition=condition.replace("_", " "))
 
 
 def of_reference(name: str, role: str) -> Said:
-    """The site or an instrument: its name in the bench file, which is translated if it is only the role."""
+    """The name of the site or an instrument in the bench file. It is translated if it is only the role."""
     return _ROLES[role] if name == role and role in _ROLES else Said(name)
 
 

@@ -2,7 +2,8 @@
 
 `ASKED` lists the run information that certificates use by name. docs/certificates.md shows where each item appears on the page.
 
-What the results of a bench are traceable through is collected here too: its instruments and its site, with their calibrations.
+The references to which the results of a bench are traceable are also collected here: its instruments and its site, with their
+calibrations.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ STANDARD = "ISO/IEC 17025:2017"
 
 @dataclass(frozen=True, slots=True)
 class CertificateItem:
-    """Run information that a certificate shows. required: without it no certificate is written. instead: an alternative name."""
+    """Run information that a certificate shows. required: whether no certificate is written without it. instead: an alternative
+    name."""
 
     name: str
     clause: str
@@ -90,7 +92,7 @@ DATES = ("date_received", "date_issued")
 
 @dataclass(frozen=True, slots=True)
 class Lack:
-    """Missing information that a certificate must show. remedy: what to add, and where."""
+    """Missing information that a certificate requires. remedy: what to add, and where."""
 
     clause: str
     what: str
@@ -112,8 +114,8 @@ def room_condition(information: str) -> str | None:
 
 
 def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool) -> list[Lack]:
-    """Required information that the bench file lacks. known: names of run information; holds_temperature: whether the plan holds a
-    temperature."""
+    """The required information that the bench file lacks. known: names of run information; holds_temperature: whether the plan
+    holds a temperature."""
     found = []
     if bench.laboratory is None:
         remedy = "add laboratory: {name: …, address: …} to the bench file"
@@ -129,7 +131,7 @@ def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool
 
 
 def lacks_of_information(known: Collection[str], remedy: str) -> list[Lack]:
-    """Required run information that is not among the `known` names. remedy: a text with {name}."""
+    """The required run information that is not among the `known` names. remedy: a text with {name}."""
     return [
         Lack(item.clause, f"'{item.name}': {item.about}", remedy.format(name=item.name))
         for item in ASKED

@@ -31,10 +31,10 @@ class Traced:
 
 @dataclass(frozen=True, slots=True)
 class PrintedSignature:
-    """A signature of the run as pages print it (21 CFR 11.50). meaning: `reviewed`, `approved`, `released`, or of a bench `recorded`,
-    `evaluated`; name: of the signer; at: time of the signer's clock, UTC; key: fingerprint; analyses: numbers of the analyses that it
-    covers. standing: valid with a key of the ring, of a key that nobody confirmed (`unknown`), or invalid; owner: name of the key in the
-    ring; why: it is not valid."""
+    """A signature of the run as pages print it (21 CFR 11.50). meaning: `reviewed`, `approved`, `released`, or for a bench
+    `recorded`, `evaluated`; name: of the signer; at: time of the signer's clock, UTC; key: fingerprint; analyses: numbers of the
+    analyses that it covers. standing: valid with a key of the ring, made with a key that nobody has confirmed (`unknown`), or
+    invalid; owner: name of the key in the ring; why: the reason why it is not valid."""
 
     meaning: str
     name: str
@@ -50,11 +50,11 @@ class PrintedSignature:
 class CertificateFacts:
     """Data that only certificates show. Dates are ISO 8601.
 
-    laboratory: the bench file's `laboratory`. told: run information, from the run and from the issue of the certificate; corrected: names
-    that were changed at the issue → value recorded with the run. performed: first and last day of the run. conditions: (name, text).
-    events: deviations from the method, as (kind, segment, reason) with the kinds truncated, rejected, fault. approvals: of the plan, each
-    with person, time and key. before: estimates of the run before the adjustment, by name. duration: time from the first to the last
-    sample, s. simulated: no real item was measured; replayed: a recording was played back.
+    laboratory: the bench file's `laboratory`. told: run information, from the run and from the issue of the certificate; corrected:
+    names that were changed at the issue → value recorded with the run. performed: first and last day of the run. conditions: (name,
+    text). events: deviations from the method, as (kind, segment, reason) with the kinds truncated, rejected, fault. approvals: of
+    the plan, each with person, time and key. before: estimates of the run before the adjustment, by name. duration: time from the
+    first to the last sample, s. simulated: whether no real item was measured; replayed: whether a recording was played back.
     """
 
     run: str

@@ -24,7 +24,7 @@ TITLES = {"planned": "as planned", "same order": "same order of stops", "free or
 
 
 def study(found: FoundCycles, subject: Subject) -> Study:
-    """Everything that is shown of a designed cycle."""
+    """The complete output for a designed cycle."""
     about = facts(found)
     said = notes(found)
     reason = found.reasons.get(found.chosen, "none was found")
@@ -99,7 +99,7 @@ def vector(left: complex) -> str:
 
 
 def notes(found: FoundCycles) -> tuple[str, ...]:
-    """Explanations of the figures, in sentences."""
+    """Explanations of the numbers, in sentences."""
     said = [f"{TITLES[name].capitalize()}: {reason}." for name, reason in found.reasons.items()]
     for name, search in found.searches.items():
         title = TITLES[name].capitalize()

@@ -79,7 +79,7 @@ def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """One named effect for people: a heading with who acts, what to do, and the physics."""
+    """One named effect for readers: a heading with who acts, what to do, and the physics."""
 
     heading: str
     remedy: str
@@ -87,7 +87,8 @@ class Named:
 
 
 def named_effects(found: Data) -> list[Named]:
-    """The named effects in the order of the verdict; of effects that the plan cannot distinguish only the likeliest."""
+    """The named effects in the order of the verdict. Of effects that the plan cannot distinguish, only the most probable is
+    included."""
     open_ = "Most likely, but not certain: " if found["verdict"]["kind"] == "indistinguishable" else ""
     return [
         Named(
@@ -162,14 +163,14 @@ def _cause(found: Data) -> str:
 
 
 def _open(found: Data) -> bool:
-    """Whether something else acts beside the named effects, by its pattern or by the size of the rest."""
+    """Whether something else acts in addition to the named effects, judged by its pattern or by the size of the residual gap."""
     rest = found.get("rest")
     visible = rest is not None and not rest["passes"] and float(rest["share"]) >= SMALL_REST
     return visible or (found["verdict"].get("something_else") is True and not _form(found))
 
 
 def _form(found: Data) -> bool:
-    """Whether what is left may come from the idealised form of a strong effect."""
+    """Whether the residual gap may come from the idealised form of a strong effect."""
     residue: str | None = found["verdict"].get("form_residue")
     return residue == "unknown"
 
@@ -183,7 +184,7 @@ def _something_else(found: Data) -> str:
 
 
 def _much(found: Data, nearly: bool) -> str:
-    """How much of the gap the named effects explain: the gap only if the rest is noise."""
+    """The part of the gap that the named effects explain. If the remaining gap is only noise, they explain all of it."""
     rest = found.get("rest")
     if rest is not None and not rest["passes"]:
         return "nearly all of the gap"
@@ -191,7 +192,7 @@ def _much(found: Data, nearly: bool) -> str:
 
 
 def _rest(found: Data) -> str:
-    """The size of what remains beside the named effects, if it is not noise."""
+    """The size of the gap that the named effects leave, if it is not noise."""
     rest = found.get("rest")
     if rest is None or rest["passes"]:
         return ""
@@ -201,7 +202,7 @@ def _rest(found: Data) -> str:
 
 
 def _remainder(residue: str | None, named: list[str]) -> str:
-    """What else acts besides a named effect, or how certain the weaker of two effects is."""
+    """Other causes in addition to a named effect, or the certainty of the weaker of two effects."""
     if residue is None:
         return ""
     if residue in named:
@@ -216,7 +217,7 @@ def _remainder(residue: str | None, named: list[str]) -> str:
 
 
 def closure_words(found: Data) -> str:
-    """How much the gap shrinks or grows, in one sentence; "not resolvable" if the data do not determine it."""
+    """The reduction or growth of the gap, in one sentence; "not resolvable" if the data do not determine it."""
     closure = found["closure"]
     if found["verdict"]["kind"] == "none":
         return "There is no gap to close."
@@ -250,7 +251,7 @@ def priors_words(found: Data) -> str:
 
 
 def probability(p: float) -> str:
-    """P with the significant digits, never 0 or 1."""
+    """A probability with its significant digits, never 0 or 1."""
     if p > 0.999:
         return "P > 0.999"
     return "P < 0.001" if p < 0.001 else f"P = {p:.3f}" if p > 0.99 or p < 0.01 else f"P = {p:.2f}"
@@ -260,7 +261,7 @@ def probability(p: float) -> str:
 
 
 def tables(found: Data) -> dict[str, Table]:
-    """Tables by name; empty ones are left out."""
+    """The tables by name; empty tables are omitted."""
     made = {
         "comparison": comparison(found),
         "unknown_form": _unknown_form(found),
@@ -276,7 +277,7 @@ def tables(found: Data) -> dict[str, Table]:
 
 
 def unknown_words(found: Data) -> str:
-    """What the unknown looks like, in one sentence; empty if its form is not known."""
+    """A description of the unknown cause in one sentence; empty if its form is not known."""
     form = found.get("unknown_form")
     if not form:
         return ""
@@ -325,7 +326,7 @@ def _gap(found: Data) -> Table:
 
 
 def _closure(found: Data) -> Table:
-    """The closure by channel, of channels whose data determine it."""
+    """The closure by channel, for channels whose data determine it."""
     columns: tuple[Shown[Data], ...] = (
         Shown(TableColumn("Channel"), lambda one: one["channel"]),
         Shown(TableColumn("before [σ]", Role.VALUE), lambda one: _short(one["before"])),
@@ -367,7 +368,7 @@ def comparison(found: Data) -> Table:
 
 
 def _noise(found: Data) -> Table:
-    """Channels whose noise is not white, not as declared, or not alike in all segments."""
+    """Channels whose noise is not white, not as declared, or not equal in all segments."""
     rows = tuple(
         (one["channel"], one["unit"], *entries) for one in found.get("noise", ()) if any(entries := _departures(one))
     )
@@ -380,7 +381,7 @@ def _noise(found: Data) -> Table:
 
 
 def _departures(noise: Data) -> tuple[str, str, str, str, str]:
-    """The five figures of a channel's noise; empty where they are as expected."""
+    """The five values that describe a channel's noise; empty for values as expected."""
     white, declared, count, line = noise["white"], noise["declared"], noise["count"], noise["line"]
     ratio = white / declared if declared else 1.0
     other_count = not math.isclose(count, noise["declared_count"], rel_tol=0.01, abs_tol=1e-300)
@@ -465,7 +466,7 @@ def _change(shrinks_by: float) -> str:
 
 
 def _interval(low: float, high: float) -> str:
-    """The interval with the smaller figure first, for a gap that shrinks or grows; in words if it may do either."""
+    """The interval with the smaller value first, for a gap that shrinks or grows. If it may do either, the interval is in words."""
     if low >= 0:
         return f"{_percent(low)} to {_percent(high)}"
     if high <= 0:

@@ -26,7 +26,7 @@ MOST_HYPOTHESES = 12
 
 
 def ranked(found: Data) -> list[tuple[str, float]]:
-    """The hypotheses to show, the most probable first; the rest as `others`."""
+    """The hypotheses to show, the most probable first; all others are combined as `others`."""
     posterior: Mapping[str, float] = found["posterior"]
     order = sorted(posterior.items(), key=lambda pair: -pair[1])
     shown = [(name, p) for name, p in order if p >= SHOWN][:MOST_HYPOTHESES]
@@ -42,7 +42,8 @@ large, and so on."""
 
 
 def pictures(found: Data) -> list[JsonObject]:
-    """Title, description and SVG of each picture for which the diagnosis has data. wide: spans the full width of the page."""
+    """Title, description and SVG of each picture for which the diagnosis has data. wide: whether the picture spans the full width
+    of the page."""
     from markupsafe import Markup
 
     made = []

@@ -1,7 +1,7 @@
 """The difference of two plans, benches or runs as a page, and as a comment in Markdown for a review.
 
-Texts from files are data in both: the page is escaped and its policy lets it load and run nothing; in the comment every text from a file
-stands in a code element, with all signs that Markdown could read as entities.
+Texts from files are treated as data in both. The page is escaped, and its policy prevents loading and running anything. In the
+comment, every text from a file is in a code element, and all characters that Markdown could interpret are written as entities.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SIDES = ("before", "after")
 
 
 def render_difference(compared: Compared) -> str:
-    """One self-contained HTML page. The same difference gives the same text. Raises `ReportError`."""
+    """Renders one self-contained HTML page. The same difference gives the same text. Raises `ReportError`."""
     return render("difference.html", difference_view(compared))
 
 
@@ -77,7 +77,7 @@ def _timeline(schedule: Schedule | None, side: str) -> str:
 
 
 def _pictures(compared: Compared) -> Iterator[JsonObject]:
-    """Every changed orientation, once for all segments that change it in the same way."""
+    """One picture of every changed orientation. Segments that change it in the same way share the picture."""
     from markupsafe import Markup
 
     groups: dict[str, tuple[PartChange, list[str]]] = {}
@@ -105,7 +105,7 @@ def _attitude(content: object) -> np.ndarray[tuple[int, ...], np.dtype[np.float6
 
 
 def difference_markdown(compared: Compared) -> str:
-    """The comment. Tables that would make it too long are left out, and the comment says so."""
+    """The difference as a comment in Markdown. Tables that would make it too long are omitted, and the comment states this."""
     first, second = (code(name) for name in compared.names)
     lines = [f"**{headline(compared)}**", "", f"{first} → {second}", ""]
     size = sum(len(line) + 1 for line in lines)

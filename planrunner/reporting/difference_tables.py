@@ -52,12 +52,12 @@ def _both(item: SegmentChange) -> bool:
 
 
 def difference_tables(compared: Compared) -> list[Table]:
-    """Tables with rows, the most important first. Values stand as the files write them."""
+    """Tables with rows, the most important first. Values are shown as the files contain them."""
     return [table for table in _tables(compared) if table.rows]
 
 
 def notes(compared: Compared) -> list[str]:
-    """What is no difference but may interest a reader, and what could not be computed."""
+    """Differences without meaning that may interest a reader, and results that could not be computed."""
     found = compared.meaning
     lines = [
         f"The {change.place[-1]} differs. It is a text for readers, so this is not a difference in meaning."
@@ -96,7 +96,7 @@ def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Cell]], n
 
 
 def cut(text: str) -> str:
-    """A text that fits a cell."""
+    """A text shortened to fit a cell."""
     return text if len(text) <= MOST_TEXT else f"{text[: MOST_TEXT - 1]}…"
 
 
@@ -133,7 +133,7 @@ def _key(place: Sequence[str]) -> str:
 
 
 def _sides(change: PartChange) -> tuple[str, str]:
-    """Before and after; of lists of names only what is lost and gained."""
+    """The values before and after. For lists of names, only removed and added names."""
     if change.gained or change.lost:
         return cut(", ".join(change.lost)) or "–", cut(", ".join(change.gained)) or "–"
     return cut(change.shown[0]) or "–", cut(change.shown[1]) or "–"

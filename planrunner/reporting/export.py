@@ -54,7 +54,7 @@ def export(estimate: Estimate, form: str, provenance: Mapping[str, str] | None =
 
 
 def identifiers(names: Iterable[str], words: frozenset[str] = frozenset()) -> list[str]:
-    """Valid identifiers of programming languages for the names, distinct when case is ignored, in order."""
+    """Valid identifiers of programming languages for the names, in their order. They are distinct even if case is ignored."""
     taken: set[str] = set()
     result = []
     for name in names:
@@ -83,8 +83,8 @@ def _opening(estimate: Estimate, provenance: Mapping[str, str]) -> list[str]:
 
 
 def _csv(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """name, value, unit, standard_uncertainty, degrees_of_freedom, description, period; comment lines begin with #. period: of a
-    circular quantity, in its unit; empty for others."""
+    """The CSV text with the columns name, value, unit, standard_uncertainty, degrees_of_freedom, description, period; comment lines
+    begin with #. period: for a circular quantity, in its unit; otherwise empty."""
     out = io.StringIO()
     for line in _opening(estimate, provenance):
         out.write(f"# {line}\n")
@@ -136,7 +136,7 @@ def _m(value: float) -> str:
 
 
 def _m_text(text: str) -> str:
-    """A character vector; quotes are doubled, no other character is special."""
+    """A character vector of MATLAB. Quotes are doubled; no other character is special."""
     return "'" + comment(text).replace("'", "''") + "'"
 
 
@@ -180,7 +180,7 @@ class _Exact(float):
 
 
 def yaml_float(value: float) -> str:
-    """Full precision with a point and a signed exponent: `1.0e+22`, not `1e22`, which YAML 1.1 reads as text."""
+    """A number in full precision with a point and a signed exponent: `1.0e+22`, not `1e22`, which YAML 1.1 reads as text."""
     if math.isnan(value):
         return ".nan"
     if math.isinf(value):

@@ -40,24 +40,24 @@ _REMEDY = {
 
 
 def sentences(found: Data) -> list[str]:
-    """What changed and when, what lots have in common, and what is attributed to which source."""
+    """Sentences about changes and their times, about common properties of lots, and about the attribution to sources."""
     return [*news(found), *(text for amplitude in found["amplitudes"] for text in _of_amplitude(found, amplitude))]
 
 
 def statements(found: Data) -> list[str]:
-    """The sentences without those on terms that the simulation fits: every device has its own bias."""
+    """The sentences without those about terms that the simulation fits, because every device has its own bias."""
     beside = [one for one in found["amplitudes"] if one["effect"] not in found["nominal"]]
     return [*news(found), *(text for amplitude in beside for text in _of_amplitude(found, amplitude))]
 
 
 def news(found: Data) -> list[str]:
-    """What changed and when, and what lots have in common."""
+    """The sentences about changes and their times, and about common properties of lots."""
     changed = [_of_change(one, change) for one in found["amplitudes"] for change in one["changes"]]
     return [*changed, *map(_of_lot, found["shared"])]
 
 
 def _of_change(amplitude: Data, change: Data) -> str:
-    """Such as `bench b2: table_tilt about_east changed by 4.0 ± 0.5 arcsec between …`."""
+    """A sentence such as `bench b2: table_tilt about_east changed by 4.0 ± 0.5 arcsec between …`."""
     names = [
         _WORDS[source] if source == "common" else f"{_WORDS[source]} {label}" for source, label in change["sources"]
     ]
@@ -73,7 +73,7 @@ def _of_change(amplitude: Data, change: Data) -> str:
 
 
 def _minute(moment: object) -> str:
-    """Such as `2026-03-03 22:14`, of a moment in ISO 8601."""
+    """A moment in ISO 8601 as text, such as `2026-03-03 22:14`."""
     return str(moment)[:16].replace("T", " ")
 
 
@@ -110,7 +110,8 @@ def _of_amplitude(found: Data, amplitude: Data) -> Iterator[str]:
 
 
 def _clear(part: Data) -> float:
-    """How many times its expanded uncertainty the difference from the others is, or the part if there are no others."""
+    """Ratio of the difference from the other parts to its expanded uncertainty; if there are no other parts, ratio of the part
+    itself."""
     one = part["difference"] or part["part"]
     return abs(float(one["value"])) / float(one["expanded_uncertainty"])
 
@@ -121,7 +122,8 @@ def _with_u(one: Data, unit: str) -> str:
 
 
 def _who(found: Data, sources: Sequence[str], part: Data) -> str:
-    """Such as `bench bench-2`, `bench bench-2 since 2026-03-03 22:14 UTC`, or `bench bench-2, or what all runs have in common`."""
+    """A source in words, such as `bench bench-2`, `bench bench-2 since 2026-03-03 22:14 UTC`, or `bench bench-2, or what all runs
+    have in common`."""
     if list(sources) == ["common"]:
         return "all runs"
     run = next(run for run in found["runs"] if run[sources[0]] == part["label"])
@@ -131,7 +133,7 @@ def _who(found: Data, sources: Sequence[str], part: Data) -> str:
 
 
 def _count(sources: Sequence[str], part: Data) -> str:
-    """The runs of a part, and for a bench the devices."""
+    """The number of runs of a part, and for a bench the number of devices."""
     runs = f"{part['runs']} run{'s' if part['runs'] != 1 else ''}, "
     if list(sources) != ["bench"]:
         return runs
@@ -143,7 +145,7 @@ def _either(sources: Sequence[str]) -> str:
 
 
 def limits(found: Data) -> list[str]:
-    """Sources that the runs cannot distinguish, with the amplitudes concerned and what to measure."""
+    """Sources that the runs cannot distinguish, with the affected amplitudes and the measurements that would distinguish them."""
     concerned: dict[tuple[str, ...], list[str]] = {}
     for amplitude in found["amplitudes"]:
         for one in amplitude["contributions"]:
@@ -162,7 +164,7 @@ def limits(found: Data) -> list[str]:
 
 
 def _alone(found: Data, sources: Sequence[str]) -> str:
-    """Why sources cannot be distinguished, such as `One bench only`."""
+    """The reason why sources cannot be distinguished, such as `One bench only`."""
     if "common" in sources:
         return f"One {' and one '.join(name for name in sources if name != 'common')} only"
     if "occasion" in sources:
@@ -171,7 +173,7 @@ def _alone(found: Data, sources: Sequence[str]) -> str:
 
 
 def tables(found: Data) -> dict[str, Table]:
-    """The attribution, and the runs."""
+    """The tables of the attribution and of the runs."""
     return {"attribution": _attribution(found), "runs": _runs(found)}
 
 
@@ -198,7 +200,7 @@ def _attribution(found: Data) -> Table:
 
 
 def _share(amplitude: Data, source: str) -> str:
-    """In percent; an upper bound if other sources group the runs in the same way."""
+    """A share in percent. It is an upper bound if other sources group the runs in the same way."""
     one = next(one for one in amplitude["contributions"] if source in one["sources"])
     shown = f"{100 * one['share']:.0f} %"
     return shown if len(one["sources"]) == 1 else f"≤ {shown}"
@@ -230,7 +232,8 @@ def _runs(found: Data) -> Table:
 
 
 def plots(found: Data) -> list[Plot]:
-    """The estimates of the effects beside the nominal terms, and of amplitudes that a device, bench or occasion changes."""
+    """Plots of the estimates of the effects other than the nominal terms, and of amplitudes that a device, bench or occasion
+    changes."""
     fitted = set(found["effects"])
     chosen = [
         one
@@ -268,7 +271,7 @@ def facts(found: Data) -> dict[str, str]:
 def render_page(
     found: Data, remarks: Sequence[str] = (), origin: DataOrigin | None = None, folder: Path | None = None
 ) -> str:
-    """One self-contained HTML page. remarks: warnings on the recordings; origin: of the samples. Raises `ReportError`."""
+    """Renders one self-contained HTML page. remarks: warnings about the recordings; origin: of the samples. Raises `ReportError`."""
     from markupsafe import Markup
 
     from planrunner.reporting.plots import plot_svg

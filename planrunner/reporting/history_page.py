@@ -15,7 +15,7 @@ from planrunner.reporting.view import named, stamped, table_view
 
 
 def render_history(found: Trend) -> str:
-    """One self-contained HTML page. Raises `ReportError`."""
+    """Renders one self-contained HTML page. Raises `ReportError`."""
     from markupsafe import Markup
 
     origins = {point.run.origin for point in found.points}
@@ -45,7 +45,8 @@ def render_history(found: Trend) -> str:
 
 
 def pictures(found: Trend) -> Iterator[tuple[str, str]]:
-    """Title and SVG of each chart: the values with Shewhart limits and those of the plan, the moving average, the sums."""
+    """Title and SVG of each chart: the values with Shewhart limits and the limits of the plan, the moving average, the cumulative
+    sums."""
     charts = found.charts
     if charts is None:
         return

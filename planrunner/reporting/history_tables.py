@@ -39,12 +39,12 @@ def runs_table(runs: Sequence[RunRow]) -> Table:
 
 
 def _made(run: RunRow) -> str:
-    """When a run was made, to the minute."""
+    """The time of a run to the minute."""
     return run.created[:16].replace("T", " ")
 
 
 def points_table(found: Trend) -> Table:
-    """One row for each value, with its place in the control charts."""
+    """A table with one row for each value and its result in the control charts."""
     runs = [point.run for point in found.points]
     columns: tuple[Shown[int], ...] = (
         Shown(TableColumn("made (UTC)"), lambda k: _made(runs[k])),
@@ -63,7 +63,7 @@ def points_table(found: Trend) -> Table:
 
 
 def alarms(found: Trend, k: int) -> list[str]:
-    """The charts that value k is outside the limits of."""
+    """The charts in which value k is outside the limits."""
     charts = found.charts
     if charts is None:
         return []
@@ -77,7 +77,8 @@ def alarms(found: Trend, k: int) -> list[str]:
 
 
 def control_table(state: ControlState) -> Table:
-    """One row for each comparison of a coefficient of a check standard: the newest value with the limits, or a row without limits."""
+    """A table with one row for each comparison of a coefficient of a check standard: the newest value with the limits, or a row
+    without limits."""
     titles = (
         "coefficient", "unit", "newest value", "u", "values", "compared with", "centre", "lower limit", "upper limit", "outside"
     )  # fmt: skip
@@ -109,7 +110,7 @@ def agreement_table(title: str, found: Sequence[ParticipantAgreement], unit: str
 
 
 def comparison_table(found: RunComparison) -> Table:
-    """One row for each coefficient, one column for each run."""
+    """A table with one row for each coefficient and one column for each run."""
     columns = [TableColumn("coefficient"), TableColumn("unit")]
     for number in range(1, len(found.runs) + 1):
         columns.append(TableColumn(f"run {number}"))
@@ -124,7 +125,7 @@ def comparison_table(found: RunComparison) -> Table:
 
 
 def gauge_table(found: GaugeStudy, unit: str) -> Table:
-    """Standard deviations of the components with their intervals, and the share of the total variance."""
+    """A table of the standard deviations of the components with their intervals, and their shares of the total variance."""
     total = found.components[-1].variance
     columns: tuple[Shown[VarianceComponent], ...] = (
         Shown(TableColumn("component"), lambda one: one.name),
@@ -137,7 +138,7 @@ def gauge_table(found: GaugeStudy, unit: str) -> Table:
 
 
 def sentences(found: Trend) -> list[str]:
-    """What the history shows, in sentences."""
+    """Description of the history in sentences."""
     unit = words.behind_number(found.unit)
     said = list(_stamps(found))
     charts = found.charts
@@ -171,7 +172,7 @@ def sentences(found: Trend) -> list[str]:
 
 
 def _stamps(found: Trend) -> Iterator[str]:
-    """Runs whose samples were not measured in them."""
+    """A note on runs whose samples were not measured in them."""
     origins = [point.run.origin for point in found.points]
     for origin in _NOT_MEASURED:
         mark = stamp(origin)
@@ -199,7 +200,8 @@ def _drift(found: Trend, unit: str) -> list[str]:
 
 
 def plot_lines(found: Trend) -> list[str]:
-    """The values over time in characters: `●` a value, `○` one with an alarm, `─` the mean, `┄` the Shewhart limits of the newest value."""
+    """The values over time as a plot of characters: `●` a value, `○` a value with an alarm, `─` the mean, `┄` the Shewhart limits
+    of the newest value."""
     if len(found.values) < 2:
         return []
     times = [_seconds(point.run) for point in found.points]

@@ -1,7 +1,7 @@
-"""Languages of pages: English as templates are written, others through the catalogues of translations in `locales/`.
+"""Languages of pages: English as in the templates, other languages through the catalogues of translations in `locales/`.
 
-Catalogues are read as PO text of gettext, so that pages show exactly what reviewers read and nothing has to be compiled. Placeholders of
-page templates have only the form `%(name)s`, so a template cannot request widths that fill the memory.
+Catalogues are read as PO text of gettext. Pages therefore show exactly the texts that reviewers read, and nothing has to be
+compiled. Placeholders of page templates have only the form `%(name)s`, so a template cannot request widths that fill the memory.
 
 Texts of estimators are `planrunner.base.said.Said`: "{output}: offset at zero rate" with its values is a message of the catalogue, in which
 the translation has the same names. The format of a number is that of the English template, with the decimal sign of the language.
@@ -29,8 +29,8 @@ def languages() -> tuple[str, ...]:
 
 @lru_cache(maxsize=8)
 def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
-    """English message → translation, or the plural forms of one. Doubtful (fuzzy) and empty entries are left out. The English plural is
-    a message too: in earlier versions, a text could have that form only, and stored results keep it."""
+    """English message → translation, or the plural forms of one. Doubtful (fuzzy) and empty entries are omitted. The English plural
+    is also a message, because in earlier versions a text could have only this form, and stored results contain it."""
     if language == ENGLISH:
         return {}
     from babel.messages.pofile import read_po
@@ -53,8 +53,8 @@ def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
 
 
 def spoken(language: str) -> dict[str, Callable[..., str]]:
-    """The functions that Jinja's i18n extension calls, and `term` for texts with a template that come with the data, such as
-    the description of a coefficient. Text without a template or a translation stays as it is. The result is escaped like other text."""
+    """The functions that Jinja's i18n extension calls, and the function `term` for texts with a template in the data, such as the
+    description of a coefficient. Text without a template or a translation stays as it is. The result is escaped like other text."""
     known = translations(language)
 
     def gettext(message: str, /, **values: Json) -> str:
@@ -91,7 +91,7 @@ def spoken(language: str) -> dict[str, Callable[..., str]]:
 
 @lru_cache(maxsize=8)
 def plural_form(language: str) -> Callable[[int], int]:
-    """The place of the plural form for a number, by the rule of the language."""
+    """The index of the plural form for a number, by the rule of the language."""
     from gettext import c2py
 
     from babel.messages.plurals import get_plural

@@ -1,4 +1,4 @@
-"""The timetable of a night: as lines for the terminal, and as a page with a Gantt chart."""
+"""The timetable of a night, as lines for the terminal and as a page with a Gantt chart."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _STEPS = (60, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400, 17280
 
 @dataclass(frozen=True, slots=True)
 class Timetable:
-    """A suite with the night that is foreseen for it. durations: planned seconds of each test; None if a recording gives it."""
+    """A suite with the predicted night. durations: planned duration of each test, s; None if a recording determines it."""
 
     suite: Suite
     file: str
@@ -43,7 +43,7 @@ class Timetable:
         return WARM_UP if slot.test is None else self.tests[slot.test].name
 
     def time(self, instant: float) -> str:
-        """Time of day; with the date, if it is not that of the beginning."""
+        """The time of day, with the date if it is not the date of the beginning."""
         local, first = civil(instant, self.zone), civil(self.begins, self.zone)
         return f"{local:%H:%M}" if local.date() == first.date() else f"{local:%m-%d %H:%M}"
 
@@ -53,7 +53,7 @@ class Timetable:
 
 
 def headline(table: Timetable) -> str:
-    """Number of tests and benches, begin, predicted end and limit."""
+    """The number of tests and benches, beginning, predicted end and limit."""
     night = table.forecast
     benches = len({slot.bench for slot in night.slots})
     runs = sum(slot.test is not None for slot in night.slots)
@@ -97,7 +97,7 @@ def _bar(slot: Slot, begins: float, ends: float, room: int) -> str:
 
 
 def timetable_page(table: Timetable, warnings: Sequence[str]) -> str:
-    """One self-contained HTML page. The same data give the same text. Raises `ReportError`."""
+    """Renders one self-contained HTML page. The same data give the same text. Raises `ReportError`."""
     from markupsafe import Markup
 
     from planrunner.reporting.templates import render

@@ -80,7 +80,8 @@ def plot_svg(plot: Plot, key: str) -> str:
 
 
 def _plain_ticks(axes: Axes) -> None:
-    """Numbers at logarithmic axes as text, because formulas are not drawn. An axis of less than two decades also shows 2 and 5."""
+    """Formats the numbers at logarithmic axes as text, because formulas are not drawn. An axis of less than two decades also shows
+    2 and 5."""
 
     def between(value: float, _: float) -> str:
         leading = round(value / 10 ** math.floor(math.log10(value)), 6)
@@ -133,8 +134,8 @@ def _draw_courses(axes: Axes, plot: Plot) -> None:
 
 
 def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
-    """Indices of the values (n,) of a curve to draw. Up to `most` values are all drawn. Of more, the ends are drawn, and from each of
-    equal intervals the lowest, the highest and the first non-finite value, so that no peak and no gap is lost."""
+    """Indices of the values (n,) of a curve to draw. Up to `most` values are all drawn. Of a longer curve, the ends are drawn, and
+    from each of equal intervals the lowest, the highest and the first non-finite value. No peak and no gap is lost."""
     if len(values) <= most:
         return np.arange(len(values))
     kept = {0, len(values) - 1}
@@ -264,7 +265,7 @@ def drawing(width: float, height: float) -> Iterator[tuple[Figure, Callable[[str
 
 
 def _make_room(figure: Figure) -> None:
-    """Set the margins so that lettering around the axes, which stand one under the other, lies within the figure.
+    """Sets the margins so that the lettering around the axes, which are arranged in one column, is within the figure.
 
     Lettering is measured once: matplotlib's constrained layout measures it twice, and measuring takes as long as drawing.
     """
@@ -289,7 +290,7 @@ def _make_room(figure: Figure) -> None:
 
 
 def _bounded(margins: Array) -> Array:
-    """Margins, as shares of the figure, that leave a tenth of it to the axes however long the lettering is."""
+    """Margins, as fractions of the figure, that leave at least a tenth of it to the axes, however long the lettering is."""
     return margins * min(1.0, 0.9 / float(margins.sum()))
 
 

@@ -1,4 +1,4 @@
-"""What a design study of positions shows: their criteria, efficiencies, and the positions before and after."""
+"""Output of a design study of positions: their criteria, efficiencies, and the positions before and after."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FOOTER = (
 
 
 def study(found: FoundPositions, subject: Subject) -> Study:
-    """Everything that is shown of designed positions."""
+    """The complete output for designed positions."""
     about = facts(found)
     said = notes(found)
     return Study(
@@ -113,7 +113,7 @@ def _positions(found: FoundPositions) -> Table:
 
 
 def _predicted(found: FoundPositions, one: PositionSet) -> tuple[Coefficient, ...]:
-    """What the coefficients of the estimate would be known to with a set."""
+    """Standard uncertainties of the coefficients of the estimate with a set of positions."""
     design = one.designs.get(found.sight.name)
     return design.predicted if design is not None else ()
 
@@ -145,7 +145,7 @@ def _ratios(found: FoundPositions) -> list[Table]:
 
 
 def notes(found: FoundPositions) -> tuple[str, ...]:
-    """Explanations of the plan's estimates and of the figures, in sentences."""
+    """Explanations of the plan's estimates and of the numbers, in sentences."""
     chosen, planned = found.chosen, found.sets["planned"]
     said = [
         note

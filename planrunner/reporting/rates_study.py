@@ -1,4 +1,4 @@
-"""What a design study of rates shows: their efficiencies, what to expect of them, and the variance over rate."""
+"""Output of a design study of rates: their efficiencies, expected results, and the variance over rate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FOOTER = (
 
 
 def study(found: FoundRates, subject: Subject) -> Study:
-    """Everything that is shown of designed rates."""
+    """The complete output for designed rates."""
     about = facts(found)
     said = notes(found)
     return Study(
@@ -90,7 +90,7 @@ def _alike(before: Coefficient, now: Coefficient) -> bool:
 
 
 def _uncertainties(found: FoundRates) -> list[Table]:
-    """Uncertainties of the coefficients for which they change."""
+    """Uncertainties of the coefficients whose uncertainty changes."""
     rows = [
         (name, f"{before.standard_uncertainty:.3g}", f"{now.standard_uncertainty:.3g}", now.unit)
         for name, (before, now) in _pairs(found).items()
@@ -105,7 +105,7 @@ def _uncertainties(found: FoundRates) -> list[Table]:
 
 
 def notes(found: FoundRates) -> tuple[str, ...]:
-    """What the figures mean, in sentences."""
+    """Explanations of the numbers, in sentences."""
     planned, best = found.sets["planned"], found.sets["best"]
     said = []
     if len(planned.variance) and len(best.variance):

@@ -18,8 +18,8 @@ from planrunner.reporting.view import report_view
 
 @dataclass(frozen=True, slots=True)
 class RunDeviation:
-    """Something that a reviewer must judge. kind: in words; segment: label of the segment, estimate: name of the estimate that it concerns,
-    if any. grave: the run must not be released because of it."""
+    """Something that a reviewer must judge. kind: in words; segment: label of the segment, estimate: name of the estimate that it
+    concerns, if any. grave: whether it prevents the release of the run."""
 
     kind: str
     text: str
@@ -49,7 +49,7 @@ class ReviewContext:
 
 
 def render_review(context: ReviewContext) -> str:
-    """One self-contained HTML page. Raises `ReportError`."""
+    """Renders one self-contained HTML page. Raises `ReportError`."""
     view = report_view(context.report)
     anchors = {item["name"]: item["anchor"] for item in view["estimates"]}
     places = {item.segment.label: f"s{number}" for number, item in enumerate(context.report.segments, 1)}

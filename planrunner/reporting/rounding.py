@@ -1,4 +1,4 @@
-"""Numbers for people: a value rounded by its uncertainty, the uncertainty to two significant digits (JCGM 100:2008, 7.2.6).
+"""Numbers for readers: a value rounded by its uncertainty, and the uncertainty to two significant digits (JCGM 100:2008, 7.2.6).
 
 -1.2346 ± 0.0021        (1.5000 ± 0.0012)e-07        12400 ± 1300
 """
@@ -29,7 +29,7 @@ class Rounded:
 
 
 def rounded(value: float, standard_uncertainty: float, digits: int = 2) -> Rounded:
-    """The value to the last of `digits` significant digits of its uncertainty, with ties to even.
+    """The value rounded to the last of `digits` significant digits of its uncertainty, with ties to even.
 
     Without an uncertainty (zero) the value is given to seven significant digits; a non-finite value is shown as such.
     """
@@ -54,8 +54,8 @@ def format_pair(value: float, uncertainty: float) -> tuple[str, str]:
 
 
 def in_parentheses(value: float, standard_uncertainty: float) -> str:
-    """`-1.2346(21)`: the standard uncertainty in units of the last digit (JCGM 100:2008, 7.2.2), so that ± is reserved for expanded
-    uncertainties.
+    """A value with its standard uncertainty in units of the last digit, `-1.2346(21)` (JCGM 100:2008, 7.2.2). The sign ± thus stays
+    reserved for expanded uncertainties.
 
     An uncertainty of one or more is written with its decimals: `12.4(1.3)`.
     """
@@ -69,12 +69,12 @@ def in_parentheses(value: float, standard_uncertainty: float) -> str:
 
 
 def _decimal(number: float) -> Decimal:
-    """The shortest decimal: 0.1 is 0.1, not its nearest binary fraction."""
+    """The number as the shortest decimal: 0.1 is 0.1, not its nearest binary fraction."""
     return Decimal(repr(float(number)))
 
 
 def _significant(number: Decimal, digits: int) -> Decimal:
-    """To `digits` significant digits; 0.0996 to two becomes 0.10."""
+    """A number rounded to `digits` significant digits; 0.0996 to two digits becomes 0.10."""
     result = _quantized(number, number.adjusted() - digits + 1)
     return _quantized(result, result.adjusted() - digits + 1)
 
@@ -84,7 +84,7 @@ def _quantized(number: Decimal, last: int) -> Decimal:
 
 
 def _fixed(number: Decimal, exponent: int, last: int) -> str:
-    """With decimals up to the last significant digit, and zero without a sign."""
+    """A number with decimals up to the last significant digit; zero has no sign."""
     return f"{number.scaleb(-exponent) or Decimal(0):.{max(0, exponent - last)}f}"
 
 

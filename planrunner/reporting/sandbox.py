@@ -1,7 +1,7 @@
 """A Jinja environment in which a template can only lay out its data.
 
-It is sandboxed. Text is escaped unless it was made here. An undefined name is an error. Templates are read only from the user's folder, if
-named, and then from the shipped folder. Every failure is a `ReportError` with its place and reason.
+It is sandboxed. Text is escaped unless it was made here. An undefined name is an error. Templates are read from the user's folder,
+if one is named, and then from the shipped folder. Every failure is a `ReportError` with its place and reason.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _template_of(name: str, roots: tuple[Path, ...]) -> tuple[str, str]:
 
 
 def lay_out(name: str, given: Mapping[str, Json], folder: Path | None = None, most: int = MAX_OUTPUT) -> str:
-    """The text made from `given` with the template `name` (with or without `.j2`), in this process.
+    """The text that the template `name` (with or without `.j2`) makes from `given`, in this process.
 
     folder: a user's template folder, searched before the shipped one; most: maximum number of characters of the text. Raises `ReportError`.
     """
@@ -137,7 +137,7 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
             return super().is_safe_attribute(obj, attr, value)
 
         def wrap_str_format(self, value: Any) -> None:
-            """Formatting by methods is not allowed at all: a width fills the memory."""
+            """Refuses formatting by methods, because a large width would fill the memory."""
 
         def call_binop(self, context: Any, operator: str, left: Any, right: Any) -> Any:
             for operand in (left, right):
@@ -199,6 +199,6 @@ _SPECIAL = re.compile(r"^[#+-](?=\s)|[\\`*\[\]|~]|(?<!\w)_|_(?!\w)")
 
 
 def markdown(text: str) -> str:
-    """`text` escaped so that Markdown shows it unchanged, on one line."""
+    """The text escaped so that Markdown shows it unchanged, on one line."""
     one_line = " ".join(text.split())
     return _SPECIAL.sub(r"\\\g<0>", one_line).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

@@ -1,4 +1,4 @@
-"""The `show` page: a schedule before it runs: timeline, a picture of every orientation, predicted uncertainties."""
+"""The `show` page of a schedule before it runs: timeline, a picture of every orientation, predicted uncertainties."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class ShowContext:
 
 
 def render_show(context: ShowContext) -> str:
-    """One self-contained HTML page. The same context gives the same text. Raises `ReportError`."""
+    """Renders one self-contained HTML page. The same context gives the same text. Raises `ReportError`."""
     return render("show.html", show_view(context))
 
 
@@ -136,7 +136,7 @@ def predicted_rows(coefficients: Sequence[Coefficient], probability: float) -> l
 
 
 def totals(schedule: Schedule) -> dict[str, str]:
-    """The totals for the planner."""
+    """The total times and counts of a schedule."""
     segments = schedule.segments
     recorded = sum(item.dwell or 0.0 for item in segments)
     settling = sum(item.settle + item.soak for item in segments)
@@ -172,7 +172,7 @@ def orientations(segments: Sequence[Segment]) -> list[list[Segment]]:
 
 
 def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
-    """`P6, T3` or `P6, P7, P8 and 5 more`."""
+    """Labels in short form: `P6, T3` or `P6, P7, P8 and 5 more`."""
     distinct = list(dict.fromkeys(labels))
     if len(distinct) <= most:
         return ", ".join(distinct)
@@ -180,9 +180,10 @@ def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
 
 
 def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
-    """One row per segment: start, transition, state, duration. Columns without information are left out.
+    """One row per segment: start, transition, state, duration. Columns without information are omitted.
 
-    brief: for the width of a terminal: soaking and settling in one column, no end time, no orientation if there is only one.
+    brief: whether to fit the width of a terminal: soaking and settling in one column, no end time, no orientation if there is only
+    one.
     """
     segments = schedule.segments
     ends = {span.segment.index: words.clock(span.end) for span in spans(schedule) if span.segment.dwell is not None}
@@ -215,8 +216,8 @@ _SOAK_AND_SETTLE: tuple[Shown[Segment], ...] = (
 
 
 def _motion_columns(segments: Sequence[Segment], brief: bool) -> list[Shown[Segment]]:
-    """No column if all segments are at rest; rates as numbers if all motions are rates about one direction; otherwise the motions in
-    words."""
+    """The columns for motion: none if all segments are at rest; rates as numbers if all motions are rates about one direction;
+    otherwise the motions in words."""
     moving = [item.motion for item in segments if not isinstance(item.motion, Rest)]
     if not moving:
         return []

@@ -21,12 +21,12 @@ _PAIRS, _TOLD, _HTML, _SAID = "pairs", "told", "html", "said"
 
 
 def to_json(given: Mapping[str, Json]) -> str:
-    """The data as JSON text, with pictures drawn. Raises TypeError for anything except plain data."""
+    """Converts the data to JSON text, with pictures drawn. Raises TypeError for anything except plain data."""
     return json.dumps(_plain(given), ensure_ascii=True)
 
 
 def from_json(text: str) -> JsonObject:
-    """The data from JSON text, with pictures as markup that is not escaped."""
+    """Reads the data from JSON text. Pictures become markup that is not escaped."""
     given: JsonObject = json.loads(text, object_hook=_restored)
     return given
 

@@ -24,7 +24,7 @@ CHECK_EVERY = 0.2  # s
 
 
 def main() -> None:
-    """Lay out one template on request of `planrunner.reporting.templates`."""
+    """Lays out one template on request of `planrunner.reporting.templates`."""
     request: JsonObject = json.loads(sys.stdin.buffer.read())
     _import_what_is_needed()
     _limit(request["seconds"], request["memory"])
@@ -41,7 +41,7 @@ _ANSWERING = threading.Lock()
 
 
 def _answer(answer: dict[str, str]) -> None:
-    """Send the answer and end the process at once; only the first answer counts."""
+    """Sends the answer and ends the process at once; only the first answer counts."""
     _ANSWERING.acquire()
     sys.stdout.buffer.write(json.dumps(answer).encode())
     sys.stdout.flush()
@@ -49,7 +49,7 @@ def _answer(answer: dict[str, str]) -> None:
 
 
 def _import_what_is_needed() -> None:
-    """Imports before the limits are set, so that an import does not end a report that is close to them."""
+    """Imports modules before the limits are set, so that an import does not end a report that is close to the limits."""
     import jinja2.ext
     import jinja2.sandbox
     import markupsafe
@@ -91,7 +91,7 @@ def _place(frame: FrameType | None) -> str | None:
 
 
 def _line(frame: FrameType) -> int:
-    """The current line of a frame, or the one before: the jump at the end of a loop has no line."""
+    """The current line of a frame, or the line before it, because the jump at the end of a loop has no line."""
     passed = [line for start, _, line in frame.f_code.co_lines() if line is not None and start <= frame.f_lasti]
     return passed[-1] if passed else frame.f_code.co_firstlineno
 

@@ -27,7 +27,7 @@ PATIENCE = 10
 
 
 def render(name: str, given: Mapping[str, Json], folder: Path | None = None) -> str:
-    """The text made from `given`, which must be plain data, with the template `name` (with or without `.j2`).
+    """The text that the template `name` (with or without `.j2`) makes from `given`, which must be plain data.
 
     The name may contain a language: `certificate.zh.html`. folder: a user's template folder, searched before the shipped one. Raises
     `ReportError`.

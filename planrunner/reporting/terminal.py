@@ -65,7 +65,7 @@ def coefficients_table(estimate: Estimate, only: Sequence[str] | None = None) ->
 
 
 def predicted_table(name: str, design: Design) -> RenderableType:
-    """The expected uncertainties at the declared nominal values."""
+    """A table of the expected uncertainties at the declared nominal values."""
     return _coefficients(f"{name}: predicted", design.predicted, "nominal")
 
 
@@ -79,7 +79,7 @@ def _coefficients(title: str, shown: Iterable[Coefficient], value: str) -> Rende
 
 
 def limits_table(limits: Sequence[LimitVerdict]) -> RenderableType:
-    """Limits with their verdicts in words, coloured on a terminal. P(false): probability that the verdict is wrong."""
+    """A table of limits with their verdicts in words, coloured on a terminal. P(false): probability that the verdict is wrong."""
     titles = ("quantity", "requirement", "value", "± U", "unit", "k", "rule", "P(false)", "verdict")
     keys = ("quantity", "requirement", "value", "expanded", "unit", "factor", "rule_in_words", "false")
     rows, risks = [], []
@@ -110,7 +110,7 @@ def print_tables(*tables: Table) -> None:
 
 
 def schedule_table(schedule: Schedule, title: str = "Timeline") -> RenderableType:
-    """The timeline, then the totals."""
+    """A table of the timeline, followed by the totals."""
     from rich.console import Group
 
     table = timeline_table(schedule, brief=True)
@@ -133,8 +133,8 @@ def _plain(facts: Iterable[tuple[str, str]]) -> RichTable:
 class _Columns:
     """A table that is divided into several, one below the other, if its columns do not fit side by side.
 
-    Numbers are never wrapped or cut. Titles and text are wrapped first; then columns move to a further part, which repeats the first
-    column. columns: (title, whether it has numbers).
+    Numbers are never wrapped or cut. Titles and text are wrapped first. Then columns move to a further part, which repeats the
+    first column. columns: (title, whether it has numbers).
     """
 
     title: str

@@ -39,7 +39,7 @@ def spans(schedule: Schedule) -> list[SegmentTimes]:
 
 
 def panels_of(schedule: Schedule) -> list[Panel]:
-    """The panels that this schedule has data for."""
+    """The panels for which this schedule has data."""
     panels: list[Panel] = ["segments"]
     if any(item.temperature is not None or item.ramp_to is not None for item in schedule.segments):
         panels.append("temperature")
@@ -49,7 +49,7 @@ def panels_of(schedule: Schedule) -> list[Panel]:
 
 
 def draw_panels(rows: Sequence[Axes], panels: Sequence[Panel], schedule: Schedule) -> None:
-    """Draw the panels one below the other in their matplotlib axes, with a common time axis."""
+    """Draws the panels one below the other in their matplotlib axes, with a common time axis."""
     times = spans(schedule)
     longest = max([schedule.total, *(span.end for span in times)], default=0.0) or 1.0
     unit, divisor = ("h", 3600.0) if longest >= 7200 else ("min", 60.0) if longest >= 120 else ("s", 1.0)

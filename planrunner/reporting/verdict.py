@@ -11,7 +11,7 @@ from planrunner.estimators.results import DataOrigin
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """kind: `warned` means passed with warnings; `none` means that the plan sets no limits."""
+    """The headline of a report. kind: `warned` means passed with warnings; `none` means that the plan sets no limits."""
 
     kind: VerdictKind
     text: str
@@ -19,7 +19,7 @@ class Headline:
 
 
 def headline(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnings: int) -> Headline:
-    """Whether the limits are met, with the number of warnings that may invalidate the verdict."""
+    """The headline: whether the limits are met, with the number of warnings that may invalidate the verdict."""
     kind = verdict_kind(limits, failures, warnings)
     failed = [limit.quantity for limit in limits if limit.verdict != "pass"]
     total = len(limits)
@@ -48,7 +48,7 @@ def _and(verdict: str, beside: str, why: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """The mark beside every verdict on samples that were not measured in this run. about: an explanation in a sentence; alarming:
+    """The mark next to every verdict on samples that were not measured in this run. about: an explanation in a sentence; alarming:
     whether the samples were never measured on an item."""
 
     word: str

@@ -57,7 +57,7 @@ _PROPER = {"id": "ID", "utc": "UTC"}
 
 
 def report_view(context: ReportContext) -> JsonObject:
-    """The complete context for templates."""
+    """Makes the complete data for templates."""
     return {
         "title": context.title,
         "description": context.description,
@@ -137,7 +137,7 @@ def estimate_view(estimate: Estimate, index: int, probability: float) -> JsonObj
 
 
 def coefficient_row(item: Coefficient, probability: float = 0.95) -> dict[str, str]:
-    """A coefficient as text, value and expanded uncertainty rounded together to two digits of the uncertainty."""
+    """A coefficient as text; its value and expanded uncertainty are rounded to two digits of the uncertainty."""
     factor = coverage_factor(item.degrees_of_freedom, probability)
     expanded = factor * item.standard_uncertainty
     value, width = format_pair(item.value, expanded)
@@ -240,7 +240,7 @@ def setting(value: object) -> str:
 
 
 def named(facts: Mapping[str, Json]) -> list[list[str]]:
-    """[name, value] pairs of the facts that are not empty, names made readable: `device_serial` becomes `Device serial`."""
+    """The nonempty facts as [name, value] pairs with readable names: `device_serial` becomes `Device serial`."""
     return [[readable(name), setting(value)] for name, value in facts.items() if value != ""]
 
 
@@ -252,7 +252,7 @@ def readable(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """SVG made here, which is not escaped again. It is drawn when a template shows it."""
+    """SVG that this program made and that is not escaped again. It is drawn when a template shows it."""
 
     draw: Callable[[], str]
 
@@ -261,7 +261,7 @@ class Picture:
 
 
 def render_report(context: ReportContext, template: str, folder: Path | None = None) -> str:
-    """The report made from the context with `template` (such as `report.html` or `summary.md`): one self-contained text.
+    """Renders the report of the context with `template` (such as `report.html` or `summary.md`): one self-contained text.
 
     folder: a user's template folder, searched before the shipped one. The same context gives the same text.
     Raises `ReportError`.

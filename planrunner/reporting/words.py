@@ -23,17 +23,18 @@ def number(value: float, digits: int = 6) -> str:
 
 
 def listed(names: Sequence[str], word: str = "and") -> str:
-    """`a`, `a and b`, or `a, b and c`; word: before the last."""
+    """Items as a list in words: `a`, `a and b`, or `a, b and c`. word: text before the last item."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
 
 
 def behind_number(unit: str) -> str:
-    """A blank and the unit; empty for pure numbers."""
+    """A blank and the unit, to follow a number; empty for pure numbers."""
     return "" if unit in ("", "1") else f" {unit}"
 
 
 def rule(name: str, factor: float, coverage: float) -> str:
-    """A decision rule with its deviations from the usual: a guard band other than U, or a coverage other than 95 %."""
+    """A decision rule in words. Deviations from the usual rule are stated: a guard band other than U, or a coverage other than 95
+    %."""
     if name != "guarded" or math.isnan(factor):
         return name
     band = [] if factor == 1 else [f"w = {number(factor)}·U"]
@@ -42,7 +43,7 @@ def rule(name: str, factor: float, coverage: float) -> str:
 
 
 def probability(value: float) -> str:
-    """In percent, as a bound near 0 % and 100 %."""
+    """A probability in percent, written as a bound near 0 % and 100 %."""
     if math.isnan(value):
         return "–"
     if value > 0.9995:
@@ -51,7 +52,7 @@ def probability(value: float) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """`95 s` → `1 min 35 s`; tenths below ten seconds; hours and days above."""
+    """A duration in words: `95 s` → `1 min 35 s`; tenths below ten seconds; hours and days for long durations."""
     if seconds is None:
         return "as recorded"
     if not math.isfinite(seconds):
@@ -68,7 +69,7 @@ def duration(seconds: float | None) -> str:
 
 
 def clock(seconds: float) -> str:
-    """Time since the run began, `h:mm:ss`."""
+    """Time since the run began as `h:mm:ss`."""
     whole = round(seconds)
     return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
 

@@ -1,1 +1,1 @@
-"""Review of plans, benches and runs: what they mean, and how two of them differ."""
+"""Review of plans, benches and runs: their meaning, and the difference between two of them."""

@@ -1,14 +1,16 @@
-"""Approvals as files: beside a plan, and in the folder of a run.
+"""Approvals as files: next to a plan, and in the folder of a run.
 
     calibration.yaml
     calibration.yaml.approvals/
       20260301T081100Z-4f2a9c0d11e38b57.dsse.json     one approval or withdrawal
       20260301T081100Z-4f2a9c0d11e38b57.yaml          the plan as it was approved, for comparisons; nothing relies on it
 
-Each approval has its own file, so that several reviewers can work in branches. A file is written aside, synced and renamed: it exists
-completely or not at all. Names of files come from the time and the digest alone, never from a text that somebody stated.
+Each approval has its own file, so that several reviewers can work in branches. A file is written under another name, synced and
+renamed, so that it exists completely or not at all. Names of files come only from the time and the digest, never from a stated
+text.
 
-A run folder keeps the approvals that counted when the run began in `approvals.json`, with the canonical meanings that they cover.
+A run folder contains in `approvals.json` the approvals that counted when the run began, with the canonical meanings that they
+cover.
 """
 
 from __future__ import annotations
@@ -47,12 +49,12 @@ FORMAT = 1
 
 
 def approvals_folder(plan: Path) -> Path:
-    """The folder beside a plan in which its approvals are."""
+    """The folder with the approvals of a plan, next to the plan."""
     return plan.with_name(plan.name + ENDING)
 
 
 def read_approvals(folder: Path) -> tuple[ApprovalRecord, ...]:
-    """All approvals and withdrawals in a folder; none if there is no such folder. Other files in it are ignored.
+    """Reads all approvals and withdrawals in a folder; none if there is no such folder. Other files in it are ignored.
 
     A file that cannot be read is damaged. Raises `InputError` if the folder itself cannot be read.
     """
@@ -77,7 +79,7 @@ def _read(folder: GuardedFolder, name: str) -> ApprovalRecord:
 
 
 def approved_text(folder: Path, approval: StatedApproval) -> bytes | None:
-    """The plan as it was approved, if it is at hand. The caller must compare its digest with that of the approval."""
+    """The plan as it was approved, if its text is available. The caller must compare its digest with that of the approval."""
     name = approval.file.removesuffix(_ENVELOPE) + _PLAN
     try:
         return GuardedFolder.open(folder).read(name, MOST_GIVEN)
@@ -88,8 +90,8 @@ def approved_text(folder: Path, approval: StatedApproval) -> bytes | None:
 def write_envelope(
     plan: Path, envelope: Envelope, signed: str, text: bytes | None = None, storage: Storage | None = None
 ) -> str:
-    """Writes an approval or withdrawal beside a plan; returns the name of its file. signed: the time in it, ISO 8601; text: the plan as it
-    was approved. Raises `InputError` if it cannot be written."""
+    """Writes an approval or withdrawal next to a plan; returns the name of its file. signed: the time in it, ISO 8601; text: the
+    plan as it was approved. Raises `InputError` if it cannot be written."""
     storage = storage or Storage()
     folder = approvals_folder(plan)
     stem = f"{re.sub(r'[^0-9T]', '', signed[:19])}Z-{payload_digest(envelope)[:16]}"
@@ -118,10 +120,10 @@ def _unreadable(folder: Path, error: Exception) -> InputError:
 
 @dataclass(frozen=True, slots=True)
 class KeptApprovals:
-    """What a run folder keeps of the approvals under which it ran.
+    """The approval data in a run folder.
 
-    plan, bench: canonical JSON of the meanings that they cover; ring: text of the key ring at the beginning of the run; day: the date then;
-    approvals: those that counted; keys, folder: where the key ring and the approvals were found.
+    plan, bench: canonical JSON of the meanings that they cover; ring: text of the key ring at the beginning of the run; day: the
+    date at that time; approvals: those that counted; keys, folder: places where the key ring and the approvals were found.
     """
 
     plan: str
@@ -141,8 +143,8 @@ class KeptApprovals:
         return hashlib.sha256(self.bench.encode()).hexdigest()
 
     def to_bytes(self, runs: Path) -> bytes:
-        """The content of `approvals.json`. runs: the folder of the runs. Paths are relative to it, so that the file names no folder of the
-        computer above those that the runs and the approvals share."""
+        """The content of `approvals.json`. runs: the folder of the runs. Paths are relative to it, so that the file names no folder
+        above the common folder of the runs and the approvals."""
         given = [entry_of(one) for one in self.approvals]
         return to_bytes(
             {
@@ -158,7 +160,7 @@ class KeptApprovals:
 
 
 def _relative(path: str, runs: Path) -> str:
-    """A path from the folder of the runs; the name alone if they are on different drives."""
+    """A path relative to the folder of the runs; only the name if they are on different drives."""
     try:
         found = os.path.relpath(os.path.realpath(path), os.path.realpath(runs))
     except ValueError:
@@ -167,12 +169,12 @@ def _relative(path: str, runs: Path) -> str:
 
 
 def entry_of(approval: StatedApproval) -> JsonObject:
-    """An approval as the files of a run keep it."""
+    """An approval in the form in which the files of a run contain it."""
     return {"file": approval.file, "envelope": approval.envelope.to_bytes().decode()}
 
 
 def entries_of(given: Iterable[Mapping[str, Json]]) -> tuple[tuple[StatedApproval, ...], tuple[DamagedApproval, ...]]:
-    """The approvals in entries of a run, and the entries that are no approvals."""
+    """The approvals in entries of a run, and the entries that are not approvals."""
     read = [read_stated(str(one["file"]), str(one["envelope"]).encode()) for one in given]
     good = tuple(one for one in read if isinstance(one, StatedApproval))
     bad = tuple(
@@ -186,13 +188,14 @@ def entries_of(given: Iterable[Mapping[str, Json]]) -> tuple[tuple[StatedApprova
 def keep(
     plan: Meaning, bench: Meaning, ring: str, day: date, counted: Iterable[StatedApproval], keys: Path, folder: Path
 ) -> KeptApprovals:
-    """What the run folder is to keep."""
+    """The approval data that the run folder must contain."""
     texts = plan.canonical().decode(), bench.canonical().decode()
     return KeptApprovals(*texts, ring, day, tuple(counted), str(keys.absolute()), str(folder.absolute()))
 
 
 def kept_approvals(data: bytes, run: Path) -> tuple[KeptApprovals, tuple[DamagedApproval, ...]]:
-    """The content of `approvals.json` of a run folder, and the entries that are no approvals. Raises `IntegrityError` for other content."""
+    """The content of `approvals.json` of a run folder, and the entries that are not approvals. Raises `IntegrityError` for other
+    content."""
     value = parse_json(data, run / APPROVALS, "approvals", "planrunner_approvals", FORMAT)
     good, bad = entries_of(value["approvals"])
     try:

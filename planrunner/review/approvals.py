@@ -1,10 +1,12 @@
 """Approvals of plans: signed statements that bind a reviewer's key to the meaning of a plan and of the benches that it may run on.
 
-An approval is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. Its subject is the SHA-256 digest of the
-canonical meaning of the plan apart from its bench (`procedure_of`); its predicate names the benches by the digests of their meanings apart
-from the approvals that they require (`equipment_of`). A withdrawal is a statement of the same form about earlier approvals.
+An approval is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. Its subject is the SHA-256 digest
+of the canonical meaning of the plan apart from its bench (`procedure_of`). Its predicate names the benches by the digests of their
+meanings apart from the approvals that they require (`equipment_of`). A withdrawal is a statement of the same form about earlier
+approvals.
 
-`judged` says of every approval whether it counts under the rule of a bench, and why not. It reads no file and needs no private key.
+`judged` determines for every approval whether it counts under the rule of a bench, and the reason if it does not. It reads no file
+and needs no private key.
 """
 
 from __future__ import annotations
@@ -53,7 +55,7 @@ ApprovalStanding = Literal[
 
 @dataclass(frozen=True, slots=True)
 class ApprovedBench:
-    """A bench that an approval is for: its name, and the digest of its meaning apart from the approvals that it requires."""
+    """A bench for which an approval is valid: its name, and the digest of its meaning apart from the approvals that it requires."""
 
     name: str
     sha256: str
@@ -61,7 +63,8 @@ class ApprovedBench:
 
 @dataclass(frozen=True, slots=True)
 class Approved:
-    """What is approved. plan: digest of its meaning apart from its bench; title and author as the plan states them. until: last day."""
+    """The approved items. plan: digest of its meaning apart from its bench; title and author as the plan states them. until: last
+    day."""
 
     plan: str
     title: str
@@ -72,7 +75,7 @@ class Approved:
 
 @dataclass(frozen=True, slots=True)
 class StatedApproval:
-    """A file with an approval. digest: SHA-256 of its payload. Everything is claimed by the signer until `judged` has checked it.
+    """A file with an approval. digest: SHA-256 of its payload. All values are claims of the signer until `judged` has checked them.
 
     name: of the reviewer; signed: UTC; version: of planrunner.
     """
@@ -101,7 +104,7 @@ class StatedWithdrawal:
 
 @dataclass(frozen=True, slots=True)
 class DamagedApproval:
-    """A file that is no approval as planrunner writes it."""
+    """A file that does not have the form of an approval of planrunner."""
 
     file: str
     why: str
@@ -123,7 +126,7 @@ def approval_envelope(what: Approved, name: str, statement: str, signer: Signer,
 
 
 def withdrawal_envelope(withdrawn: Mapping[str, str], name: str, why: str, signer: Signer, signed: str) -> Envelope:
-    """Signs the withdrawal of approvals, given as file → digest of its payload."""
+    """Signs the withdrawal of approvals. They are given as file → digest of its payload."""
     return _signed(WITHDRAWAL, withdrawn, _told(name, why, signed), signer)
 
 
@@ -141,7 +144,7 @@ def _signed(kind: str, subjects: Mapping[str, str], predicate: JsonObject, signe
 
 
 def read_stated(file: str, data: bytes) -> ApprovalRecord:
-    """The approval or withdrawal in a file. Its signature is not checked here."""
+    """Reads the approval or withdrawal in a file. Its signature is not checked here."""
     try:
         envelope = parse_envelope(data, PAYLOAD)
     except EnvelopeError as error:
@@ -247,7 +250,8 @@ def _moment(value: Json) -> datetime:
 
 @dataclass(frozen=True, slots=True)
 class JudgedApproval:
-    """An approval with its standing. why: in words, empty if it counts. key: as the key ring knows it, None if it does not."""
+    """An approval with the result of its check. why: the reason in words, empty if it counts. key: as the key ring knows it, None
+    if it does not."""
 
     stated: StatedApproval | DamagedApproval
     standing: ApprovalStanding
@@ -259,7 +263,7 @@ class JudgedApproval:
         return "" if self.key is None else self.key.person
 
     def to_json(self) -> JsonObject:
-        """See schemas/approval.schema.json."""
+        """JSON data according to schemas/approval.schema.json."""
         known = {
             "file": self.stated.file,
             "standing": self.standing,
@@ -287,9 +291,10 @@ class JudgedApproval:
 
 @dataclass(frozen=True, slots=True)
 class ApprovalRequest:
-    """What approvals are asked for. plan, bench: digests of `procedure_of` and `equipment_of`; author: as the plan states it.
+    """The plan, the benches and the time for which approvals are checked. plan, bench: digests of `procedure_of` and
+    `equipment_of`; author: as the plan states it.
 
-    moment: when the plan is to run, with a time zone; day: the date then, in the time zone of the bench.
+    moment: time at which the plan is to run, with a time zone; day: the date at that time, in the time zone of the bench.
     """
 
     plan: str
@@ -302,7 +307,7 @@ class ApprovalRequest:
 def judged(
     stated: Iterable[ApprovalRecord], rule: ApprovalRule, ring: KeyRing, asked: ApprovalRequest
 ) -> tuple[tuple[JudgedApproval, ...], bool]:
-    """Every approval with its standing, in the order of the time of signing; and whether as many persons approved as the rule requires.
+    """Checks every approval, in the order of the time of signing, and whether as many persons approved as the rule requires.
 
     A rule under which the author may not approve is not met if the author is not stated, or is not in the key ring.
     """
@@ -327,12 +332,13 @@ def judged(
 
 
 def unknown_authors(author: Sequence[str], ring: KeyRing) -> tuple[str, ...]:
-    """Authors whom the key ring does not know, so that it cannot be determined if they approved; an empty name if none is stated."""
+    """Authors whom the key ring does not contain, so that it cannot be determined whether they approved; an empty name if none is
+    stated."""
     return tuple(name for name in author if ring.person(name) is None) if author else ("",)
 
 
 def _withdrawn(stated: Iterable[ApprovalRecord], ring: KeyRing) -> set[str]:
-    """Digests of approvals that the keys that gave them have withdrawn."""
+    """Digests of approvals that were withdrawn with the keys that gave them."""
     files = list(stated)
     given = {one.digest: one.envelope.key for one in files if isinstance(one, StatedApproval)}
     found = set()
@@ -351,7 +357,8 @@ def _standing(
     asked: ApprovalRequest,
     gone: set[str],
 ) -> tuple[ApprovalStanding, str]:
-    """What is wrong with the key and the signature comes first: until then, all else is only claimed."""
+    """The result of the check of one approval. Faults of the key and the signature come first, because without a valid signature
+    all other values are only claims."""
     what, day = one.what, asked.day
     if known is None:
         return "unknown key", f"its key {one.envelope.key} is not in the key ring"

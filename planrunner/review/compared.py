@@ -1,4 +1,4 @@
-"""Everything that is said about two plans, benches or runs side by side: for tables, pages and JSON."""
+"""The complete comparison of two plans, benches or runs, for tables, pages and JSON."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ class Fact:
 class Compared:
     """Both sides and their difference.
 
-    names: of both sides, as given. meanings: of both; of a run, that of its plan on its bench. schedules: of the plans, where they could be
-    made. unforeseen: why consequences are missing. facts: of runs, those that differ; conditions: the same of what was measured.
+    names: of both sides, as given. meanings: of both sides; for a run, that of its plan on its bench. schedules: of the plans, if
+    they could be made. unforeseen: the reason why consequences are missing. facts: facts of runs that differ; conditions: measured
+    conditions that differ.
     """
 
     kind: ComparedKind
@@ -45,7 +46,7 @@ class Compared:
 
     @property
     def digests(self) -> tuple[str, str]:
-        """SHA-256 of both meanings. It takes longer than the comparison, so it is computed only when it is shown."""
+        """SHA-256 of both meanings. Computing it takes longer than the comparison, so it is computed only when it is shown."""
         return self.meanings[0].digest(), self.meanings[1].digest()
 
     @property

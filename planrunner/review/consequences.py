@@ -1,5 +1,5 @@
-"""What a change of a plan means before anything runs: time, predicted uncertainties, terms that can be determined, use of the bench,
-limits, findings.
+"""Consequences of a change of a plan before anything runs: time, predicted uncertainties, terms that can be determined, use of the
+bench, limits, findings.
 
 Everything comes from two checks, one of each plan on its bench; nothing is estimated a second time here.
 """
@@ -21,7 +21,7 @@ from planrunner.plan.schedule import Cycle, Rock, Schedule, Spin
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What a check says about one plan on its bench. findings: those that are shown. schedule: None if the plan has errors."""
+    """The result of a check of one plan on its bench. findings: those that are shown. schedule: None if the plan has errors."""
 
     schedule: Schedule | None = None
     designs: Mapping[str, Design] = field(default_factory=dict)
@@ -33,7 +33,7 @@ class Forecast:
 
 @dataclass(frozen=True, slots=True)
 class PredictedChange:
-    """The predicted standard uncertainty of one coefficient, in `unit`, in both plans; None where it is not predicted."""
+    """The predicted standard uncertainty of one coefficient, in `unit`, in both plans; None if a plan does not predict it."""
 
     estimate: str
     coefficient: str
@@ -53,8 +53,8 @@ class Undetermined:
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """How much a plan asks of the bench. before, after: the extreme value that each plan commands; limits: what each bench can do; all in
-    `unit`, None if there is none. lowest: whether a limit is a lower one."""
+    """Demands of a plan on the bench. before, after: the extreme value that each plan commands; limits: what each bench can do; all
+    in `unit`, None if there is none. lowest: whether the limit is a lower limit."""
 
     name: str
     unit: str
@@ -65,7 +65,7 @@ class Demand:
 
     @property
     def newly_reached(self) -> bool:
-        """Whether the second plan reaches the limit of its bench, and the first did not."""
+        """Whether the second plan reaches the limit of its bench and the first does not."""
         return self._reached(self.after, self.limits[1]) and not self._reached(self.before, self.limits[0])
 
     def _reached(self, value: float | None, limit: float | None) -> bool:
@@ -77,10 +77,11 @@ class Demand:
 
 @dataclass(frozen=True, slots=True)
 class Consequences:
-    """What a change leads to.
+    """The consequences of a change.
 
-    total: planned time of both plans, s, None if there is no schedule. predicted: coefficients whose prediction differs. lost, won: terms
-    that can no longer be determined, or now can. demands: those that differ. new, gone: findings, without regard to their places.
+    total: planned time of both plans, s, None if there is no schedule. predicted: coefficients whose prediction differs. lost, won:
+    terms that can no longer be determined, and terms that can now be determined. demands: those that differ. new, gone: new and
+    removed findings, compared without their places.
     """
 
     total: tuple[float | None, float | None]
@@ -125,14 +126,14 @@ def _uncertainties(forecast: Forecast) -> dict[tuple[str, str, str], float]:
 
 
 def _sound_terms(forecast: Forecast) -> dict[tuple[str, str], frozenset[str]]:
-    """(estimate, output) → the terms that cannot be determined."""
+    """Maps (estimate, output) to the terms that cannot be determined."""
     return {
         (name, one.output): frozenset(one.unidentifiable) for name, judged in forecast.judged.items() for one in judged
     }
 
 
 def _undetermined(forecast: Forecast, known: Mapping[tuple[str, str], frozenset[str]]) -> Iterator[Undetermined]:
-    """Terms that cannot be determined here, of outputs that the other plan estimates too and determines there."""
+    """Terms that this plan cannot determine although the other plan estimates the same outputs and determines them."""
     for name, judged in forecast.judged.items():
         for one in judged:
             other = known.get((name, one.output))
@@ -192,7 +193,8 @@ _EXTREMES = {"rate": _rate, "hottest": _hottest, "coldest": _coldest}
 
 
 def _findings(before: Sequence[Finding], after: Sequence[Finding]) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
-    """Findings only in the second list, and only in the first, by severity, code and message: places in the files move."""
+    """Findings that are only in the second list, and those that are only in the first, compared by severity, code and message.
+    Places are ignored, because they move in the files."""
     old, new = (
         Counter[tuple[str, str, str]]((one.severity, one.code, one.message) for one in findings)
         for findings in (before, after)

@@ -1,8 +1,8 @@
 """The difference of two plans or two benches by meaning, as data.
 
-Segments are matched by their labels, then by their content (a renamed segment), then by their place between matched neighbours if little
-of their content differs. Matched segments that are not in the longest common order are moved. Everything takes a time in proportion to
-the number of segments, apart from the longest increasing subsequence (n·log n).
+Segments are matched by their labels, then by their content (a renamed segment), then by their place between matched neighbours if
+little of their content differs. Matched segments that are not in the longest common order are moved. The computing time is
+proportional to the number of segments, apart from the longest increasing subsequence (n·log n).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Tendency = Literal["loosened", "tightened", "both", ""]
 @dataclass(frozen=True, slots=True)
 class PartChange:
     """One part that differs. before, after: its canonical content, None if the part is absent; shown: both as the files write them,
-    empty if absent. gained, lost: what a list has more and less, if both parts are lists of values."""
+    empty if absent. gained, lost: added and removed values, if both parts are lists of values."""
 
     place: KeyPath
     before: Json
@@ -59,8 +59,8 @@ class SegmentChange:
 class MeaningDifference:
     """The difference of two plans or benches.
 
-    parts: everything outside the segments. texts: texts for readers, which are no difference. rounded: quantities in different units that
-    are equal to the digits written; they are no difference either.
+    parts: everything outside the segments. texts: changed texts for readers; they do not count as a difference. rounded: quantities
+    in different units that are equal within the written digits; they do not count as a difference either.
     """
 
     kind: str
@@ -81,7 +81,8 @@ class MeaningDifference:
 def difference(
     before: Meaning, after: Meaning, bench_before: Meaning | None = None, bench_after: Meaning | None = None
 ) -> MeaningDifference:
-    """How two meanings of one kind differ. bench_before, bench_after: the benches of two plans, whose differences then are listed too."""
+    """Compares two meanings of one kind. bench_before, bench_after: the benches of two plans. If they are given, their differences
+    are listed too."""
     rounded: list[PartChange] = []
     texts = tuple(
         PartChange(("texts", name), text, after.texts.get(name, ""), (text, after.texts.get(name, "")))
@@ -141,7 +142,7 @@ _NEAR = 20
 
 
 def matched(a: Sequence[Segment_], b: Sequence[Segment_]) -> list[tuple[int | None, int | None]]:
-    """Pairs of indices, in the order of b; each unmatched segment of a follows the one that it followed there."""
+    """Pairs of indices in the order of b. Each unmatched segment of a follows the segment that it follows in a."""
     there = {_label(item): j for j, item in enumerate(b)}
     partner = {i: there[_label(item)] for i, item in enumerate(a) if _label(item) in there}
     taken = set(partner.values())
@@ -240,7 +241,7 @@ def _stated(segment: Segment_, removed: bool) -> Iterator[PartChange]:
 
 
 def _moved(order: Sequence[int]) -> set[int]:
-    """The members of a sequence outside its longest increasing subsequence (Fredman, Discrete Mathematics 11, 1975)."""
+    """The members of a sequence that are outside its longest increasing subsequence (Fredman, Discrete Mathematics 11, 1975)."""
     tails: list[int] = []
     places: list[int] = []
     previous: list[int] = []
@@ -261,7 +262,7 @@ def _moved(order: Sequence[int]) -> set[int]:
 
 
 def _renamed(content: dict[str, Branch], names: Mapping[str, str], all_labels: Sequence[str]) -> dict[str, Branch]:
-    """Estimates and diagnosis with the new names of their segments; a selection of all segments says just that."""
+    """Estimates and diagnosis with the new names of their segments. A selection of all segments is stated as such."""
     made = dict(content)
     estimates = content["estimates"]
     assert isinstance(estimates, dict)
@@ -293,7 +294,7 @@ def _relabelled(chosen: Branch, names: Mapping[str, str], all_labels: Sequence[s
 
 
 def _limits(a: Sequence[Branch], b: Sequence[Branch], rounded: list[PartChange]) -> Iterator[PartChange]:
-    """Limits are matched by their quantity; several limits of one quantity in order."""
+    """The changed limits. Limits are matched by their quantity; several limits of one quantity are matched in order."""
     old, new = _by_quantity(a), _by_quantity(b)
     for name in dict.fromkeys([*old, *new]):
         before, after = old.get(name, []), new.get(name, [])
@@ -324,7 +325,7 @@ def _by_quantity(limits: Sequence[Branch]) -> dict[str, list[dict[str, Branch]]]
 
 
 def _limit_in_words(limit: dict[str, Branch] | None, other: dict[str, Branch] | None) -> str:
-    """The bounds, and what else differs from the other limit."""
+    """The bounds of a limit in words, and other differences from the other limit."""
     if limit is None:
         return ""
     low, high = limit["at_least"], limit["at_most"]
@@ -344,10 +345,10 @@ _RULE = ("rule", "guard_band", "coverage", "prior")
 
 
 def tendency(before: Mapping[str, Branch] | None, after: Mapping[str, Branch] | None) -> Tendency:
-    """Whether a change of a limit lets more values pass or fewer. A limit that is added tightens, one that is removed loosens.
+    """Whether a change of a limit lets more values pass or fewer. Adding a limit tightens, and removing a limit loosens.
 
-    Bounds, rule, guard band and coverage count. A guarded limit accepts fewer values than a simple one; a wider guard band and a higher
-    coverage accept fewer values too (JCGM 106:2012, 8.3).
+    Bounds, rule, guard band and coverage are compared. A guarded limit accepts fewer values than a simple one. A wider guard band
+    and a higher coverage also accept fewer values (JCGM 106:2012, 8.3).
     """
     if before is None or after is None:
         return "tightened" if before is None else "loosened"
@@ -371,7 +372,7 @@ def _sign(before: float, after: float) -> int:
 
 
 def _bound(branch: Branch, absent: float) -> float:
-    """A bound in SI."""
+    """A bound in SI units."""
     if not isinstance(branch, StatedValue) or branch.quantity is None:
         return absent
     return branch.quantity.value
@@ -381,7 +382,7 @@ def _bound(branch: Branch, absent: float) -> float:
 
 
 def _changes(place: KeyPath, a: Branch, b: Branch, rounded: list[PartChange]) -> Iterator[PartChange]:
-    """The parts in which two branches differ, as deep as both have the same form."""
+    """The parts in which two branches differ. They are compared as deep as both have the same form."""
     if isinstance(a, StatedValue) and isinstance(b, StatedValue):
         if a.content == b.content:
             return
@@ -433,7 +434,8 @@ LARGEST_ROUNDING = 1e-4
 def equal_to_rounding(a: Quantity | None, b: Quantity | None) -> bool:
     """Whether two quantities in different units are equal within half a unit of the last digit of both, as they are written.
 
-    30 deg/s and 0.5236 rad/s are; 30 deg/s and 0.52 rad/s are not (0.7 %). In one unit, every difference is one.
+    For example, 30 deg/s and 0.5236 rad/s are equal; 30 deg/s and 0.52 rad/s are not (0.7 %). In the same unit, every difference
+    counts.
     """
     if a is None or b is None or a.unit.dimension != b.unit.dimension or a.unit.text == b.unit.text:
         return False
@@ -444,7 +446,7 @@ def equal_to_rounding(a: Quantity | None, b: Quantity | None) -> bool:
 
 
 def _half_digit(quantity: Quantity) -> float:
-    """Half a unit of the last digit in which a quantity is written, in SI."""
+    """Half a unit of the last written digit of a quantity, in SI units."""
     mantissa, _, exponent = f"{quantity.unit.from_si(quantity.value):.9g}".partition("e")
     decimals = len(mantissa.partition(".")[2]) - int(exponent or 0)
     return float(0.5 * 10.0**-decimals * quantity.unit.factor)

@@ -1,11 +1,12 @@
-"""The meaning of a plan and of a bench: everything that changes what is done or learned, and nothing else.
+"""The meaning of a plan and of a bench: everything that changes what is done or measured, and nothing else.
 
-The meaning is what reading and expansion give: one entry for each segment, with inherited and default keys filled in, and quantities in
-SI-coherent units. Comments, formatting, the order of keys, the way in which a sweep is written, units, and texts for readers (title,
-description) are not part of it. Two files with the same meaning have the same canonical JSON (RFC 8785) and the same SHA-256 digest.
+The meaning is the result of reading and expansion: one entry for each segment, with inherited and default keys filled in, and
+quantities in SI-coherent units. Comments, formatting, the order of keys, the way in which a sweep is written, units, and texts for
+readers (title, description) are not part of it. Two files with the same meaning have the same canonical JSON (RFC 8785) and the
+same SHA-256 digest.
 
-Numbers are rounded to 12 significant digits, so that the conversion of units does not show. Labels are part of the meaning, because
-recordings and estimates name segments by them.
+Numbers are rounded to 12 significant digits, so that the conversion of units does not change them. Labels are part of the meaning,
+because recordings and estimates refer to segments by labels.
 """
 
 from __future__ import annotations
@@ -59,14 +60,15 @@ Branch = StatedValue | dict[str, "Branch"] | list["Branch"]
 
 @dataclass(frozen=True, slots=True)
 class Meaning:
-    """kind: `plan` or `bench`. content: the meaning by key. texts: texts for readers, which are not part of it."""
+    """The meaning of a file. kind: `plan` or `bench`. content: the meaning by key. texts: texts for readers, which are not part of
+    the meaning."""
 
     kind: str
     content: dict[str, Branch]
     texts: Mapping[str, str]
 
     def document(self) -> JsonObject:
-        """The meaning as JSON."""
+        """The meaning as a JSON document."""
         return {"planrunner_meaning": VERSION, self.kind: plain(self.content)}
 
     def canonical(self) -> bytes:
@@ -78,13 +80,13 @@ class Meaning:
         return hashlib.sha256(self.canonical()).hexdigest()
 
     def lines(self) -> Iterator[str]:
-        """The meaning line by line, for programs that compare lines of text: one value in each line, behind its path."""
+        """The meaning line by line, for programs that compare lines of text. Each line has a path and one value."""
         yield f"{self.kind} {VERSION}"
         yield from _lines("", self.content)
 
 
 def canonical_json(value: Json) -> bytes:
-    """The one form of a JSON value that RFC 8785 gives: sorted keys, no spaces, shortest numbers."""
+    """The canonical form of a JSON value by RFC 8785: sorted keys, no spaces, shortest numbers."""
     import rfc8785  # not needed by `check`
 
     return rfc8785.dumps(value)
@@ -93,7 +95,8 @@ def canonical_json(value: Json) -> bytes:
 def digest_of_plan(plan: Plan, bench: Bench | None = None) -> str:
     """SHA-256 of a plan's meaning, as 64 hexadecimal digits. Raises `InputError` for a plan with errors.
 
-    bench: the bench that the plan runs on, whose meaning then is part of the digest; without it, the digest covers the name of the bench.
+    bench: the bench on which the plan runs, whose meaning is then part of the digest. Without it, the digest covers only the name
+    of the bench.
     """
     return meaning_of_plan(plan, bench).digest()
 
@@ -132,7 +135,7 @@ def meaning_of_plan(plan: Plan, bench: Bench | None = None) -> Meaning:
 
 
 def meaning_of_bench(bench: Bench) -> Meaning:
-    """The meaning of a bench. Calibrations and asset numbers are part of it: results are traceable through them."""
+    """The meaning of a bench. Calibrations and asset numbers are part of it, because results are traceable through them."""
     content = _record(bench)
     for name in ("planrunner_bench", "description"):
         content.pop(name)
@@ -142,20 +145,22 @@ def meaning_of_bench(bench: Bench) -> Meaning:
 
 
 def procedure_of(plan: Plan) -> Meaning:
-    """The meaning of a plan apart from its bench: what an approval covers, together with the benches that it names. Raises `InputError`."""
+    """The meaning of a plan apart from its bench. An approval covers this meaning, together with the benches that it names. Raises
+    `InputError`."""
     meaning = meaning_of_plan(plan)
     return replace(meaning, content={name: part for name, part in meaning.content.items() if name != "bench"})
 
 
 def equipment_of(bench: Bench) -> Meaning:
-    """The meaning of a bench apart from the approvals that it requires: a change of the rules does not change what was approved."""
+    """The meaning of a bench apart from the approvals that it requires. A change of these rules therefore does not change what was
+    approved."""
     meaning = meaning_of_bench(bench)
     return replace(meaning, content={name: part for name, part in meaning.content.items() if name != "approvals"})
 
 
 def plain(branch: Branch) -> Json:
-    """The canonical content of a part of a meaning, as JSON. Keys without a value are left out, so that the digest of a file remains the
-    same when a later version has further keys that this file does not use."""
+    """The canonical content of a part of a meaning, as JSON. Keys without a value are omitted, so that the digest of a file stays
+    the same if a later version adds keys that this file does not use."""
     if isinstance(branch, StatedValue):
         return branch.content
     if isinstance(branch, dict):
@@ -212,7 +217,7 @@ _REST = StatedValue("rest", "rest")
 
 
 def _motion(state: State, marks: Mapping[str, Mark], log: Findings) -> Branch:
-    """The motion as the table executes it: a rate is a spin about up, and clockwise angles are negative."""
+    """The motion as the table executes it. A rate is a spin about the vertical, and clockwise angles are negative."""
     dwell = state.dwell.value if isinstance(state.dwell, Quantity) else None
     motion = motion_of(state, marks, dwell, log)
     if motion is None or isinstance(motion, Rest):
@@ -275,7 +280,7 @@ def _estimate(spec: EstimateSpec, labels: Labels, names: Sequence[str]) -> dict[
 
 
 def _selecting(spec: EstimateSpec | DiagnosisSpec, labels: Labels, names: Sequence[str]) -> dict[str, Branch]:
-    """A record that selects segments: patterns are replaced by the labels that they select."""
+    """A record that selects segments. Patterns are replaced by the labels that they select."""
     parts = _record(spec)
     if isinstance(spec.segments, Detection):
         found = _record(spec.segments)
@@ -294,7 +299,7 @@ def _selected(patterns: Sequence[str], labels: Labels, names: Sequence[str]) -> 
 
 
 def _limit(limit: Limit) -> dict[str, Branch]:
-    """A limit with its two bounds: ±x is at least −x and at most x."""
+    """A limit with its two bounds. ±x means at least −x and at most x."""
     parts = _record(limit)
     bound = None if limit.within is None else parse_symmetric(limit.within)
     parts.pop("within")
@@ -304,7 +309,7 @@ def _limit(limit: Limit) -> dict[str, Branch]:
 
 
 def _in_order(parts: Sequence[Branch]) -> list[Branch]:
-    """A list whose order has no meaning, in the order of its canonical forms."""
+    """A list whose order has no meaning, sorted by its canonical forms."""
     return sorted(parts, key=lambda part: canonical_json(plain(part)))
 
 
@@ -314,7 +319,8 @@ _NOTHING = StatedValue(None, "none")
 
 
 def _of(value: object) -> Branch:
-    """A value that a kind of the language has read. Raises `InputError` for a value of a plug-in that has no JSON form."""
+    """The meaning of a value that a kind of the language has read. Raises `InputError` for a value of a plug-in that has no JSON
+    form."""
     match value:
         case None:
             return _NOTHING
@@ -349,7 +355,7 @@ def _of(value: object) -> Branch:
 
 
 def _record(record: Record) -> dict[str, Branch]:
-    """Every key of a record with its value; keys of a plug-in stand beside the common ones, as in the file."""
+    """Every key of a record with its value. Keys of a plug-in are next to the common ones, as in the file."""
     parts: dict[str, Branch] = {}
     for name, item in keys_of(type(record)).items():
         value = getattr(record, item.name)
@@ -366,7 +372,7 @@ def _record(record: Record) -> dict[str, Branch]:
 
 @lru_cache(maxsize=4096)
 def _stated_quantity(quantity: Quantity) -> StatedValue:
-    """Plans repeat their quantities."""
+    """The meaning of a quantity. It is cached, because plans repeat their quantities."""
     return StatedValue(_quantity(quantity), str(quantity), quantity)
 
 
@@ -382,7 +388,8 @@ def _quantity(quantity: Quantity) -> JsonObject:
 
 @lru_cache(maxsize=1024)
 def _matrix(orientation: Orientation) -> Json:
-    """Rows are the sensor's axes in East-North-Up, to 12 decimals: components of unit vectors have one scale."""
+    """A matrix rounded to 12 decimals, because components of unit vectors have one scale. Rows are the sensor's axes in
+    East-North-Up."""
     if orientation.matrix is None:
         return "unknown"
     return [[round(part, DIGITS) + 0.0 for part in row] for row in orientation.matrix]

@@ -1,7 +1,7 @@
-"""Overrides of a check standard: signed statements by which a person lets runs begin on a bench that is not in control.
+"""Overrides of a check standard: signed statements by which a person allows runs to begin on a bench that is not in control.
 
-An override is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. Its subject is the SHA-256 digest of the
-canonical meaning of the bench apart from the approvals that it requires, so that an override ends with any change of the bench.
+An override is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. Its subject is the SHA-256 digest
+of the canonical meaning of the bench apart from the approvals that it requires. Any change of the bench therefore ends an override.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ OVERRIDE = "urn:planrunner:check-standard-override:v1"
 
 @dataclass(frozen=True, slots=True)
 class Overridden:
-    """What is overridden. bench: digest of its meaning; device: the check standard. until: last day."""
+    """The overridden bench and check standard. bench: digest of its meaning; device: the check standard. until: last day."""
 
     bench: str
     device: str
@@ -33,7 +33,7 @@ class Overridden:
 
 @dataclass(frozen=True, slots=True)
 class StatedOverride:
-    """A file with an override. Everything is claimed by the signer until `objection` has checked it. signed: UTC."""
+    """A file with an override. All values are claims of the signer until `objection` has checked them. signed: UTC."""
 
     envelope: Envelope
     what: Overridden
@@ -55,7 +55,8 @@ def override_envelope(what: Overridden, signer: Signer, signed: datetime) -> Env
 
 
 def read_override(data: bytes) -> StatedOverride | None:
-    """The override in a file; None if it is none as planrunner writes it. Its signature is not checked here."""
+    """Reads the override in a file; None if the file does not have the form of an override of planrunner. Its signature is not
+    checked here."""
     try:
         envelope = parse_envelope(data, PAYLOAD)
         statement = read_statement(envelope.payload, OVERRIDE)
@@ -74,9 +75,9 @@ def read_override(data: bytes) -> StatedOverride | None:
 def objection(
     one: StatedOverride, ring: KeyRing, by: str, what: Overridden, moment: datetime, day: date | None = None
 ) -> str:
-    """Why an override does not count; empty if it does. by: the person who is said to have given it, by the name in the key ring. what: the
-    present bench and check standard, and the reason that is given; its `until` is not used. moment: with a time zone; day: the date then,
-    by default in this time zone."""
+    """The reason why an override does not count; empty if it counts. by: the person who is stated to have given it, by the name in
+    the key ring. what: the present bench and check standard, and the stated reason; its `until` is not used. moment: with a time
+    zone; day: the date at that time, by default in this time zone."""
     known, day = ring.find(one.envelope.key), day or moment.date()
     if known is None:
         return f"its key {one.envelope.key} is not in the key ring"
@@ -100,8 +101,8 @@ def objection(
 def kept_objection(
     given: JsonObject, ring: KeyRing, bench: str | None, device: str, moment: datetime, day: date
 ) -> str:
-    """As `objection`, for an override that a run keeps with its signature. bench: digest of its meaning then, None if it is not compared;
-    moment, day: when the override was used."""
+    """The same as `objection`, for an override that a run keeps with its signature. bench: digest of its meaning at that time, None
+    if it is not compared; moment, day: when the override was used."""
     stated = read_override(to_bytes(given["signature"]))
     if stated is None:
         return "it is damaged"

@@ -1,8 +1,9 @@
 """The difference of the results of two runs: every coefficient with the significance of its difference.
 
-The two results of a coefficient have random errors of their own and, on the same bench, errors in common: an azimuth of the site that is
-wrong by an arc minute is wrong in both runs. A common input enters the difference with the difference of its sensitivities. With the
-contributions cᵢuᵢ of common inputs in runs 1 and 2, the standard uncertainty of the difference is
+The two results of a coefficient have their own random errors and, on the same bench, common errors. For example, an azimuth of the
+site that is wrong by an arc minute is wrong in both runs. A common input contributes to the difference in proportion to the
+difference of its sensitivities. Let cᵢuᵢ be the contributions of common inputs in runs 1 and 2. The standard uncertainty of the
+difference is then
 
     u² = u₁² + u₂² − 2·Σ (c₁ᵢuᵢ)(c₂ᵢuᵢ)                 (JCGM 100:2008, 5.2.2, equation 16, with r = 1)
 
@@ -25,8 +26,8 @@ from planrunner.uncertainty.influences import BudgetLine
 
 @dataclass(frozen=True, slots=True)
 class CoefficientDifference:
-    """One coefficient of two runs, in `unit`. difference: second minus first. common: share of the variances that is correlated,
-    2·Σ (c₁u)(c₂u)/(u₁² + u₂²). p: NaN if it cannot be computed, for example of a standard deviation; holm: p corrected for all
+    """One coefficient of two runs, in `unit`. difference: second minus first. common: correlated fraction of the variances, 2·Σ
+    (c₁u)(c₂u)/(u₁² + u₂²). p: NaN if it cannot be computed, for example for a standard deviation; holm: p corrected for all
     coefficients compared."""
 
     estimate: str
@@ -44,14 +45,16 @@ class CoefficientDifference:
 
 @dataclass(frozen=True, slots=True)
 class RunDifference:
-    """coefficients: those that both runs have. only: names that just one of the runs has, as (first, second)."""
+    """The difference between two runs. coefficients: those that both runs have. only: names that only one of the runs has, as
+    (first, second)."""
 
     coefficients: tuple[CoefficientDifference, ...]
     only: tuple[tuple[str, ...], tuple[str, ...]]
 
 
 def run_difference(before: Mapping[str, Estimate], after: Mapping[str, Estimate], same_bench: bool) -> RunDifference:
-    """The coefficients of two runs. same_bench: whether declared errors of the bench are those of the same instruments."""
+    """The differences of the coefficients of two runs. same_bench: whether the declared errors of the bench belong to the same
+    instruments."""
     found = []
     only: tuple[list[str], list[str]] = ([], [])
     for name in dict.fromkeys([*before, *after]):
@@ -76,7 +79,7 @@ Lines = Mapping[tuple[object, ...], BudgetLine]
 
 
 def _lines(estimate: Estimate, coefficient: str) -> Lines:
-    """The type B lines of a coefficient's budget that stand for one input, by what makes an input the same in two runs."""
+    """The type B rows of a coefficient's budget for single inputs. The keys identify the same input in two runs."""
     return {
         (line.quantity, line.value, line.unit, line.standard_uncertainty, line.distribution, line.source): line
         for budget in estimate.budgets
@@ -117,7 +120,7 @@ def _difference(name: str, one: Coefficient, other: Coefficient, lines: tuple[Li
 
 
 def _effective(variances: Sequence[float], freedoms: Sequence[float], total: float) -> float:
-    """Welch-Satterthwaite: ν = u⁴/Σ uᵢ⁴/νᵢ; infinite if no part has finite degrees of freedom."""
+    """Effective degrees of freedom by Welch-Satterthwaite: ν = u⁴/Σ uᵢ⁴/νᵢ; infinite if no part has finite degrees of freedom."""
     parts = [v**2 / nu for v, nu in zip(variances, freedoms, strict=True) if nu > 0 and math.isfinite(nu)]
     below = math.fsum(parts)
     return total**2 / below if below > 0 and math.isfinite(total) else math.inf

@@ -1,7 +1,7 @@
 """The private key of a bench on its computer: a file in the folder of signing keys, or a key that the running ssh-agent holds.
 
-Runs end when nobody is present, so nobody is asked for a passphrase. A key file has none, and only its owner may read it (like the host
-keys of SSH), or its passphrase is in the environment.
+Runs may end when nobody is present, so the program never asks for a passphrase. The key file has no passphrase and only its owner
+may read it (like the host keys of SSH), or its passphrase is in the environment.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def keys_folder() -> Path:
 
 
 def bench_signer(public: PublicKey) -> Signer:
-    """The private key with this public key: from the folder of signing keys, otherwise from the ssh-agent. Nothing is signed, and nobody is
-    asked. Raises `BenchKeyError` if neither has it."""
+    """The private key with this public key: from the folder of signing keys, otherwise from the ssh-agent. Nothing is signed, and
+    the user is not asked. Raises `BenchKeyError` if neither contains it."""
     found, why = _of_files(public)
     if found is not None:
         return found
@@ -54,7 +54,8 @@ def bench_signer(public: PublicKey) -> Signer:
 
 
 def new_bench_key(name: str) -> tuple[Path, PrivateKey]:
-    """A new key without a passphrase in the folder of signing keys; returns its file. Raises `InputError` and `BenchKeyError`."""
+    """Makes a new key without a passphrase in the folder of signing keys; returns its file. Raises `InputError` and
+    `BenchKeyError`."""
     folder = keys_folder()
     try:
         make_private(folder)
@@ -70,7 +71,7 @@ def new_bench_key(name: str) -> tuple[Path, PrivateKey]:
 
 
 def _of_files(public: PublicKey) -> tuple[PrivateKey | None, str]:
-    """The key from a file beside its `.pub`; None with the reason if there is none that can be used."""
+    """The key from a file next to its `.pub`; None and the reason if no key can be used."""
     folder = keys_folder()
     why = f"it is not in {folder}"
     try:
@@ -103,7 +104,7 @@ def _private(path: Path, public: PublicKey) -> PrivateKey:
 
 
 def reason(error: Exception) -> str:
-    """Why a key or a file cannot be used, in words."""
+    """The reason why a key or a file cannot be used, in words."""
     if isinstance(error, InputError):
         return error.findings[0].message
     return error.strerror or str(error) if isinstance(error, OSError) else str(error)

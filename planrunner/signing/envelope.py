@@ -1,7 +1,7 @@
 """DSSE envelopes: signed payloads with a type (https://github.com/secure-systems-lab/dsse, v1).
 
-The signature covers the pre-authentication encoding (PAE) of type and payload, so that a payload cannot be passed off as one of another
-type. One envelope has exactly one signature.
+The signature covers the pre-authentication encoding (PAE) of type and payload, so that a payload cannot be presented as a payload
+of another type. One envelope has exactly one signature.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from planrunner.signing.keys import PublicKey, Signer
 
 
 class EnvelopeError(ValueError):
-    """The text is not an envelope as planrunner writes it. The message says why."""
+    """The text is not an envelope as planrunner writes it. The message gives the reason."""
 
 
 def pae(kind: str, payload: bytes) -> bytes:
@@ -27,7 +27,7 @@ def pae(kind: str, payload: bytes) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """key: fingerprint of the key that is said to have signed; `signed_by` checks it."""
+    """An envelope. key: fingerprint of the claimed signing key; `signed_by` checks the signature."""
 
     kind: str
     payload: bytes
@@ -35,7 +35,7 @@ class Envelope:
     signature: bytes
 
     def signed_by(self, key: PublicKey) -> bool:
-        """Whether this key signed this payload as one of this type."""
+        """Whether this key signed this payload with this type."""
         return self.key == key.fingerprint and key.signed(self.signature, pae(self.kind, self.payload))
 
     def to_bytes(self) -> bytes:
@@ -45,7 +45,7 @@ class Envelope:
 
 
 def seal_envelope(kind: str, payload: bytes, signer: Signer) -> Envelope:
-    """Signs a payload of a type."""
+    """Signs a payload of the given type."""
     return Envelope(kind, payload, signer.public.fingerprint, signer.sign(pae(kind, payload)))
 
 

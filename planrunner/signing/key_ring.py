@@ -62,7 +62,7 @@ class KeyRingFile(Record):
 
 @dataclass(frozen=True, slots=True)
 class KnownKey:
-    """A key of the ring with its owner. Dates are None where the ring gives none. owner: the person, if not the name of the key."""
+    """A key of the ring with its owner. Dates are None if the ring gives none. owner: the person, if it is not the name of the key."""
 
     name: str
     public: PublicKey
@@ -74,13 +74,14 @@ class KnownKey:
 
     @property
     def person(self) -> str:
-        """Who has the key: several keys may belong to one person."""
+        """The owner of the key. Several keys may belong to one person."""
         return self.owner or self.name
 
     def objection(self, day: date) -> str:
-        """Why a signature that gives this day does not count; empty if it counts.
+        """The reason why a signature with this date does not count; empty if it counts.
 
-        The day in a signature is that of the signer's clock. It therefore cannot show that a signature is older than the revocation.
+        The date in a signature comes from the signer's clock. It therefore cannot show that a signature is older than the
+        revocation.
         """
         if self.revoked is not None:
             return f"the key was revoked on {self.revoked}"
@@ -148,7 +149,7 @@ def _day(entry: KeyEntry, name: str, log: Findings) -> date | None:
 
 
 def entry_text(name: str, public: PublicKey, roles: tuple[str, ...], until: str | None) -> str:
-    """The entry of a key, as it stands beneath `keys:` in the file of a ring."""
+    """The entry of a key, as it is written under `keys:` in the file of a ring."""
     lines = [f"  {name}:", f"    public: {public.line}"]
     if roles:
         lines.append(f"    roles: [{', '.join(roles)}]")

@@ -30,7 +30,7 @@ FEWEST_LETTERS = 8
 
 @dataclass(frozen=True, slots=True)
 class PublicKey:
-    """raw: the 32 bytes of the key (RFC 8032, 5.1.5)."""
+    """An Ed25519 public key. raw: the 32 bytes of the key (RFC 8032, 5.1.5)."""
 
     raw: bytes
 
@@ -41,7 +41,7 @@ class PublicKey:
 
     @property
     def fingerprint(self) -> str:
-        """As `ssh-keygen -l` shows it: SHA-256 of the blob in base64 without padding."""
+        """The fingerprint as `ssh-keygen -l` shows it: SHA-256 of the blob in base64 without padding."""
         return "SHA256:" + base64.b64encode(hashlib.sha256(self.blob).digest()).decode().rstrip("=")
 
     @property
@@ -84,7 +84,7 @@ class PrivateKey:
         return self._key.sign(message)
 
     def pem(self, passphrase: bytes | None) -> bytes:
-        """PKCS #8 PEM, encrypted with the passphrase if there is one."""
+        """The key as PKCS #8 PEM, encrypted with the passphrase if there is one."""
         encryption = (
             serialization.NoEncryption() if passphrase is None else serialization.BestAvailableEncryption(passphrase)
         )
@@ -92,7 +92,7 @@ class PrivateKey:
 
 
 def generate() -> PrivateKey:
-    """A new key from the random numbers of the operating system."""
+    """Makes a new key from the random numbers of the operating system."""
     return PrivateKey(Ed25519PrivateKey.generate())
 
 
@@ -105,8 +105,8 @@ def write_private(path: Path, key: PrivateKey, passphrase: bytes) -> None:
 
 
 def write_unencrypted(path: Path, key: PrivateKey) -> None:
-    """Writes a new file without a passphrase that only its owner may read: for a bench, which signs when nobody is present. Raises
-    `InputError` as `write_private`."""
+    """Writes a new key file without a passphrase that only its owner may read, for a bench that signs when nobody is present.
+    Raises `InputError` like `write_private`."""
     _write_new(path, key.pem(None))
 
 
@@ -130,7 +130,7 @@ def _write_new(path: Path, data: bytes) -> None:
 
 
 def is_encrypted(path: Path) -> bool:
-    """Whether the file holds a private key that needs a passphrase. Raises `InputError` if it cannot be read."""
+    """Whether the file contains a private key that needs a passphrase. Raises `InputError` if it cannot be read."""
     try:
         _load(_read(path), None)
     except TypeError:
@@ -163,7 +163,8 @@ def read_private(path: Path, passphrase: bytes | None) -> PrivateKey:
 
 
 def _load(data: bytes, passphrase: bytes | None) -> object:
-    """Raises TypeError if a passphrase is missing or not needed, and ValueError or UnsupportedAlgorithm for what is no such key."""
+    """Loads a private key. Raises TypeError if a passphrase is missing or not needed, and ValueError or UnsupportedAlgorithm for
+    any other data."""
     if data.startswith(b"-----BEGIN OPENSSH PRIVATE KEY-----"):
         return serialization.load_ssh_private_key(data, passphrase)
     return serialization.load_pem_private_key(data, passphrase)
@@ -219,5 +220,5 @@ def _read(path: Path) -> bytes:
 
 
 def _text(data: bytes) -> bytes:
-    """A `string` of SSH (RFC 4251, 5)."""
+    """Encodes a `string` of SSH (RFC 4251, 5)."""
     return len(data).to_bytes(4, "big") + data

@@ -1,4 +1,5 @@
-"""The passphrase of private keys in the environment. Light, so that a command line can name it without reading keys."""
+"""The passphrase of private keys in the environment. The module is small, so that a command line can use it without importing the
+code for keys."""
 
 from __future__ import annotations
 
@@ -8,6 +9,6 @@ VARIABLE = "PLANRUNNER_PASSPHRASE"
 
 
 def of_environment() -> bytes | None:
-    """None if the variable is not set."""
+    """The passphrase in the environment; None if the variable is not set."""
     text = os.environ.get(VARIABLE)
     return None if text is None else text.encode()

@@ -57,8 +57,8 @@ _FILE = re.compile(rf"([0-9]{{4}})-({'|'.join((*MEANINGS, *BENCH_MEANINGS))})\.d
 
 @dataclass(frozen=True, slots=True)
 class BenchSigning:
-    """What the run says about signatures of its bench. key: public key that the bench file names; None if it names none. name: of the
-    bench. earlier_seals: SHA-256 of the seals before the run was opened again, according to its journal."""
+    """The statements of a run about signatures of its bench. key: public key that the bench file names; None if it names none.
+    name: of the bench. earlier_seals: SHA-256 of the seals before the run was opened again, according to its journal."""
 
     key: PublicKey | None = None
     name: str = ""
@@ -66,7 +66,8 @@ class BenchSigning:
 
 
 def bench_signing(bench: bytes | None, earlier_seals: Iterable[str] = ()) -> BenchSigning:
-    """bench: text of the bench file of the run; earlier_seals: as in `BenchSigning`."""
+    """The statements of a run about its bench's signatures. bench: text of the bench file of the run; earlier_seals: as in
+    `BenchSigning`."""
     stated, name = declared(bench, "signing"), declared(bench, "name")
     text = stated.get("key") if isinstance(stated, dict) else None
     try:
@@ -77,7 +78,7 @@ def bench_signing(bench: bytes | None, earlier_seals: Iterable[str] = ()) -> Ben
 
 
 def signing_of(found: Examined) -> BenchSigning:
-    """The same of an examined run."""
+    """The same for an examined run."""
     return bench_signing(found.given.get(BENCH), () if found.state is None else found.state.earlier_seals)
 
 
@@ -85,10 +86,10 @@ def signing_of(found: Examined) -> BenchSigning:
 class RunSignature:
     """One signature of a run.
 
-    file: its name in `signatures/`. standing: `unknown key` if no key ring was given or the key is not in it; then the other values are
-    only claimed. why: the reason if it is not valid. owner: the name of the key in the ring. name, signed, comment, result: as stated by
-    the signer; signed is UTC, ISO 8601. analyses: numbers of the analyses that the signature covers. current: whether it covers the
-    present seal; a bench's signature of a seal that existed before the run was opened again does not.
+    file: its name in `signatures/`. standing: `unknown key` if no key ring was given or the key is not in it; the other values are
+    then only claims. why: the reason if it is not valid. owner: the name of the key in the ring. name, signed, comment, result: as
+    stated by the signer; signed is UTC, ISO 8601. analyses: numbers of the analyses that the signature covers. current: whether it
+    covers the present seal; a bench's signature of a seal that existed before the run was opened again does not.
     """
 
     file: str
@@ -141,7 +142,8 @@ def sign_run(
     analyses: Iterable[int] | None = None,
     storage: Storage | None = None,
 ) -> str:
-    """Signs a run that was verified as sealed and unchanged; returns the name of the new file. The caller holds the lock of the folder.
+    """Signs a run that was verified as sealed and unchanged; returns the name of the new file. The caller must hold the lock of the
+    folder.
 
     run: its name; analyses: numbers of the analyses that the signature covers, by default all. Raises `InputError` for a name or comment
     that cannot be printed, or a key that does not sign, and `OSError`.
@@ -166,14 +168,14 @@ def signatures_of(
 ) -> tuple[RunSignature, ...]:
     """All signatures of a run in the order of their numbers, each checked against the key ring and the present files.
 
-    bench: what the run says about signatures of its bench; read from its folder if it is not given. Raises `OSError`.
+    bench: statements of the run about signatures of its bench; by default read from its folder. Raises `OSError`.
     """
     bench = bench or bench_signing(folder.read(BENCH, MOST_GIVEN))
     return tuple(_examined(folder, file, ring, bench) for file in _files(folder))
 
 
 def signature_faults(folder: GuardedFolder) -> Iterator[str]:
-    """Entries of `signatures/` that are no signatures, and gaps in their numbers. Raises `OSError`."""
+    """Entries of `signatures/` that are not signatures, and gaps in their numbers. Raises `OSError`."""
     numbers = []
     if folder.entry(SIGNATURES) is None:
         return
@@ -226,7 +228,8 @@ def _examined(folder: GuardedFolder, file: str, ring: KeyRing | None, bench: Ben
 
 
 def _other_signer(claimed: RunSignature, known: KnownKey | None, *, own: bool) -> str:
-    """Why this key cannot make a signature of this meaning; empty if it can. own: whether it is the key that the bench file names."""
+    """The reason why this key cannot make a signature of this meaning; empty if it can. own: whether it is the key that the bench
+    file names."""
     bench = known is not None and BENCH_ROLE in known.roles
     if not claimed.by_bench:
         return "a person must sign it, but the key is that of a bench" if own or bench else ""
@@ -248,12 +251,12 @@ def lacking_signatures(
     analyses: Iterable[int],
     ring: KeyRing | None,
 ) -> Iterator[tuple[str, str]]:
-    """What a sealed run lacks of the signatures that its bench must make, each as code and message.
+    """Missing signatures of a sealed run that its bench must make, each as code and message.
 
-    The bench file requires signatures if it names a key. So does the key ring for a bench with a key that is valid on the day of the run:
-    a bench file that was changed therefore cannot take the requirement away, nor can the revocation of the key. made: when the run began;
-    analyses: their numbers. An analysis may instead be covered by the signature of a person, who may evaluate a run elsewhere; with a key
-    ring, the person must be in it.
+    The bench file requires signatures if it names a key. The key ring also requires them if it contains a key of the bench that is
+    valid on the day of the run. Neither a changed bench file nor the revocation of the key can therefore remove the requirement.
+    made: when the run began; analyses: their numbers. An analysis may instead be covered by the signature of a person, who may
+    evaluate a run elsewhere; with a key ring, the person must be in it.
     """
     day = made.date()
     expected = [one for one in ([] if ring is None else _benches(ring)) if one.person == bench.name]
@@ -285,7 +288,8 @@ def _with(claimed: RunSignature, standing: SignatureStanding, why: str, owner: s
 
 
 def _read(file: str, envelope: Envelope) -> tuple[dict[str, str], RunSignature, str]:
-    """Subjects, claims and name of the run of an envelope. Raises ValueError, KeyError or TypeError for any other form."""
+    """Reads the subjects, the claims and the name of the run from an envelope. Raises ValueError, KeyError or TypeError for any
+    other form."""
     value = read_statement(envelope.payload, PREDICATE)
     listed = [(one["name"], one["digest"]["sha256"]) for one in value["subject"]]
     predicate = value["predicate"]
@@ -311,10 +315,11 @@ def _read(file: str, envelope: Envelope) -> tuple[dict[str, str], RunSignature, 
 
 
 def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], run: str, *, earlier: bool) -> str:
-    """What differs between the signed digests and the present files; empty if nothing does. Later analyses and signatures may exist.
+    """Differences between the signed digests and the present files; empty if there are none. Later analyses and signatures may
+    exist.
 
-    earlier: it covers a seal of before the run was opened again. The journal contains the digest of this seal, so that seal and journal
-    then need not be the present ones.
+    earlier: whether it covers a seal from before the run was opened again. The journal contains the digest of this seal, so that
+    seal and journal then need not be the present ones.
     """
     try:
         present = _subjects(folder, before=file)
@@ -339,8 +344,8 @@ def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], r
 def _subjects(
     folder: GuardedFolder, before: str | None = None, analyses: Iterable[int] | None = None
 ) -> dict[str, str]:
-    """File → SHA-256 of everything that a signature covers. before: leave out this signature and those after it; analyses: their numbers,
-    by default all. Raises `OSError`."""
+    """Maps each file that a signature covers to its SHA-256 digest. before: this signature and all later ones are omitted;
+    analyses: their numbers, by default all. Raises `OSError`."""
     limits = {
         RUN: MOST_GIVEN,
         PLAN: MOST_GIVEN,

@@ -1,4 +1,5 @@
-"""The time stamps of a run, verified: what they stamp, by whose certificate, and whether the times of the journal agree with them.
+"""Verifies the time stamps of a run: what they stamp, whose certificate they use, and whether the times of the journal agree with
+them.
 
 A stamp shows that the stamped events existed at its time. The event `stamped` that follows contains the digest of the stamp, so it and all
 later events were written after that time. Between two stamps, the times of the events are therefore bounded on both sides.
@@ -31,9 +32,9 @@ StampStanding = Literal["valid", "unknown authority", "invalid"]
 
 @dataclass(frozen=True, slots=True)
 class RunStamp:
-    """One time stamp of a run. events: number of events in the stamped journal; None for a stamp of the seal. time: of the authority,
-    UTC, ISO 8601; empty if it cannot be read. standing: `unknown authority` if only the certificate in the run's own bench file verifies
-    it. why: the reason if it is not valid."""
+    """One time stamp of a run. events: number of events in the stamped journal; None for a stamp of the seal. time: time of the
+    authority, UTC, ISO 8601; empty if it cannot be read. standing: `unknown authority` if only the certificate in the run's own
+    bench file verifies it. why: the reason if it is not valid."""
 
     file: str
     events: int | None
@@ -46,7 +47,7 @@ class RunStamp:
 
 
 def declared_stamps(found: Examined) -> Mapping[str, Json] | None:
-    """The key `time_stamps` in the bench file of a run, as it stands there; None if there is none, or if the file cannot be read."""
+    """The key `time_stamps` in the bench file of a run, as it is written; None if there is none, or if the file cannot be read."""
     told = declared(found.given.get(BENCH), "time_stamps")
     return told if isinstance(told, dict) else None
 
@@ -62,7 +63,7 @@ def stamped_seals(folder: GuardedFolder) -> set[str]:
 
 
 def verify_stamps(found: Examined, given: StampAuthority | None) -> tuple[RunStamp, ...]:
-    """All time stamps of an examined run; what is wrong with them becomes findings of `found`. given: the authority that the verifier
+    """Verifies all time stamps of an examined run. Faults become findings of `found`. given: the authority that the verifier
     trusts. Raises `OSError`."""
     mark, stated = Mark(str(found.folder.path)), declared_stamps(found)
     own = _stated_authority(stated)
@@ -99,7 +100,7 @@ def _stated_authority(stated: Mapping[str, Json] | None) -> StampAuthority | Non
 
 
 def _check_files(found: Examined, names: tuple[StampName, ...]) -> None:
-    """Reports entries of the folder that are no stamps, and gaps in their numbers."""
+    """Reports entries of the folder that are not stamps, and gaps in their numbers."""
     if found.folder.entry(FOLDER) is None:
         return
     within, known = found.folder.folder(FOLDER), {one.file for one in names}
@@ -138,7 +139,7 @@ def _verified(found: Examined, name: StampName, authority: StampAuthority | None
 
 
 def _subject_fault(found: Examined, name: StampName, stamped: str) -> tuple[str, str]:
-    """What is wrong with the digest in a stamp, as code and message; both empty if nothing is."""
+    """The fault of the digest in a stamp, as code and message; both are empty if there is none."""
     if found.scan is None or found.state is None:
         return "", ""
     if name.events is None:
@@ -153,7 +154,7 @@ def _subject_fault(found: Examined, name: StampName, stamped: str) -> tuple[str,
 
 
 def _time_fault(found: Examined, name: StampName, moment: datetime) -> tuple[str, str]:
-    """Whether what is stamped is dated after its stamp."""
+    """The fault if the stamped data are dated after their stamp."""
     if found.scan is None:
         return "", ""
     stated = found.scan.times.get(name.events) if name.events is not None else None
@@ -165,7 +166,7 @@ def _time_fault(found: Examined, name: StampName, moment: datetime) -> tuple[str
 
 
 def _check_record(found: Examined, stamps: Mapping[str, RunStamp]) -> None:
-    """Checks the stamps that the journal names, and that what follows a stamp is not dated before it."""
+    """Checks the stamps that the journal names, and checks that no event after a stamp is dated before it."""
     assert found.state is not None
     for event in found.state.stamped:
         path, place = found.folder.path / FOLDER / event["file"], f"{found.folder.path / JOURNAL}:{event['seq']}"
@@ -187,7 +188,7 @@ def _check_record(found: Examined, stamps: Mapping[str, RunStamp]) -> None:
 
 
 def _check_seal(found: Examined, stamps: tuple[RunStamp, ...]) -> None:
-    """Whether the present seal is stamped, and when."""
+    """Checks whether the present seal is stamped, and when."""
     assert found.state is not None
     mark = Mark(str(found.folder.path))
     if found.seal is None or not found.state.finished:

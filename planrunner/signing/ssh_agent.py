@@ -1,4 +1,5 @@
-"""Signing with an Ed25519 key of a running ssh-agent (draft-ietf-sshm-ssh-agent, sections 3.5 and 3.6). The private key stays in it."""
+"""Signing with an Ed25519 key of a running ssh-agent (draft-ietf-sshm-ssh-agent, sections 3.5 and 3.6). The private key stays in
+the agent."""
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ class AgentKey:
 
 
 def holds(key: PublicKey) -> bool:
-    """Whether the agent at SSH_AUTH_SOCK lists this key (section 3.5). It is not asked to sign."""
+    """Whether the agent at SSH_AUTH_SOCK lists this key (section 3.5). It does not request a signature."""
     try:
         reply = _answer(bytes([LIST_REQUEST]), LISTING)
     except InputError:
@@ -58,7 +59,7 @@ def _listed(data: bytes) -> Iterator[bytes]:
 
 def _answer(request: bytes, patience: float) -> bytes:
     """The reply of the agent, without its length; empty if it is too long. Raises `InputError` if there is no agent or it does not
-    answer. patience: in s."""
+    answer. patience: longest time to wait, s."""
     path = os.environ.get("SSH_AUTH_SOCK", "")
     if not path or sys.platform == "win32":
         hint = "start ssh-agent and add the key with ssh-add"

@@ -1,4 +1,4 @@
-"""Stamping a journal while it grows: requests go to the authority in a thread of their own, so that a run never waits for it."""
+"""Stamps a journal while it grows. A separate thread sends the requests to the authority, so that a run never waits for it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""in-toto Statements v1 (https://in-toto.io/Statement/v1) in canonical JSON (RFC 8785): what signatures and approvals state."""
+"""in-toto Statements v1 (https://in-toto.io/Statement/v1) in canonical JSON (RFC 8785): the content of signatures and approvals."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ MOST_LETTERS = 200
 
 
 def payload_of(value: Json) -> bytes:
-    """Canonical JSON (RFC 8785)."""
+    """The payload as canonical JSON (RFC 8785)."""
     import rfc8785
 
     return rfc8785.dumps(value)
 
 
 def read_statement(payload: bytes, predicate: str) -> JsonObject:
-    """The statement in a payload. predicate: its only accepted type. Raises ValueError or KeyError for anything else, also if it is not
-    written canonically."""
+    """The statement in a payload. predicate: its only accepted type. Raises ValueError or KeyError for any other content, also if
+    it is not in canonical form."""
     value = from_bytes(payload)
     if not isinstance(value, dict) or payload_of(value) != payload:
         raise ValueError
@@ -34,12 +34,13 @@ def read_statement(payload: bytes, predicate: str) -> JsonObject:
 
 
 def printable_line(text: str) -> bool:
-    """Whether a text can be printed as one line that looks like what it is."""
+    """Whether a text can be printed as one line without misleading characters."""
     return text.isprintable() and not MISLEADING.search(text)
 
 
 def require_line(where: str, what: str, text: str, least: int = 0) -> None:
-    """Raises `InputError` for a text that cannot be printed as one line. where: the file that is signed; least: fewest characters."""
+    """Raises `InputError` for a text that cannot be printed as one line. where: the file that is signed; least: smallest permitted
+    number of characters."""
     if not least <= len(text.strip()) or len(text) > MOST_LETTERS or not printable_line(text):
         message = f"the {what} must be one line of printable text with at most {MOST_LETTERS} characters"
         raise InputError.at(Mark(where), "sign-text", message, "shorten it, or correct it")

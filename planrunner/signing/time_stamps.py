@@ -33,19 +33,19 @@ PATIENCE = 10.0
 
 
 class StampError(ValueError):
-    """There is no time stamp, or it is not valid. The message says why."""
+    """A time stamp is missing or not valid. The message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class StampAuthority:
-    """Certificates that stamps are verified with: of the authority, or of its root and of those in between. revocations: lists of revoked
-    certificates, each signed by one of these certificates."""
+    """Certificates that verify stamps: those of the authority, or those of its root and of the intermediate authorities.
+    revocations: lists of revoked certificates, each signed by one of these certificates."""
 
     certificates: tuple[x509.Certificate, ...]
     revocations: tuple[x509.CertificateRevocationList, ...] = ()
 
     def __reduce__(self) -> tuple[Callable[[bytes, bytes], StampAuthority], tuple[bytes, bytes]]:
-        """Certificates of the library cannot be sent to another process as they are."""
+        """Makes the object picklable, because certificates of the library cannot be sent to another process."""
         certificates, lists = (
             b"".join(one.public_bytes(Encoding.PEM) for one in some) for some in (self.certificates, self.revocations)
         )
@@ -93,7 +93,8 @@ _NOT_COMPROMISED = (
 
 
 def _require_not_revoked(reply: TimeStampResponse, moment: datetime, authority: StampAuthority) -> None:
-    """Raises `StampError` if the certificate of the signer, or one that issued it, was revoked so that a stamp of this time is invalid."""
+    """Raises `StampError` if the certificate of the signer, or a certificate that issued it, was revoked in a way that makes a
+    stamp of this time invalid."""
     known = {*authority.certificates, *map(x509.load_der_x509_certificate, reply.signed_data.certificates)}
     signers = {(one.issuer, one.serial_number) for one in reply.signed_data.signer_infos}
     chain = [one for one in known if (one.issuer, one.serial_number) in signers]
@@ -136,7 +137,8 @@ def stamped_digest(token: bytes) -> str:
 
 
 def request_stamp(url: str, data: bytes, digest: str, authority: StampAuthority) -> tuple[bytes, datetime]:
-    """A new time stamp of some data with this SHA-256 digest: the reply of the authority, verified, and its time. Raises `StampError`."""
+    """Requests a new time stamp of data with this SHA-256 digest. Returns the reply of the authority, verified, and its time.
+    Raises `StampError`."""
     query = TimestampRequestBuilder().data(data).hash_algorithm(HashAlgorithm.SHA256).build()
     request = urllib.request.Request(url, data=query.as_bytes(), headers={"Content-Type": QUERY})
     try:

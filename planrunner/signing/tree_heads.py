@@ -19,8 +19,8 @@ SIGNED = "head.dsse.json"
 
 @dataclass(frozen=True, slots=True)
 class RememberedHead:
-    """A tree head from a file. key: fingerprint of the key that is said to have signed it, empty if it is not signed; owner: the name of
-    this key in the key ring if the signature is valid; why: what is wrong with the signature, empty if nothing is known to be."""
+    """A tree head from a file. key: fingerprint of the claimed signing key, empty if it is not signed; owner: the name of this key
+    in the key ring if the signature is valid; why: the fault of the signature, empty if none is known."""
 
     head: TreeHead
     key: str = ""
@@ -49,7 +49,7 @@ def signed_head(log: RunLog, ring: KeyRing | None) -> RememberedHead | None:
 
 
 def remembered_head(data: bytes, path: Path, ring: KeyRing | None) -> RememberedHead:
-    """The tree head in a file, signed or not. Raises `IntegrityError` if it is none."""
+    """The tree head in a file, signed or not. Raises `IntegrityError` if the file does not contain a tree head."""
     if b'"payloadType"' not in data:
         return RememberedHead(parse_head(data, path))
     try:
