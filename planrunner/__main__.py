@@ -1,4 +1,4 @@
-"""`python -m planrunner`, and the command `planrunner`: signals are listened to before anything is imported that takes time."""
+"""The command `planrunner`, also as `python -m planrunner`. It handles signals before it imports anything slow."""
 
 # Of `signal` the part that is built in: importing the rest takes milliseconds in which Ctrl-C would be a traceback.
 import _signal  # type: ignore[import-not-found,unused-ignore]
@@ -7,7 +7,7 @@ import sys
 
 
 def main() -> int:
-    """The command of a process. Returns the exit code."""
+    """Runs the command of a process. Returns the exit code."""
     _end_at_once()
     from planrunner.base.interruption import Interruption, leave_with
 
@@ -27,7 +27,7 @@ def main() -> int:
 
 
 def _end_at_once() -> None:
-    """While nothing has begun, a signal ends the process without more ado."""
+    """Ends the process at once on a signal, while nothing has begun."""
     for name in ("SIGINT", "SIGTERM"):
         number = getattr(_signal, name)
         if _signal.getsignal(number) != _signal.SIG_IGN:

@@ -1,1 +1,1 @@
-"""What every package may use: findings, plug-ins, compiled kernels, locks, guarded files and folders, shipped files."""
+"""Parts that every package may use: findings, plug-ins, compiled kernels, locks, guarded files and folders, shipped files."""

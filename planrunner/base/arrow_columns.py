@@ -1,7 +1,7 @@
-"""Columns of numbers between numpy and pyarrow, without pandas.
+"""Converts columns of numbers between numpy and pyarrow without pandas.
 
-Where pandas is installed, pyarrow's own ways from and to numpy import it, to look for its types: half a second of every command that
-reads or writes samples. Buffers and DLPack go without.
+If pandas is installed, pyarrow's own conversions to and from numpy import it to look for its types. This costs half a second in
+every command that reads or writes samples. Conversions by buffers and DLPack do not import it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def column(values: NDArray[np.float64]) -> pa.Array:
-    """A `pyarrow.Array` of numbers (n,), which it shares where they lie one after the other."""
+    """Makes a `pyarrow.Array` of numbers (n,). It shares the memory of contiguous numbers."""
     import pyarrow as pa
 
     whole = np.ascontiguousarray(values, dtype=np.float64)
@@ -25,5 +25,5 @@ def column(values: NDArray[np.float64]) -> pa.Array:
 
 
 def numbers(values: pa.Array) -> NDArray[np.float64]:
-    """The numbers (n,) of a `pyarrow.Array` of 64-bit floats, NaN where one is missing; they may be read-only."""
+    """The numbers (n,) of a `pyarrow.Array` of 64-bit floats, NaN for missing ones. The array may be read-only."""
     return np.asarray(np.from_dlpack(values.fill_null(math.nan) if values.null_count else values), dtype=np.float64)

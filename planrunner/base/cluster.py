@@ -1,11 +1,11 @@
 """Work on many items on a Dask cluster (https://distributed.dask.org).
 
-A task is one item, or several if they take less than a moment. A worker computes one item at a time, with one thread of linear algebra, in
-the working directory of this process. If a worker is lost, Dask computes its items again on another one. Only a limited number of items is
-on the cluster at a time, so that neither the scheduler nor this process keeps all of them.
+A task consists of one item, or of several if each takes very little time. A worker computes one item at a time, with one thread of
+linear algebra, in the working directory of this process. If a worker is lost, Dask computes its items again on another one. Only a
+limited number of items is on the cluster at a time, so that neither the scheduler nor this process keeps all of them.
 
-Before it computes, a worker checks that its program and libraries are the same as here, because otherwise last digits may differ. The check
-belongs to each item: workers may join at any time.
+Before it computes, a worker checks that its program and libraries are the same as here, because otherwise the last digits may
+differ. The check is part of each item, because workers may join at any time.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _SCHEDULER = "--scheduler"
 
 @dataclass(frozen=True, slots=True)
 class _Terms:
-    """What holds for each item. versions: of the program and the libraries. directory: the working directory."""
+    """Conditions that apply to each item. versions: of the program and the libraries. directory: the working directory."""
 
     versions: Mapping[str, str]
     directory: str
@@ -62,8 +62,8 @@ class _Terms:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """The results of the items of a task up to the first one that failed, and the exception of that one; or why the worker cannot compute.
-    seconds: of computing. unfit: name → (here, there)."""
+    """The answer to a task: the results of its items up to the first one that failed, and the exception of that item; or the reason
+    why the worker cannot compute. seconds: computing time. unfit: name → (here, there)."""
 
     results: tuple[object, ...] = ()
     error: Exception | None = None
@@ -75,7 +75,7 @@ class _Answer:
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """What the digits of a result depend on: the program (digest of its source), Python and the numerical libraries."""
+    """Everything on which the digits of a result depend: the program (digest of its source), Python and the numerical libraries."""
     import platform
     from importlib import metadata
 
@@ -129,26 +129,26 @@ def computed_on_cluster(
 
 
 def _size(answer: _Answer) -> int:
-    """Number of items that make a task of a good length, by the time that those of an answer took."""
+    """Number of items that makes a task of suitable length, from the computing time of earlier answers."""
     each = answer.seconds / max(1, len(answer.results))
     return max(1, min(_MOST_OF_A_TASK, int(_TASK_LASTS / each))) if each > 0 else _MOST_OF_A_TASK
 
 
 def _packed(work: Callable[[T], R]) -> bytes:
-    """The work for the workers alone: the scheduler would otherwise import its modules and keep its data."""
+    """Packs the work so that only the workers unpack it. The scheduler would otherwise import its modules and keep its data."""
     import cloudpickle
 
     return bytes(cloudpickle.dumps(work))
 
 
 def _paths(items: Sequence[object]) -> tuple[str, ...]:
-    """The files and folders that exist here, among the items and their parts."""
+    """The existing files and folders among the items and their parts."""
     parts = (part for item in items for part in (item if isinstance(item, tuple) else (item,)))
     return tuple(str(part) for part in parts if isinstance(part, Path) and part.exists())
 
 
 def _compute(packed: bytes, terms: _Terms, items: Sequence[T], paths: Sequence[str] = ()) -> _Answer:
-    """On a worker: the items of a task. paths: the worker must see them."""
+    """Computes the items of a task; runs on a worker. paths: paths that the worker must see."""
     own = versions()
     unfit = {
         name: (one, own.get(name, "not installed")) for name, one in terms.versions.items() if own.get(name) != one
@@ -183,7 +183,8 @@ def _unpacked(packed: bytes) -> Callable[[object], object]:
 
 @contextlib.contextmanager
 def _in_directory(path: str) -> Iterator[bool]:
-    """In the working directory of the command: relative paths then mean the same, also in messages. Gives whether the worker has it."""
+    """Changes to the working directory of the command, so that relative paths have the same meaning, also in messages. Yields
+    whether the worker has this directory."""
     before, there = os.getcwd(), False
     with contextlib.suppress(OSError):
         os.chdir(path)
@@ -202,7 +203,7 @@ def _name() -> str:
 
 @contextlib.contextmanager
 def _connected(address: str) -> Iterator[Client]:
-    """A client of the scheduler, which has a worker. Raises `InputError`."""
+    """Connects a client to the scheduler, which must have a worker. Raises `InputError`."""
     try:
         from distributed import Client
     except ImportError:
@@ -218,7 +219,7 @@ def _connected(address: str) -> Iterator[Client]:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its reports of lost connections are messages below
 
     class Closed(Client):  # type: ignore[misc,unused-ignore]
-        """Is closed below; a client that was never connected would try to close itself for 20 s."""
+        """A client whose closing is handled below. A client that was never connected would otherwise try to close itself for 20 s."""
 
         def __del__(self) -> None:
             pass
@@ -245,15 +246,15 @@ def _connected(address: str) -> Iterator[Client]:
 
 
 def _knock(address: str) -> None:
-    """Connects to an address once: Dask repeats a connection that is refused until its time is up. Raises `OSError` or ValueError."""
+    """Connects to an address once, because Dask repeats a refused connection until its time-out. Raises `OSError` or ValueError."""
     parts = urlsplit(address)
     if parts.scheme in ("tcp", "tls"):
         socket.create_connection((parts.hostname or "", parts.port or 0), timeout=ANSWER_WITHIN).close()
 
 
 def _answer_of(future: Future[_Answer], address: str) -> _Answer:
-    """Raises `ProcessEndedError` if the item cannot be computed because workers or the scheduler end, and `InputError` for workers without
-    planrunner."""
+    """The answer of a task. Raises `ProcessEndedError` if the item cannot be computed because workers or the scheduler end, and
+    `InputError` for workers without planrunner."""
     from concurrent.futures import CancelledError
 
     from distributed import KilledWorker

@@ -1,9 +1,9 @@
 """`dataclass` as in the standard library, but four times as fast to create.
 
-Reading and checking a plan needs about 180 records. The standard library compiles six functions for each, which took a third of the time of
-`check`. Here only `__init__` is compiled, once for all records of the same form; comparison, hashing, representation and the refusal of
-changes are closures over the field names.
-For readers, type checkers, `fields`, `replace`, `asdict`, `copy` and `pickle` there is no difference.
+Reading and checking a plan needs about 180 records. The standard library compiles six functions for each, which took a third of the
+time of `check`. Here only `__init__` is compiled, once for all records of the same form. Comparison, hashing, representation and
+the refusal of changes are closures over the field names. For readers, type checkers, `fields`, `replace`, `asdict`, `copy` and
+`pickle` there is no difference.
 """
 
 from __future__ import annotations
@@ -85,7 +85,8 @@ def _made(
 
 @contextmanager
 def _thawed(bases: list[Any]) -> Iterator[None]:
-    """The standard library requires subclasses of a frozen dataclass to be frozen by the standard library."""
+    """Lets a subclass be frozen. The standard library requires subclasses of a frozen dataclass to be frozen by the standard
+    library too."""
     frozen = [base.__dataclass_params__ for base in bases if base.__dataclass_params__.frozen]
     try:
         for params in frozen:
@@ -98,8 +99,9 @@ def _thawed(bases: list[Any]) -> Iterator[None]:
 
 @contextmanager
 def _untyped(given: type) -> Iterator[dict[str, object]]:
-    """The annotations of a class, which are replaced meanwhile: the standard library searches each text three times for words that only
-    `_SPECIAL` annotations have. Empty where there is such a word, which the standard library then finds."""
+    """Temporarily removes the annotations of a class. The standard library searches each annotation three times for words that only
+    the annotations in `_SPECIAL` contain. If an annotation contains such a word, nothing is removed, and the standard library finds
+    it."""
     kinds = get_annotations(given)
     if any(word in kind for kind in map(str, kinds.values()) for word in _SPECIAL):
         yield {}
@@ -118,7 +120,8 @@ def _write(made: Any, name: str, function: Any) -> None:
 
 
 def _initialiser(made: Any, found: tuple[dataclasses.Field[Any], ...], frozen: bool) -> Any:
-    """`__init__`, the one function that is compiled: once for all records of the same form, whose fields then get their names."""
+    """Makes `__init__`, the only compiled function. It is compiled once for all records of the same form and then gets the names of
+    their fields."""
     names: dict[str, object] = {"absent": dataclasses.MISSING}
     slots = {
         item.name: own for item in found if isinstance(own := getattr(made, item.name, None), MemberDescriptorType)

@@ -15,16 +15,16 @@ COMMAND = contextlib.ExitStack()
 
 
 class HeldError(Exception):
-    """Another process, or another lock of this one, holds the file. The message is the note of the holder."""
+    """Another process, or another lock of this one, holds the file. The message is the note that the holder left."""
 
 
 class ExclusiveFile:
     """A lock on `path`, held from creation to `release`. The file is created if absent.
 
-    note: who holds the lock and why, shown to others who want it. mode: permissions of a new file. opened: descriptor of the file if the
-    caller has opened it; it is closed with the lock. Raises `HeldError` if the lock is held, and `OSError` if the file cannot be opened or
-    is not a regular file with exactly one name. In a folder that all users may write to, a link would make the lock overwrite another
-    user's file, and opening a pipe could wait for ever.
+    note: who holds the lock and why; it is shown to others who request the lock. mode: permissions of a new file. opened:
+    descriptor of the file if the caller has already opened it; it is closed with the lock. Raises `HeldError` if the lock is held,
+    and `OSError` if the file cannot be opened or is not a regular file with exactly one name. These checks matter in a folder that
+    all users may write to: a link would make the lock overwrite another user's file, and opening a pipe could wait for ever.
     """
 
     def __init__(self, path: Path, note: str = "", mode: int = 0o644, *, opened: int | None = None):
@@ -64,8 +64,8 @@ NO_LINK = open_flags("O_NOFOLLOW", "O_NONBLOCK", "O_NOCTTY")
 
 
 def _open(path: Path, mode: int) -> int:
-    """Tries to open without creating: in a shared folder a system may refuse to create an existing file of another user, but allow opening
-    it."""
+    """Opens the file. It first tries to open without creating, because in a shared folder a system may refuse to create an existing
+    file of another user, but allow opening it."""
     with contextlib.suppress(FileNotFoundError):
         _hold(os.lstat(path), path)
         try:
@@ -91,7 +91,7 @@ def _held(descriptor: int, path: Path) -> int:
 
 
 def _hold(known: os.stat_result, path: Path) -> None:
-    """Raises `OSError` unless it is a regular file with exactly one name."""
+    """Checks the opened file. Raises `OSError` unless it is a regular file with exactly one name."""
     if stat.S_ISLNK(known.st_mode):
         raise OSError(errno.ELOOP, "it is a symbolic link", str(path))
     if not stat.S_ISREG(known.st_mode) or known.st_nlink > 1:
@@ -113,7 +113,7 @@ def _leave_note(descriptor: int, note: str) -> None:
 
 
 def _read_note(descriptor: int) -> str:
-    """Removes terminal control characters, because another user may have written the note."""
+    """Reads the note without terminal control characters, because another user may have written it."""
     with contextlib.suppress(OSError):
         os.lseek(descriptor, NOTE_AT, os.SEEK_SET)
         text = os.read(descriptor, LONGEST_NOTE).decode("utf-8", "replace").strip()

@@ -20,7 +20,7 @@ _KINDS: tuple[tuple[int, FileKind], ...] = (
 
 
 def open_flags(*names: str) -> int:
-    """The flags of `os.open` with these names, such as O_NOFOLLOW; those that this system lacks are left out."""
+    """The flags of `os.open` with these names, such as O_NOFOLLOW. Flags that this system lacks are omitted."""
     flags = 0
     for name in names:
         flags |= getattr(os, name, 0)
@@ -28,6 +28,6 @@ def open_flags(*names: str) -> int:
 
 
 def file_kind(status: os.stat_result) -> FileKind:
-    """The kind of what `os.stat` looked at; "a link" only where the link itself was looked at."""
+    """The kind of a file from the result of `os.stat`; "a link" only if the link itself was examined."""
     kind = stat.S_IFMT(status.st_mode)
     return next((word for number, word in _KINDS if number == kind), "something else")

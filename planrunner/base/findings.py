@@ -1,4 +1,4 @@
-"""Findings: what is wrong with a file, where, and what to do about it.
+"""Findings: faults of a file, their places and their remedies.
 
 Every check of a plan or bench adds to one `Findings` list, so that a quality engineer sees all of them in one run. The codes are documented
 in `docs/findings.md`; a test checks that none is missing there.
@@ -56,7 +56,7 @@ COMMAND_LINE = Mark("<command line>")
 class Finding:
     """One finding. `str()` gives its line on the terminal, without the hint.
 
-    cause: the error that this one follows from; such a finding is kept but not shown.
+    cause: the error from which this finding follows; such a finding is kept but not shown.
     """
 
     mark: Mark
@@ -84,7 +84,7 @@ class Finding:
 class Findings:
     """A growing list of findings. Identical findings are kept once.
 
-    Iteration gives the findings to show in the order of the file, without those that follow from another error in the list.
+    Iteration yields the findings to show in the order of the file, without those that follow from another error in the list.
     """
 
     items: list[Finding] = field(default_factory=list)
@@ -113,9 +113,10 @@ class Findings:
 
     @contextmanager
     def resting_on(self, *parts: Mark) -> Iterator[None]:
-        """Findings added inside assume that these parts are correct. They follow from the first error that one of the parts has on entry.
+        """A context in which added findings assume that these parts are correct. Such findings are consequences of the first error
+        that one of the parts has when the context is entered.
 
-        A check therefore runs after the checks of the parts that it depends on. A part may also be the mark of a known error.
+        A check must therefore run after the checks of the parts on which it depends. A part may also be the mark of a known error.
         """
         before = self._cause
         self._cause = before or self.error_in(*parts)
@@ -161,7 +162,7 @@ class InputError(Exception):
 
     @classmethod
     def of_usage(cls, message: str, hint: str) -> InputError:
-        """The error for arguments of a command that do not fit together."""
+        """The error for contradictory arguments of a command."""
         return cls.at(COMMAND_LINE, "command-usage", message, hint)
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -202,7 +203,7 @@ def closest(word: str, known: Iterable[str]) -> str:
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The known word that a misspelt word most likely means; None if none is close."""
+    """The known word that a misspelt word probably means; None if no word is close."""
     return _nearest(word[:80], tuple(sorted(known)))
 
 

@@ -1,4 +1,4 @@
-"""A folder opened once. All access is relative to the open folder, and nothing in it can lead elsewhere.
+"""A folder that is opened once. All access is relative to the open folder, and no entry can lead to another place.
 
 A run folder may come from an untrusted source and may change while it is read. Therefore links in it are not followed. Only regular files
 with exactly one name are opened, no pipes or devices, and nothing larger than the caller allows. A name is a single path component, so no
@@ -64,8 +64,8 @@ class Entry:
 
 
 class GuardedFolder:
-    """An open folder. path: its name, for messages. All methods take one name, not a path, and raise `OSError`: `NotOrdinaryError` for an
-    entry that is not a plain file or folder. ValueError for a name that is a path.
+    """An open folder. path: its name, for messages. All methods take one name, not a path, and raise `OSError`: `NotOrdinaryError`
+    for an entry that is not a plain file or folder. They raise ValueError for a name that is a path.
 
     The folder is closed by `close` or when the object is deleted.
     """
@@ -78,7 +78,7 @@ class GuardedFolder:
 
     @classmethod
     def open(cls, path: Path) -> GuardedFolder:
-        """The folder that a user named. `path` itself may contain links. Raises `OSError`."""
+        """Opens a folder that the user named. `path` itself may contain links. Raises `OSError`."""
         if not RELATIVE:
             status = os.stat(path)
             if not stat.S_ISDIR(status.st_mode):
@@ -118,7 +118,7 @@ class GuardedFolder:
     # -- folders -----------------------------------------------------------------------------------------------------
 
     def folder(self, name: str) -> GuardedFolder:
-        """A folder in this one."""
+        """Opens a folder in this folder."""
         path = self.path / _plain(name)
         self._check_place()
         entry = _entry(self._status(name))
@@ -147,7 +147,7 @@ class GuardedFolder:
     # -- files -------------------------------------------------------------------------------------------------------
 
     def open_file(self, name: str, limit: int) -> BufferedReader:
-        """A file of at most `limit` bytes, opened for reading."""
+        """Opens a file of at most `limit` bytes for reading."""
         return os.fdopen(self._open(name, _READ, limit), "rb")
 
     def read(self, name: str, limit: int) -> bytes:
@@ -159,11 +159,11 @@ class GuardedFolder:
         return data
 
     def open_existing(self, name: str) -> FileIO:
-        """A file opened for reading and writing, unbuffered, at its beginning."""
+        """Opens a file for reading and writing, unbuffered, at its beginning."""
         return FileIO(self._open(name, _WRITE, None), "r+")
 
     def open_new(self, name: str) -> FileIO:
-        """A new file opened for writing, unbuffered. A previous entry of that name is removed, not followed."""
+        """Opens a new file for writing, unbuffered. A previous entry of that name is removed, not followed."""
         self._check_place()
         where = self._at(_plain(name))
         flags = _WRITE | os.O_CREAT | os.O_EXCL | _NEVER
@@ -175,8 +175,8 @@ class GuardedFolder:
         return FileIO(descriptor, "w")
 
     def open_or_make(self, name: str, mode: int = 0o644) -> int:
-        """A descriptor of a file opened for reading and writing, or only for reading if it may not be written. The file is created if
-        absent."""
+        """A descriptor of a file that is opened for reading and writing, or only for reading if it may not be written. The file is
+        created if it does not exist."""
         where = self._at(_plain(name))
         with contextlib.suppress(FileNotFoundError):
             try:
@@ -190,7 +190,7 @@ class GuardedFolder:
         return self._open(name, _WRITE, None)
 
     def replace(self, source: str, target: str) -> None:
-        """Rename a file to `target`, replacing an existing file."""
+        """Renames a file to `target`, replacing an existing file."""
         self._check_place()
         os.replace(
             self._at(_plain(source)),
@@ -200,7 +200,7 @@ class GuardedFolder:
         )
 
     def rename(self, source: str, target: str) -> None:
-        """Rename a file or folder. Refused if `target` is a file or a folder that is not empty."""
+        """Renames a file or folder. It is refused if `target` is a file or a folder that is not empty."""
         self._check_place()
         os.rename(
             self._at(_plain(source)),
@@ -210,27 +210,28 @@ class GuardedFolder:
         )
 
     def remove(self, name: str) -> None:
-        """Remove a file; a link is removed, not what it leads to. Nothing happens when there is none."""
+        """Removes a file. A link is removed, not its target. If there is none, nothing happens."""
         self._check_place()
         with contextlib.suppress(FileNotFoundError):
             os.unlink(self._at(_plain(name)), dir_fd=self._descriptor)
 
     def sync(self) -> None:
-        """Wait until the names in the folder are on the disk. Windows writes them itself and offers no call for it."""
+        """Waits until the names in the folder are on the disk. Windows writes them itself and offers no call for it."""
         if self._descriptor is not None:
             os.fsync(self._descriptor)
 
     # -- how it is guarded -------------------------------------------------------------------------------------------
 
     def _at(self, name: str) -> str:
-        """A name as system calls need it: relative to the open folder, or with the path of the folder if none can be opened."""
+        """A name in the form that system calls need: relative to the open folder, or with the path of the folder if no folder can
+        be opened."""
         return name if self._descriptor is not None else str(self.path / name)
 
     def _status(self, name: str) -> os.stat_result:
         return os.stat(self._at(name), dir_fd=self._descriptor, follow_symlinks=False)
 
     def _check_place(self) -> None:
-        """Without an open folder: checks that the folder at the path is still the same."""
+        """Checks that the folder at the path is still the same, if no folder is open."""
         if self._descriptor is None and _identity(os.stat(self.path)) != self._identity:
             raise NotOrdinaryError(self.path, "the folder was replaced by another while it was in use")
 

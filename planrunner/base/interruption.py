@@ -1,4 +1,4 @@
-"""Ending a command by a signal at any time: a short line on standard error and exit code 130, never a traceback.
+"""Ends a command on a signal at any time: a short line on standard error and exit code 130, never a traceback.
 
 Ctrl-C, SIGTERM and a closed terminal raise a `KeyboardInterrupt`, so that files being written stay complete. During a run the executor
 handles signals itself (`execution.stopping`). While modules are imported or objects are released, Python may print such an exception and
@@ -67,7 +67,7 @@ class Interruption:
         self._restore.clear()
 
     def tell(self) -> int:
-        """Print what ended the command and return the exit code."""
+        """Prints the signal that ended the command and returns the exit code."""
         with contextlib.suppress(OSError, ValueError, AttributeError):  # standard error may be closed
             print(self.reason or "interrupted", file=sys.stderr, flush=True)
         return INTERRUPTED
@@ -90,7 +90,7 @@ class Interruption:
             self._within_hook = False
 
     def _interrupt(self, raised: int) -> None:
-        """Interrupts until the exception has been raised once more than before."""
+        """Raises the interruption again until the exception was raised once more than before."""
         while True:
             time.sleep(AGAIN_AFTER)
             if self._raised > raised or not self._listening:
@@ -110,7 +110,7 @@ def leave_with(code: int) -> None:
 
 
 def be_deaf() -> None:
-    """For a process that must outlive the signals that end planrunner."""
+    """Ignores the signals that end planrunner, for a process that must outlive them."""
     for number in signals(ENDING):
         signal.signal(number, signal.SIG_IGN)
 
@@ -122,5 +122,5 @@ def _main_thread() -> int:
 
 
 def signals(names: Sequence[str]) -> list[signal.Signals]:
-    """The signals with these names; those that this system lacks are left out."""
+    """The signals with these names. Signals that this system lacks are omitted."""
     return [signal.Signals[name] for name in names if name in signal.Signals.__members__]

@@ -3,8 +3,8 @@
 Built-in and third-party plug-ins are found in the same way; another distribution cannot take the name of a built-in one. Names are known
 without importing anything; the module of a plug-in is imported when its name is used.
 
-The project's own entry points are read from the file in which its installation lists them. `importlib.metadata`, which reads those of all
-distributions and imports 28 further modules, is used for other names.
+The project's own entry points are read from the file in which its installation lists them. For other names, `importlib.metadata` is
+used. It reads the entry points of all distributions and imports 28 further modules.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class _Selectable(Protocol):
 
 @cache
 def _installed() -> _Selectable:
-    """The entry points of all installed distributions; finding them reads files of every distribution."""
+    """The entry points of all installed distributions. Finding them requires reading files of every distribution."""
     from importlib.metadata import entry_points
 
     return entry_points()
@@ -46,13 +46,13 @@ def _installed() -> _Selectable:
 
 @lru_cache(maxsize=8)
 def _own(group: str) -> dict[str, str]:
-    """Name → place (`module:attribute`) of the project's own, from one file."""
+    """Maps each name to the place (`module:attribute`) of the project's own plug-in, from one file."""
     return {name: place for where, name, place in _entries() if where == group}
 
 
 @cache
 def _entries() -> tuple[tuple[str, str, str], ...]:
-    """Group, name and place of each of the project's own; empty if it is not installed."""
+    """Group, name and place of each of the project's own plug-ins; empty if the project is not installed."""
     for folder in sys.path:
         try:
             for name in filter(_INFO.fullmatch, os.listdir(folder or ".")):
@@ -90,7 +90,7 @@ def _table(group: str) -> dict[str, str]:
 
 
 def _found(place: str) -> object:
-    """What stands at `module:attribute`; extras in brackets after it have no meaning here."""
+    """The object at `module:attribute`. Extras in brackets after it are ignored."""
     module, _, attribute = place.partition("[")[0].strip().partition(":")
     return reduce(getattr, attribute.split("."), import_module(module))
 
@@ -102,7 +102,7 @@ def names(group: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=256)
 def load(group: str, name: str) -> Any:
-    """The plug-in of a name. Raises `InputError` if it is unknown, cannot be imported, or lacks what its group requires."""
+    """Loads the plug-in with this name. Raises `InputError` if it is unknown, cannot be imported, or lacks what its group requires."""
     place = _own(group).get(name) or _table(group).get(name)
     if place is None:
         raise InputError.at(

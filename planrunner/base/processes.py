@@ -1,8 +1,8 @@
-"""Work on many items that several processes share.
+"""Distributes work on many items over several processes.
 
-The items are distributed before the processes start, and each process sends all its results at once when it is done. Therefore no process
-waits for another one. If the first process is killed, the others end after their share. If another one is killed, its pipe closes, which
-is an error in the first process and never a wait without end.
+The items are distributed before the processes start, and each process sends all its results together when it has finished.
+Therefore no process waits for another. If the first process is killed, the others end after their share. If another one is killed,
+its pipe closes. This is an error in the first process, never an endless wait.
 
 A process is a fork where that is safe: on Linux, while this process has a single thread. It then has everything that this process has
 imported and computed. Elsewhere it is a new interpreter, which takes as long to start as many items.
@@ -31,7 +31,7 @@ _PAYS = {"fork": 4, "spawn": 64}
 
 
 class ProcessEndedError(Exception):
-    """A process that shared the work ended before it was done, for example because the memory is used up."""
+    """A process that shared the work ended before it had finished, for example because the memory was exhausted."""
 
 
 def processors() -> int:
@@ -46,10 +46,10 @@ def shared_out(
 ) -> list[R]:
     """The results of `work` for all items, in their order.
 
-    work: a function of a module, or a `partial` of one, whose argument and result can be pickled. jobs: number of processes, this one
-    included; None: as many as the processors allow and the number of items is worth. tell: called in this process after each item of its
-    share, with the part of the share that is done, 0 to 1. Exceptions of `work` are raised here, that of the first such item. Raises
-    `ProcessEndedError`.
+    work: a function of a module, or a `partial` of one, whose argument and result can be pickled. jobs: number of processes
+    including this one; None: as many as the processors allow and the number of items justifies. tell: called in this process after
+    each item of its share, with the completed fraction of the share, 0 to 1. Exceptions of `work` are raised here; if there are
+    several, the exception of the first such item. Raises `ProcessEndedError`.
     """
     tell = tell or _untold
     method = "fork" if _may_fork() else "spawn"
@@ -74,7 +74,7 @@ def shared_out(
 
 
 def _untold(_: float) -> None:
-    """For work whose progress nobody follows."""
+    """Does nothing; for work without a display of progress."""
 
 
 def _up_to_a_failure(work: Callable[[T], R], share: Sequence[T], tell: Callable[[float], None] = _untold) -> list[R]:
@@ -131,7 +131,7 @@ class _Started(Generic[T, R]):
         self._answer.close()
 
     def results(self) -> list[R]:
-        """Those of its share, up to the first item on which the work failed. Raises `ProcessEndedError`."""
+        """The results of its share, up to the first item that failed. Raises `ProcessEndedError`."""
         try:
             found: list[R] = self._answer.recv()
         except (EOFError, OSError):
@@ -144,7 +144,7 @@ class _Started(Generic[T, R]):
 
 
 def _do(end: Connection, work: Callable[[T], R], share: Sequence[T]) -> None:
-    """The work of another process."""
+    """Does the work of a further process."""
     _leave_ctrl_c_to_the_first_process()
     results = _up_to_a_failure(work, share)
     with contextlib.suppress(BrokenPipeError):  # the first process was killed
@@ -154,7 +154,7 @@ def _do(end: Connection, work: Callable[[T], R], share: Sequence[T]) -> None:
 
 @contextlib.contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """Lets a process start with the signals blocked that end a command, so that none meets the handlers of this one there."""
+    """Blocks the signals that end a command while a process starts, so that the handlers of this process do not run in the new one."""
     if sys.platform == "win32":
         yield
         return
@@ -166,7 +166,7 @@ def _signals_held_back() -> Iterator[None]:
 
 
 def _leave_ctrl_c_to_the_first_process() -> None:
-    """Ctrl-C in a terminal reaches all processes; the first one ends the others."""
+    """Ignores Ctrl-C. In a terminal it reaches all processes, and the first process ends the others."""
     for number in signals(ENDING):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signal.SIG_IGN if number == signal.SIGINT else signal.SIG_DFL)

@@ -1,4 +1,4 @@
-"""Progress of a long pass over data: the work, the part that is done, and the time left at the pace so far."""
+"""Progress of a long pass over data: the work, the completed fraction, and the time left at the present pace."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ now = monotonic
 
 @dataclass(frozen=True, slots=True)
 class Underway:
-    """what: the work, such as "checking long.csv". fraction: completed part, 0 to 1. time_left: s of real time."""
+    """A report of progress. what: the work, such as "checking long.csv". fraction: completed part, 0 to 1. time_left: s of real
+    time."""
 
     what: str
     fraction: float
@@ -30,15 +31,15 @@ Announce = Callable[[Underway], None]
 
 
 class Pace:
-    """Announces work on a known amount of data, such as rows. A callback that raises is not called again, because a display must not end
-    the work."""
+    """Reports progress of work on a known amount of data, such as rows. A callback that raises is not called again, because a
+    display must not end the work."""
 
     def __init__(self, what: str, amount: float, notice: Announce | None):
         self._what, self._amount, self._notice = what, amount, notice
         self._began = self._shown = now()
 
     def reached(self, amount: float) -> None:
-        """The amount that is done; called often. Announces it if that is due."""
+        """Sets the amount that is done; it may be called often. Reports it if a report is due."""
         if self._notice is None or amount <= 0 or self._amount <= 0:
             return
         time = now()

@@ -1,4 +1,4 @@
-"""Opening files named by the user: a regular file within a size limit, or a refusal with the reason.
+"""Opens files that the user names: a regular file within a size limit, or a refusal with the reason.
 
 Everything that planrunner reads (plans, benches, templates, recordings, run folders) is opened here. A pipe without a writer would block
 the program for ever, `/dev/zero` would fill the memory, and opening a device can move an instrument. The kind of a file is therefore
@@ -21,7 +21,8 @@ _NO_LINK = open_flags("O_NOFOLLOW")
 
 
 class RefusedFileError(Exception):
-    """A file that is refused. kind: the reason in a word; str(): the reason as a sentence without the file name; hint: what to do."""
+    """A file that is refused. kind: the reason in one word; str(): the reason as a sentence without the file name; hint: the
+    remedy."""
 
     def __init__(self, kind: Refusal, message: str, hint: str):
         super().__init__(message)
@@ -37,9 +38,9 @@ def open_regular(
 ) -> BinaryIO:
     """A regular file, open for reading from its beginning.
 
-    limit: largest size in bytes, None if the reader sets its own limit. folder: descriptor of the open folder that `path` is relative to,
-    where the system supports it (`os.open in os.supports_dir_fd`). links: whether the last component may be a symbolic link. Raises
-    `RefusedFileError`, never `OSError`.
+    limit: largest size in bytes, None if the reader sets its own limit. folder: descriptor of the open folder to which `path` is
+    relative, if the system supports it (`os.open in os.supports_dir_fd`). links: whether the last component may be a symbolic link.
+    Raises `RefusedFileError`, never `OSError`.
     """
     try:
         _hold(os.stat(path, dir_fd=folder, follow_symlinks=links), limit)

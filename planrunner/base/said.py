@@ -54,7 +54,7 @@ class Said(str):
         return value if isinstance(value, int) else 0
 
     def to_json(self) -> JsonObject:
-        """The text, and what is needed to say it in another language."""
+        """The text as JSON data, with its template and values for translation."""
         if not self.template:
             return {"text": str(self)}
         values = {name: _value_to(value) for name, value in self.values.items()}
@@ -67,7 +67,7 @@ class Said(str):
 
     @classmethod
     def from_json(cls, data: Json) -> Said:
-        """What `to_json` wrote, or a plain text. Raises ValueError, KeyError or TypeError for anything else."""
+        """Reads the data of `to_json`, or a plain text. Raises ValueError, KeyError or TypeError for anything else."""
         if isinstance(data, str):
             return cls(data)
         if "template" not in data:
@@ -79,22 +79,22 @@ class Said(str):
 def said(template: str, /, **values: Inserted) -> Said:
     """The template with the values inserted. `{name}` inserts a value, `{name:.3g}` a number with this format; `{{` is a brace.
 
-    Raises ValueError for a template that states something else, and KeyError for a name without a value."""
+    Raises ValueError for a template that uses other features, and KeyError for a name without a value."""
     return _made(template, "", values)
 
 
 def counted(one: str, many: str, /, count: int, **values: Inserted) -> Said:
-    """As `said`, with the first template if `count` is 1, otherwise the second; both may contain `{count}`."""
+    """The same as `said`, with the first template if `count` is 1, otherwise the second. Both may contain `{count}`."""
     return _made(one, many, {COUNT: count, **values})
 
 
 def formats(template: str) -> dict[str, str]:
-    """The names in a template, each with its format. Raises ValueError for a template that states something else."""
+    """The names in a template, each with its format. Raises ValueError for a template that uses other features."""
     return {name: form for _, name, form in _pieces(template) if name is not None}
 
 
 def filled(template: str, shown: Mapping[str, str]) -> str:
-    """The template with these texts for its names."""
+    """The template with the given texts in place of its names."""
     return "".join(text + ("" if name is None else shown[name]) for text, name, _ in _pieces(template))
 
 
@@ -110,7 +110,7 @@ def _english(value: Inserted, form: str) -> str:
 
 @lru_cache(maxsize=1024)
 def _pieces(template: str) -> tuple[tuple[str, str | None, str], ...]:
-    """Text, and the name and the format of the value that follows it; no name after the last text."""
+    """Splits a template: each text, with the name and the format of the value after it. After the last text there is no name."""
     found: list[tuple[str, str | None, str]] = []
     for text, name, form, conversion in Formatter().parse(template):
         if name is not None and (not name.isidentifier() or conversion or not _FORMAT.fullmatch(form or "")):

@@ -17,5 +17,5 @@ def shipped(folder: str) -> Path:
 
 
 def shipped_bytes(folder: str, name: str) -> bytes:
-    """A file of one of these folders, byte for byte."""
+    """The bytes of a file in one of these folders."""
     return (shipped(folder) / name).read_bytes()

@@ -1,9 +1,10 @@
 """Checks that only the user and the administrator can change a folder, along its whole path.
 
-planrunner keeps compiled code and locks outside the folders that it is given, and no other user must be able to plant them: cached code is
-executed when it is read, and a link in place of a lock file makes planrunner write elsewhere. Therefore every folder from the root down,
-and every link on the way, must belong to the user or the administrator and must not be writable by others. A folder that all users may
-write to is accepted if it has the sticky bit, as `/tmp` has. Access control lists count too, because POSIX shows them in the group bits.
+planrunner keeps compiled code and locks outside the folders that it is given. No other user may be able to place files there,
+because cached code is executed when it is read, and a link in place of a lock file would redirect writes. Therefore every folder
+from the root down, and every link on the way, must belong to the user or the administrator and must not be writable by others. A
+folder that all users may write to is accepted if it has the sticky bit, as `/tmp` has. Access control lists count too, because
+POSIX shows them in the group bits.
 
 Windows has no such bits. There only the system's data folders for the user or for all users are accepted (`user_data`, `computer_data`);
 their access control lists give the same protection. No folder below them may be a link or a junction.
@@ -47,8 +48,8 @@ def trusted(folder: Path, user: int | None = None) -> Path:
 
 
 def trusted_within(folder: Path, user: int | None = None) -> None:
-    """Apply the same rule to everything in a trusted folder: only folders and files of the user, no links. Raises `UntrustedFolderError`
-    and `OSError`."""
+    """Applies the same rule to everything in a trusted folder: only folders and files of the user, no links. Raises
+    `UntrustedFolderError` and `OSError`."""
     user = this_user() if user is None else user
     reachable = bool(folder.lstat().st_mode & OTHERS_ENTER)
     for place, folders, files in os.walk(folder, onerror=_raise):
@@ -64,8 +65,8 @@ def trusted_within(folder: Path, user: int | None = None) -> None:
 
 
 def hold(path: Path, known: os.stat_result, user: int, *, reachable: bool = True) -> None:
-    """Raises `UntrustedFolderError` for an entry that belongs to another user or that others may write to. reachable: whether others can
-    reach it."""
+    """Checks one entry. Raises `UntrustedFolderError` if it belongs to another user or if others may write to it. reachable:
+    whether others can reach it."""
     if sys.platform == "win32":
         return
     if known.st_uid not in (user, ADMINISTRATOR):
@@ -77,19 +78,19 @@ def hold(path: Path, known: os.stat_result, user: int, *, reachable: bool = True
 
 
 def make_private(folder: Path) -> None:
-    """Make a folder, and those above it that are missing, for the user alone. Raises `OSError`."""
+    """Makes a folder, and missing folders above it, for the user alone. Raises `OSError`."""
     for path in (*reversed(folder.parents), folder):
         if not path.exists():
             path.mkdir(mode=0o700, exist_ok=True)
 
 
 def computer_data() -> Path:
-    """Windows: the system's data folder for all users, independent of environment variables."""
+    """The system's data folder for all users on Windows, independent of environment variables."""
     return _known_folder(0x23)
 
 
 def user_data() -> Path:
-    """Windows: the system's folder for this user's local data, independent of environment variables."""
+    """The system's folder for this user's local data on Windows, independent of environment variables."""
     return _known_folder(0x1C)
 
 

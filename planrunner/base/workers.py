@@ -1,7 +1,7 @@
-"""Where independent pieces of work are computed: in this process, in processes of this machine, or on a Dask cluster.
+"""The place where independent items of work are computed: this process, processes of this machine, or a Dask cluster.
 
-The results do not depend on where: `work` is a pure function of one item, random numbers come from the item and not from the worker, and
-results come in the order of the items. `processes` and `cluster` are the two backends.
+The results do not depend on the place: `work` is a pure function of one item, random numbers come from the item and not from the
+worker, and results are in the order of the items. `processes` and `cluster` are the two backends.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """jobs: processes of this machine, this one included; None: as many as pay. scheduler: address of a Dask scheduler, which is used
-    instead, such as `tcp://10.0.0.5:8786`. Every worker of the cluster must see the paths among the items under the same names."""
+    """Where to compute. jobs: number of processes of this machine, including this one; None: as many as the work justifies.
+    scheduler: address of a Dask scheduler, which is used instead, such as `tcp://10.0.0.5:8786`. Every worker of the cluster must
+    see the paths among the items under the same names."""
 
     jobs: int | None = None
     scheduler: str | None = None
@@ -40,9 +41,9 @@ def results_of(
 ) -> list[R]:
     """The results of `work` for all items, in their order.
 
-    work: a function of a module, or a `partial` of one, whose argument and result can be pickled. tell: called with the part that is done,
-    0 to 1. Exceptions of `work` are raised here, that of the first such item. Raises `ProcessEndedError` if workers end before the work is
-    done, and `InputError` if the cluster cannot be used.
+    work: a function of a module, or a `partial` of one, whose argument and result can be pickled. tell: called with the completed
+    fraction, 0 to 1. Exceptions of `work` are raised here; if there are several, the exception of the first such item. Raises
+    `ProcessEndedError` if workers end before the work is done, and `InputError` if the cluster cannot be used.
     """
     if workers.scheduler is None:
         return shared_out(work, items, workers.jobs, tell)
@@ -52,7 +53,8 @@ def results_of(
 def results_in_order(
     work: Callable[[T], R], items: Sequence[T], workers: Workers, tell: Callable[[float], None] | None = None
 ) -> Iterator[R]:
-    """As `results_of`, but each result is handed on as soon as those before it are, so that never all of them are kept."""
+    """The same as `results_of`, but each result is passed on as soon as all earlier ones are available, so that not all of them are
+    in memory."""
     if workers.scheduler is not None:
         from planrunner.base.cluster import computed_on_cluster
 

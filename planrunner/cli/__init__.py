@@ -1,4 +1,4 @@
-"""The command line: one module per command, with only arguments, progress and printing.
+"""The command line: one module for each command, with only arguments, progress and printing.
 
 A command's module is imported when the command is used, so that `check` stays quick. Every failure ends here as a message and an exit code:
 0 done, 1 a limit failed or the data do not give an estimate, 2 the input is wrong, 3 a fault during execution, 4 integrity, 130 ended by a
@@ -99,13 +99,13 @@ def _main(arguments: list[str]) -> int:
 
 @dataclass(slots=True)
 class AnswerForm:
-    """Requested form of the output. json: pure JSON on standard output, including errors."""
+    """Form of the output that the user requests. json: pure JSON on standard output, including errors."""
 
     json: bool
 
 
 class _Parser(argparse.ArgumentParser):
-    """With JSON output, wrong usage is a finding; otherwise argparse prints it."""
+    """An argument parser. With JSON output, wrong usage is a finding; otherwise argparse prints it."""
 
     asked = AnswerForm(False)
 
@@ -118,7 +118,8 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _fail(error: Exception, *, as_json: bool) -> int:
-    """Print the failure as text on standard error and, on request, as a list of findings on standard output. Returns the exit code."""
+    """Prints the failure as text on standard error and, on request, as a list of findings on standard output. Returns the exit
+    code."""
     from planrunner.cli.failures import failure_of
     from planrunner.cli.printing import print_json
 
@@ -131,7 +132,7 @@ def _fail(error: Exception, *, as_json: bool) -> int:
 
 
 def _let_go_of_output() -> None:
-    """Discard output that could not be written, so that the interpreter does not try again when it ends."""
+    """Discards output that could not be written, so that the interpreter does not try again when it ends."""
     try:
         sys.stdout.flush()
     except (OSError, ValueError, AttributeError):
@@ -140,14 +141,15 @@ def _let_go_of_output() -> None:
 
 
 def _print_anything() -> None:
-    """Characters that the terminal's encoding lacks, such as °, are shown as codes instead of ending the command."""
+    """Makes the output accept all characters. Characters that the terminal's encoding lacks, such as °, are shown as codes instead
+    of ending the command."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def _imported(name: str) -> ModuleType:
-    """Import a module and its dependencies. Garbage collection is off meanwhile, because modules are permanent."""
+    """Imports a module and its dependencies. Garbage collection is off meanwhile, because modules are permanent."""
     collecting = gc.isenabled()
     gc.disable()
     try:

@@ -135,7 +135,7 @@ def _lines(item: JudgedApproval) -> list[str]:
 
 
 def _show(prepared: PreparedApproval, statement: str) -> None:
-    """What is to be signed, on standard error; warnings of the check first."""
+    """Shows the approval to be signed, on standard error, after the warnings of the check."""
     from planrunner.reporting.words import duration
     from planrunner.review.approvals import DECLARED
 
@@ -177,7 +177,7 @@ def _show_last(prepared: PreparedApproval) -> None:
 
 
 def _ask() -> None:
-    """Raises `InputError` unless the reviewer agrees at the terminal."""
+    """Asks for consent. Raises `InputError` unless the reviewer agrees at the terminal."""
     if sys.stdin is None or not sys.stdin.isatty():
         message = "there is no terminal to confirm the approval at"
         raise InputError.at(COMMAND_LINE, "approval-unconfirmed", message, "read what is printed above, then add --yes")

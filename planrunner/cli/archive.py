@@ -1,4 +1,4 @@
-"""`planrunner archive`: copies sealed runs to an archive on object storage, and from there."""
+"""`planrunner archive`: copies sealed runs to and from an archive on object storage."""
 
 from __future__ import annotations
 

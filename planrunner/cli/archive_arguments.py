@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 def folder_argument(text: str, *, anew: bool = False) -> Path:
-    """A folder of runs or a run. A URL is copied when the command line is read (`archive.remote`): commands read local folders only. anew:
-    copy also what has not changed since an earlier copy."""
+    """A folder of runs or a run. A URL is copied when the command line is read (`archive.remote`): commands read local folders
+    only. anew: whether to copy even files that have not changed since an earlier copy."""
     if "://" not in text:
         return Path(text)
     from planrunner.archive.remote import fetched
@@ -31,7 +31,7 @@ def folder_argument(text: str, *, anew: bool = False) -> Path:
 
 
 def folder_to_verify(text: str) -> Path:
-    """As `folder_argument`, but a URL is copied anew, because an older copy says nothing about what is there now."""
+    """The same as `folder_argument`, but a URL is always copied again, because an older copy does not show the present state."""
     return folder_argument(text, anew=True)
 
 
@@ -77,7 +77,7 @@ def add_index(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def opened_index(args: argparse.Namespace, archive: Path) -> Iterator[Index]:
-    """The index, up to date."""
+    """The updated index."""
     from planrunner.cli.progress import reading_progress
     from planrunner.tasks.history import Freshness, opened
 
@@ -89,7 +89,7 @@ def opened_index(args: argparse.Namespace, archive: Path) -> Iterator[Index]:
 
 
 def report_left_out(faults: Sequence[FaultRow]) -> int:
-    """Name the damaged runs that a command leaves out, on standard error. Returns the exit code that follows from them."""
+    """Lists on standard error the damaged runs that a command omits. Returns the resulting exit code."""
 
     for fault in faults:
         print_line(f"not in the index: {fault.folder}: {fault.message}", sys.stderr)

@@ -1,5 +1,5 @@
-"""`planrunner bench`: the shipped benches and the installed instrument drivers; whether the instruments of a bench answer, and whether its
-check standard is in control."""
+"""`planrunner bench`: lists the shipped benches and the installed instrument drivers; checks whether the instruments of a bench
+answer, and whether its check standard is in control."""
 
 from __future__ import annotations
 

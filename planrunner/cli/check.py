@@ -1,4 +1,4 @@
-"""`planrunner check`: all findings of one or more plans or suites, then the expected results of each sound plan."""
+"""`planrunner check`: shows all findings of one or more plans or suites, then the expected results of each sound plan."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """What is printed for a plan. summary: empty for `--json`."""
+    """The output for a plan. summary: empty for `--json`."""
 
     findings: tuple[Finding, ...]
     ok: bool
@@ -88,7 +88,8 @@ class _Answer:
 
 
 def _answer_elsewhere(args: argparse.Namespace, today: date, files: tuple[Path, Path | None]) -> _Answer | None:
-    """On a worker of a cluster: None if this computer does not decide it. files: the plan, and the bench that was given."""
+    """Checks a plan on a worker of a cluster. None if the result depends on the computer. files: the plan, and the bench if one was
+    given."""
     plan, _ = files
     if is_suite(plan):
         return None  # its plans are shared
@@ -130,15 +131,15 @@ def add_parameter(parser: argparse.ArgumentParser) -> None:
 
 
 def sound_plan(plan: str, bench: str | None, parameters: Sequence[str] = ()) -> Sound:
-    """A plan that passes its checks, its warnings printed. Raises `InputError` with the errors."""
+    """A plan that passes its checks. Its warnings are printed. Raises `InputError` with the errors."""
     sound = check_plan(Path(plan), bench=bench, parameters=parameters_of(parameters)).sound()
     print_findings(sound.findings)
     return sound
 
 
 def summary(checked: Checked, looked_over: bool = True) -> str:
-    """Summary: whether the plan is sound, its duration, and the expected uncertainties. looked_over: whether a played-back recording was
-    examined too."""
+    """A summary: whether the plan is sound, its duration, and the expected uncertainties. looked_over: whether a recording that is
+    played back was examined too."""
     errors, warnings = (
         sum(finding.severity == severity for finding in checked.findings) for severity in ("error", "warning")
     )

@@ -1,4 +1,5 @@
-"""`planrunner close`: diagnose, enter the effects found into the simulation, simulate and compare, until no named cause is left."""
+"""`planrunner close`: diagnoses, enters the effects found into the simulation, simulates and compares, until no named cause
+remains."""
 
 from __future__ import annotations
 

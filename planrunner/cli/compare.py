@@ -1,4 +1,4 @@
-"""`planrunner compare`: the coefficients of several runs side by side."""
+"""`planrunner compare`: shows the coefficients of several runs side by side."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""`planrunner design`: better positions or rates for a plan on its bench, with the bound that no design can exceed; or a better
-rotation cycle.
+"""`planrunner design`: finds better positions or rates for a plan on its bench, with the bound that no design can exceed; or a
+better rotation cycle.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def _show(study: Study) -> None:
 
 
 def _write(args: argparse.Namespace, study: Study) -> None:
-    """Write the page and the plan, if requested."""
+    """Writes the page and the plan, if requested."""
     out = sys.stderr if args.json else sys.stdout
     if args.html is not None:
         from planrunner.reporting.study_page import render_page
@@ -146,7 +146,7 @@ def _seconds(text: str | None) -> float | None:
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
-    """One line per stage on standard error if the search takes longer than a moment."""
+    """Prints one line for each stage on standard error if the search takes longer than a moment."""
     if quiet:
         yield None
         return

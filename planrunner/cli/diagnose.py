@@ -1,5 +1,5 @@
-"""`planrunner diagnose`: where recording and simulation differ, which effect explains it, how much the gap shrinks, and what to measure
-next."""
+"""`planrunner diagnose`: shows where recording and simulation differ, which effect explains the difference, how much the gap
+shrinks, and what to measure next."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
 
 
 def add_nominal(parser: argparse.ArgumentParser) -> None:
-    """The terms that the simulation fits."""
+    """The arguments for the terms that the simulation fits."""
     parser.add_argument(
         "--nominal",
         metavar="TERM",
@@ -173,7 +173,7 @@ def _compared(made: Diagnosed, simulation: str | None) -> JsonObject:
 
 
 def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
-    """Write the plan and the bench with the named effects, where they are asked for. Returns what to print about them."""
+    """Writes the plan and the bench with the named effects, if requested. Returns the lines to print about them."""
     asked = [path for path in (args.write_plan, args.write_bench) if path is not None]
     if asked and not made.diagnosis.verdict.effects:
         return [f"No effect is named: {path} is not written." for path in asked]
@@ -189,7 +189,7 @@ def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
 
 
 def options_of(nominal: list[str] | None) -> DiagnosisOptions | None:
-    """The requested options; None: as stated in the plan."""
+    """The requested options. None: the options of the plan."""
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
     from planrunner.gap.hypotheses.candidates import FULL
 
@@ -223,7 +223,7 @@ def recorded_of(args: argparse.Namespace, notice: Announce | None) -> Recorded:
 
 
 def _next(args: argparse.Namespace, found: JsonObject) -> str:
-    """Write the proposed plan to the file given by --next or next to the page, and enter its path in the diagnosis."""
+    """Writes the proposed plan to the file given by --next or next to the page, and enters its path in the diagnosis."""
     following = found["next"]
     if following is None:
         return ""
@@ -255,7 +255,7 @@ def context_of(made: Diagnosed, found: JsonObject, next_plan: str) -> DiagnosisC
 
 
 def _given(found: JsonObject) -> dict[str, str]:
-    """The effects that were known to act, as a fact of the page; none without them."""
+    """The effects that were known to act, as a fact for the page; empty without such effects."""
     fitted = dict.fromkeys(f"{one['effect']} (fitted)" for one in found["given"]["fitted"])
     stated = [
         f"{name} = {', '.join(filter(None, (f'{key} {text}'.strip() for key, text in values.items())))}"
@@ -266,7 +266,7 @@ def _given(found: JsonObject) -> dict[str, str]:
 
 
 def _show(context: DiagnosisContext) -> None:
-    """Print the answer, then the tables that support it."""
+    """Prints the answer, then the tables that support it."""
     from planrunner.reporting import diagnosis_page, terminal
     from planrunner.reporting.verdict import stamp
 

@@ -1,4 +1,4 @@
-"""`planrunner diagnose RUN RUN …`: whether the device, the bench or the occasion causes what the runs show."""
+"""`planrunner diagnose RUN RUN …`: determines whether the device, the bench or the occasion causes the effects in the runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`planrunner diff`: how two plans, benches or runs differ in meaning, and what follows from it."""
+"""`planrunner diff`: shows how two plans, benches or runs differ in meaning, and the consequences."""
 
 from __future__ import annotations
 
@@ -70,7 +70,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _textconv(path: Path) -> int:
-    """A file that is no sound plan is printed as it is, because git needs some text of every version."""
+    """Prints the meaning of a file for git. A file that is not a sound plan is printed unchanged, because git needs some text of
+    every version."""
     from planrunner.plan import source
     from planrunner.tasks.diff import meaning_of_file
 

@@ -1,5 +1,5 @@
-"""A command on several run folders: each is processed separately, the exit code is the highest, and JSON is a list with one entry per
-run."""
+"""Applies a command to several run folders: each is processed separately, the exit code is the highest, and JSON is a list with one
+entry for each run."""
 
 from __future__ import annotations
 
@@ -33,12 +33,13 @@ class Done:
 
 
 def add_runs(parser: argparse.ArgumentParser, kind: Callable[[str], Path] = Path) -> None:
-    """Adds RUN [RUN …] for commands without other positional arguments. kind: makes a path of an argument."""
+    """Adds RUN [RUN …] for commands without other positional arguments. kind: converts an argument to a path."""
     parser.add_argument("runs", metavar="RUN", nargs="+", type=kind, help="one or more run folders")
 
 
 def run_folders(given: Sequence[Path]) -> list[Path]:
-    """The given folders without those that hold the nights of an archive, which a pattern such as `runs/*` contains; a note names them."""
+    """The given folders without those that contain the nights of an archive. A pattern such as `runs/*` includes these; a note
+    names them."""
     nights = [] if len(given) < 2 else [folder for folder in given if holds_nights(folder)]
     for folder in nights:
         print_line(f"note: {folder} is skipped: it holds the records of nights, not a run", sys.stderr)
@@ -87,8 +88,9 @@ def each_result(
     as_json: bool,
     last: Callable[[], Done | None] | None = None,
 ) -> int:
-    """As `each_run`, for work that prints nothing and that workers can share: a function of a module, or a `partial` of one. show: prints a
-    result, in the order of the runs. what: of the progress. last: gives what concerns all runs together, which is the last entry."""
+    """The same as `each_run`, for work that prints nothing and that workers can share. The work is a function of a module, or a
+    `partial` of one. show: prints a result, in the order of the runs. what: text for the progress. last: computes the result for
+    all runs together, which is the last entry."""
     alone = len(runs) == 1 and not as_json
     with reading_progress(as_json) as notice:
         pace = Pace(what, 1.0, notice)
@@ -125,7 +127,7 @@ def _concluded(
     as_json: bool,
     headed: bool = False,
 ) -> int:
-    """headed: the names of the runs are printed here."""
+    """Prints the results and returns the exit code. headed: whether to print the names of the runs here."""
     alone = len(runs) == 1 and not as_json
     entries, worst = [], 0
     for run, result in zip(runs, results, strict=True):

@@ -1,4 +1,4 @@
-"""`planrunner estimate`: estimates from recordings only, as a new analysis of each run, or as a proof of a stored one."""
+"""`planrunner estimate`: makes estimates from recordings only, as a new analysis of each run, or as a proof of a stored analysis."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _estimate(folder: Path, *, as_json: bool) -> Done:
-    """One run, with the progress of reading it."""
+    """Estimates one run, with the progress of reading it."""
     from planrunner.tasks.run import evaluate_run
 
     with reading_progress() as notice:

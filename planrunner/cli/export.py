@@ -1,4 +1,4 @@
-"""`planrunner export`: coefficients of the newest analysis of one or more runs, for other tools."""
+"""`planrunner export`: writes coefficients of the newest analysis of one or more runs for other tools."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _told(words: list[Path]) -> tuple[list[Path], str]:
-    """The run folders, and the name of the estimate if the last word is not a folder. The first word is always a run."""
+    """Splits the arguments: the run folders, and the name of the estimate if the last word is not a folder. The first word is
+    always a run."""
     *others, last = words
     return (others, str(last)) if others and not last.is_dir() else (words, "")
 

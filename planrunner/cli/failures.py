@@ -14,8 +14,8 @@ from planrunner.cli.printing import print_findings
 
 @dataclass(frozen=True, slots=True)
 class CommandFailure:
-    """text: shown on the terminal instead of the findings, if it says more. trace: traceback of an unexpected exception, until it is
-    `saved`."""
+    """A failure of a command. text: text for the terminal instead of the findings, if it contains more. trace: traceback of an
+    unexpected exception, until it is `saved`."""
 
     code: int
     findings: tuple[Finding, ...]
@@ -23,7 +23,7 @@ class CommandFailure:
     trace: str = ""
 
     def saved(self) -> CommandFailure:
-        """With the traceback, if there is one, in a temporary file, which the message names."""
+        """The failure with its traceback, if any, in a temporary file that the message names."""
         if not self.trace:
             return self
         with tempfile.NamedTemporaryFile(
@@ -35,7 +35,7 @@ class CommandFailure:
         return CommandFailure(self.code, (replace(finding, hint=hint),), f"{self.text}\n{hint}")
 
     def show(self) -> None:
-        """Print to standard error."""
+        """Prints the failure to standard error."""
         if self.text:
             print(self.text, file=sys.stderr)
         else:
@@ -72,7 +72,7 @@ def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> CommandFailu
 
 
 def unsaved_failure_of(error: Exception, where: str) -> CommandFailure:
-    """As `failure_of`, but nothing is written: it may be computed on another computer than the command."""
+    """The same as `failure_of`, but nothing is written, because another computer than that of the command may compute it."""
     if isinstance(error, InputError):
         return CommandFailure(exit_codes.WRONG_INPUT, tuple(error.findings))
     for kind in type(error).__mro__:

@@ -1,4 +1,4 @@
-"""`planrunner history`: a coefficient of a device over time, with control charts, changes, drift and the next calibration."""
+"""`planrunner history`: shows a coefficient of a device over time, with control charts, changes, drift and the next calibration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a command computes: `--jobs` for processes of this machine, `--scheduler` for a Dask cluster."""
+"""Options for the place of computation: `--jobs` for processes of this machine, `--scheduler` for a Dask cluster."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def scheduler(text: str) -> str:
 
 
 def add_workers(parser: argparse.ArgumentParser, jobs: str) -> None:
-    """Adds --jobs, with this help, and --scheduler."""
+    """Adds --jobs, with the given help text, and --scheduler."""
     parser.add_argument("--jobs", metavar="N", type=number_of_jobs, help=jobs)
     parser.add_argument(
         "--scheduler",
@@ -44,7 +44,7 @@ def add_workers(parser: argparse.ArgumentParser, jobs: str) -> None:
 
 
 def workers_of(args: argparse.Namespace, jobs: int | None = 1) -> Workers:
-    """The workers that were asked for. jobs: processes if neither option is given."""
+    """The requested workers. jobs: number of processes if neither option is given."""
     if args.scheduler is None:
         return Workers(jobs if args.jobs is None else args.jobs)
     if args.scheduler == HERE:

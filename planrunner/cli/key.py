@@ -1,4 +1,4 @@
-"""`planrunner key`: make a key, show its public part, and add public keys to a key ring."""
+"""`planrunner key`: makes a key, shows its public part, and adds public keys to a key ring."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _new_for_bench(args: argparse.Namespace) -> int:
 
 
 def _write_public(private: Path, line: str) -> None:
-    """Writes the public key beside its private key, which is removed if that fails: nobody could use it."""
+    """Writes the public key next to its private key. If this fails, it removes the private key, because nobody could use it."""
     try:
         write_new(private.with_name(f"{private.name}.pub"), line.encode())
     except InputError:
@@ -123,7 +123,7 @@ def _add(args: argparse.Namespace) -> int:
 
 
 def _require_ring(text: str, path: Path, name: str) -> None:
-    """Raises `InputError` if the entry cannot simply follow the text of the file."""
+    """Raises `InputError` if the entry cannot be appended to the text of the file."""
     from planrunner.signing.key_ring import parse_ring
 
     try:

@@ -1,4 +1,4 @@
-"""`planrunner log`: the log of an archive, which shows removed and replaced runs; its tree heads and proofs."""
+"""`planrunner log`: manages the log of an archive, which shows removed and replaced runs; its tree heads and proofs."""
 
 from __future__ import annotations
 
@@ -225,7 +225,7 @@ def _read(path: Path, most: int) -> bytes:
 
 
 def show_log(found: LogVerification) -> None:
-    """Prints what was found about a log."""
+    """Prints the result of the verification of a log."""
     content = found.content
     told = "" if content is None else f", {_entries(len(content.entries))}, root {content.root(len(content.entries))}"
     print_line(f"log {found.path}: {'CHANGED' if found.changes else 'unchanged'}{told}")

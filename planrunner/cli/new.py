@@ -1,4 +1,4 @@
-"""`planrunner new`: listing and copying the shipped plans, or beginning from a recording."""
+"""`planrunner new`: lists and copies the shipped plans, or makes a first plan from a recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`planrunner new --from-recording`: looks at a file of samples and writes a bench, a plan and a picture to begin with."""
+"""`planrunner new --from-recording`: examines a file of samples and writes a first bench, a first plan and a picture."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
 
 def new_from_recording(recording: Path, target: str | None, rate: str | None, *, as_json: bool) -> int:
-    """Writes PLAN.yaml, PLAN.bench.yaml and PLAN.svg and prints what was found. target: file of the plan, by default named after the
-    recording, in the current folder; rate: sample rate, for a file without a time. Raises `InputError`; then nothing is written."""
+    """Writes PLAN.yaml, PLAN.bench.yaml and PLAN.svg, and prints a description of the recording. target: file of the plan, by
+    default named after the recording, in the current folder; rate: sample rate, for a file without a time. Raises `InputError`; in
+    that case nothing is written."""
     from planrunner.instruments.recording_look import look_at
     from planrunner.reporting.recording_picture import recording_picture
     from planrunner.tasks.begin_from_recording import bench_of, plan_of

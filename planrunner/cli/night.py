@@ -1,4 +1,4 @@
-"""`planrunner night`: run a suite unattended, or continue it where it stopped."""
+"""`planrunner night`: runs a suite unattended, or continues it where it stopped."""
 
 from __future__ import annotations
 

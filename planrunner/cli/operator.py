@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 
 def add_attendance(parser: argparse.ArgumentParser) -> argparse._MutuallyExclusiveGroup:
-    """For commands to which it matters whether an operator is present."""
+    """Adds the options for commands that depend on the presence of an operator."""
     present = parser.add_mutually_exclusive_group()
     present.add_argument(
         "--unattended", action="store_true", help="no operator is present: refuse a plan with operator prompts"
@@ -19,7 +19,7 @@ def add_attendance(parser: argparse.ArgumentParser) -> argparse._MutuallyExclusi
 
 
 def add_live_page(parser: argparse.ArgumentParser) -> None:
-    """For commands that execute a run."""
+    """Adds the options of the live page for commands that execute a run."""
     add_attendance(parser).add_argument(
         "--live-page",
         action="store_true",
@@ -28,8 +28,9 @@ def add_live_page(parser: argparse.ArgumentParser) -> None:
 
 
 class TerminalOperator:
-    """notify: shows a line. Answers are read in a thread, so that the run continues to supervise the bench and reacts to Ctrl-C. The
-    thread reads directly from the descriptor, because a thread that still waits at the end would keep the buffer locked."""
+    """The operator at the terminal. notify: shows a line. Answers are read in a thread, so that the run continues to supervise the
+    bench and reacts to Ctrl-C. The thread reads directly from the descriptor, because a thread that still waits at the end would
+    keep the buffer locked."""
 
     def __init__(self, notify: Callable[[str], None]):
         self._notify = notify
@@ -48,7 +49,7 @@ class TerminalOperator:
         self._notify(text)
 
     def _read(self) -> None:
-        """Reads one line per question; a closed terminal gives no answer."""
+        """Reads one line for each question. A closed terminal gives no answer."""
         try:
             while piece := os.read(sys.stdin.fileno(), 1024):
                 self._answers += piece.count(b"\n")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
-    """Report how an unfinished run ended, what is kept, and how to continue: on standard error, and as JSON on request."""
+    """Reports how an unfinished run ended, what is kept, and how to continue: on standard error, and as JSON on request."""
     for failure in outcome.failures:
         print(f"error: {failure}", file=sys.stderr)
     for unsafe in outcome.unsafe:
@@ -56,7 +56,7 @@ def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
 
 
 def conclude(analysis: Analysis, *, as_json: bool) -> Done:
-    """Print the results, unless JSON is requested, with the path of the first report (or of the analysis) as the last line. Returns the
+    """Prints the results, unless JSON is requested. The last line is the path of the first report (or of the analysis). Returns the
     exit code of the verdict and the results as JSON."""
     if not as_json:
         print_results(analysis.results, analysis.headline)
@@ -70,9 +70,9 @@ def conclude(analysis: Analysis, *, as_json: bool) -> Done:
 
 
 def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool, run: Path | None = None) -> int:
-    """The end of a command that made one run: its results, and the exit code. A run that its bench did not sign, although it must, counts
-    as a fault, unless the results already have a code of their own. After a run of the check standard of the bench, also whether it is in
-    control. run: its folder, if it was made on a bench."""
+    """Ends a command that made one run: prints its results and returns the exit code. A run that its bench should have signed but
+    did not sign counts as a fault, unless the results already have another exit code. After a run of the check standard of the
+    bench, it also reports whether the standard is in control. run: its folder, if it was made on a bench."""
     done = conclude(analysis, as_json=as_json)
     unsigned = [finding.message for finding in (*outcome.unsigned, *analysis.unsigned)]
     standard, in_control = ({}, True) if run is None else _check_standard(run)
@@ -82,8 +82,8 @@ def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool, run: Path | N
 
 
 def _check_standard(run: Path) -> tuple[JsonObject, bool]:
-    """What the JSON of a run states about the check standard that it measured (null if it cannot be determined: the run is complete
-    nevertheless), and whether nothing is wrong with it. Prints it on standard error. Empty for other runs."""
+    """The data about the check standard that a run measured, for JSON, and whether it is in control. The data are null if the state
+    cannot be determined; the run is complete nevertheless. Prints it on standard error. Empty for other runs."""
     from planrunner.tasks.check_standard import state_after
 
     try:
@@ -99,7 +99,7 @@ def _check_standard(run: Path) -> tuple[JsonObject, bool]:
 
 
 def code_of(results: Results) -> int:
-    """Exit code for wrong input if an estimate failed because of the plan; otherwise for a failed limit or a failed estimate."""
+    """The exit code: for wrong input if an estimate failed because of the plan; otherwise for a failed limit or a failed estimate."""
     if results.failures.keys() - set(results.unfit):
         return exit_codes.WRONG_INPUT
     met = all(limit.verdict == "pass" for limit in results.limits)
@@ -107,7 +107,7 @@ def code_of(results: Results) -> int:
 
 
 def print_results(results: Results, headline: Headline) -> None:
-    """Print coefficients, comparisons, limits, notes and warnings as tables, then the verdict with the source of the samples."""
+    """Prints coefficients, comparisons, limits, notes and warnings as tables, then the verdict with the source of the samples."""
     from planrunner.reporting import terminal
     from planrunner.reporting.verdict import stamp
 

@@ -1,4 +1,4 @@
-"""`planrunner pause`: ask a running run to wait, with its bench safe, before its next segment."""
+"""`planrunner pause`: asks a running run to wait before its next segment, with its bench safe."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the command line prints findings: `file:line:column: error[code]: …`, the source line with a caret, then the hint.
+"""Prints findings on the command line: `file:line:column: error[code]: …`, the source line with a caret, then the hint.
 
     12 |     dwell: 30
        |            ^^
@@ -33,7 +33,8 @@ _BREAK = re.compile("\r\n|\r|\n")
 
 @dataclass(frozen=True, slots=True)
 class Excerpt:
-    """gutter: the line number; blank: spaces of the same width; line: its text, cut to the width; carets: the marks below it."""
+    """A source line for display. gutter: the line number; blank: spaces of the same width; line: its text, cut to the width;
+    carets: the marks below it."""
 
     gutter: str
     blank: str
@@ -78,7 +79,8 @@ def _cell(char: str, encoding: str) -> tuple[str, int]:
 
 
 def _fitted(cells: list[tuple[str, int]], first: int, last: int, room: int) -> tuple[str, int, int]:
-    """The part of a line around the cells `first` to `last` that fits into `room` columns; the columns before the place, and under it."""
+    """The part of a line around the cells `first` to `last` that fits into `room` columns; also the number of columns before these
+    cells and under them."""
     widths = [width for _, width in cells]
     begin, end = 0, len(cells)
     if sum(widths) > room:
@@ -119,8 +121,8 @@ def columns(stream: TextIO) -> int:
 
 
 def print_findings(findings: Iterable[Finding], file: TextIO | None = None) -> None:
-    """Print findings to standard error unless `file` is given; coloured on a terminal. Each finding is one line, followed by its source
-    line and a hint."""
+    """Prints findings to standard error unless `file` is given, in colour on a terminal. Each finding is one line, followed by its
+    source line and a hint."""
     out = beneath(file or sys.stderr)
     colour = out.isatty() and not os.environ.get("NO_COLOR")
     width = columns(out)
@@ -143,17 +145,17 @@ def _coloured(text: str, finding: Finding) -> str:
 
 
 def print_line(text: str, file: TextIO | None = None) -> None:
-    """Print a line with text from files, such as a label. Its control characters and line breaks are shown as codes."""
+    """Prints a line with text from files, such as a label. Its control characters and line breaks are shown as codes."""
     print(printable(text, keep=""), file=file)
 
 
 def name_file(path: Path, as_json: bool) -> None:
-    """Print the name of a file that was written; with `--json` on standard error, because standard output is JSON."""
+    """Prints the name of a file that was written. With `--json` it uses standard error, because standard output is JSON."""
     print(path, file=sys.stderr if as_json else sys.stdout)
 
 
 def write_file(path: Path, text: str) -> None:
-    """Write a file named by the user, completely or, if the disk is full, not at all. Raises `InputError`."""
+    """Writes a file that the user named, completely or, if the disk is full, not at all. Raises `InputError`."""
     if path.exists() and not path.is_file():  # such as /dev/stdout
         path.write_text(text, encoding="utf-8")
         return
@@ -169,7 +171,7 @@ def write_file(path: Path, text: str) -> None:
 
 
 def write_new(path: Path, text: bytes) -> None:
-    """Writes a file that does not exist yet, whole or not at all. Raises `InputError`."""
+    """Writes a file that does not exist yet, completely or not at all. Raises `InputError`."""
     try:
         with path.open("xb") as file:
             try:
@@ -190,7 +192,7 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 def print_json(value: Json) -> None:
-    """Print to standard output, with escapes if its encoding is not UTF-8, so that it stays valid JSON."""
+    """Prints JSON to standard output. If the encoding is not UTF-8, it uses escapes so that the output stays valid JSON."""
     plain = (sys.stdout.encoding or "").lower().replace("-", "") != "utf8"
     import json
 

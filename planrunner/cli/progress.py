@@ -37,7 +37,7 @@ def _bar() -> Iterator[tuple[ProgressCallback, Callable[[str], None]]]:
 
 @contextmanager
 def _drawn(*, transient: bool) -> Iterator[tuple[ProgressCallback, Progress]]:
-    """A bar on the terminal. transient: it disappears at the end."""
+    """Shows a bar on the terminal. transient: whether it disappears at the end."""
     from rich.progress import BarColumn, Progress, TextColumn
 
     from planrunner.base.progress import Underway
@@ -112,7 +112,7 @@ def _place(event: SegmentBegun | Advanced | SegmentFinished) -> str:
 
 
 def left_text(seconds: float | None) -> str:
-    """`about 3 min left`."""
+    """The time left in words, such as `about 3 min left`."""
     if seconds is None:
         return ""
     from planrunner.reporting.words import duration

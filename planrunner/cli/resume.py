@@ -1,4 +1,4 @@
-"""`planrunner resume`: continue an interrupted or paused run, or repeat segments."""
+"""`planrunner resume`: continues an interrupted or paused run, or repeats segments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`planrunner review`: the page on which a run is reviewed for sign-off."""
+"""`planrunner review`: makes the page on which a run is reviewed for sign-off."""
 
 from __future__ import annotations
 

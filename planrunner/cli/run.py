@@ -1,4 +1,4 @@
-"""`planrunner run`: check, run, estimate and report."""
+"""`planrunner run`: checks, runs, estimates and reports."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _admission(args: argparse.Namespace, sound: Sound, info: Mapping[str, Json]) -> Admission | None:
-    """Whether the check standard of the bench lets the run begin, its warnings printed."""
+    """Whether the check standard of the bench allows the run to begin. Its warnings are printed."""
     override = override_of(args)
     if sound.bench.check_standard is None and override is None:
         return None

@@ -1,4 +1,4 @@
-"""`planrunner runs`: the runs of an archive, filtered; also brings the index up to date, rebuilds or exports it."""
+"""`planrunner runs`: lists the runs of an archive, filtered; also updates, rebuilds or exports the index."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`planrunner self-test`: tests this installation with reference data with known answers."""
+"""`planrunner self-test`: tests this installation with reference data whose answers are known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`planrunner serve`: the live page of an archive, on this computer only."""
+"""`planrunner serve`: serves the live page of an archive, on this computer only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`planrunner sign`: an electronic signature of a sealed run, with its meaning."""
+"""`planrunner sign`: makes an electronic signature of a sealed run, with its meaning."""
 
 from __future__ import annotations
 

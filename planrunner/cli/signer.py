@@ -1,4 +1,4 @@
-"""The key that signs: a file, or a key of the running ssh-agent.
+"""The signing key: a file, or a key of the running ssh-agent.
 
 The passphrase of a key comes from a file descriptor, the environment or the terminal, never from the command line, which others can see.
 """
@@ -31,7 +31,7 @@ def add_passphrase(parser: argparse.ArgumentParser) -> None:
 
 
 def passphrase(args: argparse.Namespace, *, twice: bool = False) -> bytes:
-    """The passphrase, without the end of its line. twice: ask again at the terminal. Raises `InputError`."""
+    """The passphrase, without the end of its line. twice: whether to ask again at the terminal. Raises `InputError`."""
     if args.passphrase_fd is not None:
         try:
             data = os.read(args.passphrase_fd, _MOST)
@@ -61,7 +61,7 @@ def add_signer(parser: argparse.ArgumentParser) -> None:
 
 
 def signer_of(args: argparse.Namespace) -> Signer:
-    """Raises `InputError` unless exactly one key is given."""
+    """The signer. Raises `InputError` unless exactly one key is given."""
     from planrunner.signing.keys import is_encrypted, read_private, read_public
 
     if (args.by is None) == (args.agent is None):

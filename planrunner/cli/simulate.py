@@ -1,4 +1,4 @@
-"""`planrunner simulate`: run a plan on a virtual bench with added effects from the catalogue."""
+"""`planrunner simulate`: runs a plan on a virtual bench with added effects from the catalogue."""
 
 from __future__ import annotations
 

@@ -118,7 +118,8 @@ def _token(ready: Path | None, control: str) -> str:
 
 
 def _write_ready(ready: Path, note: str) -> None:
-    """Written atomically and readable only by the user, because its token permits commands to the simulated bench."""
+    """Writes the readiness file atomically and readable only by the user, because its token permits commands to the simulated
+    bench."""
     waiting = ready.with_name(ready.name + ".new")
     waiting.unlink(missing_ok=True)
     with open(os.open(waiting, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""`planrunner site`: the static site of an archive."""
+"""`planrunner site`: writes the static site of an archive."""
 
 from __future__ import annotations
 

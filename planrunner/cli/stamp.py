@@ -1,4 +1,4 @@
-"""`planrunner stamp`: time stamps for the seals of runs that have none, because the authority did not answer at the time."""
+"""`planrunner stamp`: requests time stamps for the seals of runs without one, because the authority did not answer at the time."""
 
 from __future__ import annotations
 

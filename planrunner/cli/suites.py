@@ -1,4 +1,4 @@
-"""What `check` and `night` share for suites: the arguments, and the printed timetable."""
+"""Common parts of `check` and `night` for suites: the arguments, and the printed timetable."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def local_time(text: str) -> str:
 
 
 def require_usable(args: argparse.Namespace) -> None:
-    """Raises `InputError` if arguments for suites are given without one, or the reverse."""
+    """Raises `InputError` if arguments for suites are given without a suite, or the reverse."""
     suites = [plan for plan in args.plans if is_suite(Path(plan))]
     if args.html is not None and (len(args.plans) != 1 or not suites):
         raise InputError.of_usage("--html needs exactly one suite", "use `planrunner show` for a plan")
@@ -58,7 +58,7 @@ def require_usable(args: argparse.Namespace) -> None:
 
 
 def checked_suite(args: argparse.Namespace, file: Path) -> CheckedSuite:
-    """The suite, checked; the page is written on request."""
+    """Checks a suite; writes the page on request."""
     checked = check_suite(file, at=args.at, archive=args.runs, workers=workers_of(args, None))
     table = timetable_of(checked)
     if args.html is not None and table is not None:
@@ -73,7 +73,7 @@ def checked_suite(args: argparse.Namespace, file: Path) -> CheckedSuite:
 
 
 def timetable_of(checked: CheckedSuite) -> Timetable | None:
-    """None for a suite with errors."""
+    """The timetable of a suite; None for a suite with errors."""
     if checked.suite is None or checked.forecast is None:
         return None
     return Timetable(

@@ -1,4 +1,4 @@
-"""`planrunner verify`: what was changed in run folders since they were written; exit code 4 if anything was."""
+"""`planrunner verify`: shows what was changed in run folders since they were written; exit code 4 if anything was changed."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _authority(path: Path, revoked: Path | None) -> StampAuthority:
 
 @dataclass(frozen=True, slots=True)
 class _Verified:
-    """The verification of a run: what is printed, what is compared with the log, and the JSON."""
+    """The verification of a run: the output, the data to compare with the log, and the JSON."""
 
     run: LoggedRun
     changed: bool
@@ -105,14 +105,14 @@ class _Verified:
 
 
 def _verified(ring: KeyRing | None, authority: StampAuthority | None, named: bool, folder: Path) -> _Verified:
-    """named: the name of the folder is already printed."""
+    """Verifies one run. named: whether the name of the folder has already been printed."""
     verification = verify_run(folder, ring, authority)
     lines = tuple(_lines("" if named else f"{folder}: ", verification))
     return _Verified(logged_run(verification.found), bool(verification.changes), lines, verification.to_json())
 
 
 def _lines(name: str, verification: Verification) -> Iterator[str]:
-    """name: of the folder; empty where it is already printed."""
+    """The lines about one run. name: name of the folder; empty if it has already been printed."""
     found = verification.found
     state = "CHANGED" if verification.changes else "unchanged" if verification.sealed else "unchanged, NOT SEALED"
     yield (f"{name or '    '}{state}")
@@ -156,7 +156,7 @@ def _lines(name: str, verification: Verification) -> Iterator[str]:
 
 
 def _covered(one: RunSignature) -> str:
-    """What a signature covers, with its result."""
+    """The data that a signature covers, and its result."""
     if not one.current:
         return "an earlier seal"
     if not one.analyses:

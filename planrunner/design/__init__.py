@@ -1,1 +1,1 @@
-"""Design: what a planned test can and cannot determine, before anything moves."""
+"""Design: what a planned test can and cannot determine, before it runs."""

@@ -1,7 +1,7 @@
-"""Choosing among bundles: candidates that add several observations at once, such as a pair of equal and opposite rates.
+"""Chooses among bundles: candidates that add several observations at once, such as a pair of equal and opposite rates.
 
-A bundle adds the information matrix B_i (p, p); fixed parts, such as rest segments, add F. D asks for the largest |F + Σ B_i|, A
-for the smallest trace of its inverse. Bundles are few and p is small, so that exchange recomputes whole matrices.
+A bundle adds the information matrix B_i (p, p); fixed parts, such as rest segments, add F. Criterion D maximises |F + Σ B_i|, A
+minimises the trace of its inverse. There are few bundles and p is small, so exchange recomputes whole matrices.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from planrunner.base.arrays import Array
 
 
 def loss(matrix: Array, criterion: str) -> float:
-    """−ln|M| (D) or tr M⁻¹ (A) of an information matrix (p, p); infinite if it is singular."""
+    """The loss −ln|M| (D) or tr M⁻¹ (A) of an information matrix (p, p); infinite if it is singular."""
     sign, logarithm = np.linalg.slogdet(matrix)
     size = float(np.trace(matrix)) / len(matrix)
     if sign <= 0 or size <= 0 or logarithm - len(matrix) * math.log(size) < 2 * math.log(1e-9):
@@ -32,7 +32,8 @@ def choose(
     restarts: int = 20,
     seed: int = 0,
 ) -> tuple[int, ...]:
-    """Indices (count,), ascending, of different bundles (N, p, p): exchange from seeded starts, those in `kept` always among them.
+    """Ascending indices (count,) of different bundles (N, p, p), found by exchange from seeded starts. The bundles in `kept` are
+    always included.
 
     Raises ValueError if there are fewer bundles than requested, or if no choice determines all terms.
     """
@@ -72,11 +73,11 @@ def _settle(bundles: Array, fixed: Array, start: Array, others: Array, criterion
 def shares(
     bundles: Array, fixed: Array, criterion: str = "D", tolerance: float = 1e-6, most_steps: int = 20_000
 ) -> tuple[Array, float]:
-    """The best shares (N,), which add up to 1, of a resource, where bundle (N, p, p) is the information if it gets the whole resource; and
-    the remaining excess of the largest derivative over its mean (0 at the optimum: Kiefer and Wolfowitz; multiplicative steps as in
-    `continuous`).
+    """The best shares (N,) of a resource, which add up to 1, and the remaining excess of the largest derivative over its mean.
+    `bundles` (N, p, p) is the information of each bundle if it gets the whole resource. The excess is 0 at the optimum (Kiefer and
+    Wolfowitz; multiplicative steps as in `continuous`).
 
-    fixed: (p, p), there whatever the shares are. Raises ValueError where the bundles cannot give all terms.
+    fixed: (p, p), information that does not depend on the shares. Raises ValueError if the bundles cannot determine all terms.
     """
     count = len(bundles)
     part = np.full(count, 1.0 / count)

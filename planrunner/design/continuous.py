@@ -22,9 +22,9 @@ NEGLIGIBLE = 1e-8  # shares below this are dropped from a solution
 
 @dataclass(frozen=True, slots=True)
 class Continuous:
-    """shares: (N,), adding up to 1. matrix: (p, p), M per observation. excess: the largest value of the derivative over its mean, minus
-    one; 1e-6 means that no design is better by more than one part in a million. value: |M| (D) or tr(W·M⁻¹). mean: of the derivative; p (D)
-    or the value itself, less where information is there whatever the shares are."""
+    """shares: (N,), adding up to 1. matrix: (p, p), M per observation. excess: the largest value of the derivative over its mean,
+    minus one; 1e-6 means that no design is better by more than one part in a million. value: |M| (D) or tr(W·M⁻¹). mean: mean of
+    the derivative; p (D) or the value itself, less if some information does not depend on the shares."""
 
     shares: Array
     matrix: Array
@@ -35,16 +35,17 @@ class Continuous:
 
     @property
     def largest_variance(self) -> float:
-        """The certificate of a D-optimal design: max d(x) over the candidates, at the optimum p (`mean` with fixed information)."""
+        """The certificate of a D-optimal design: max d(x) over the candidates. At the optimum it is p (`mean` with fixed
+        information)."""
         return self.mean * (1.0 + self.excess)
 
     def determinant_bound(self, observations: int) -> float:
-        """No set with this number of observations has a larger determinant (D designs)."""
+        """Upper bound of the determinant for any set with this number of observations (D designs)."""
         # ln|M| is concave: no other design's is larger by more than what the largest derivative exceeds the mean.
         return float(observations ** len(self.matrix) * self.value * np.exp(self.mean * self.excess))
 
     def trace_bound(self, observations: int) -> float:
-        """No set with this number of observations has a smaller tr(W·M⁻¹) (linear criteria)."""
+        """Lower bound of tr(W·M⁻¹) for any set with this number of observations (linear criteria)."""
         # tr(W·M⁻¹) is convex, likewise.
         return (self.value - self.mean * self.excess) / observations
 
@@ -66,12 +67,12 @@ def solve(
     start: Array | None = None,
     fixed: Array | None = None,
 ) -> Continuous:
-    """The best shares on the candidates `rows`, shape (N, p), which must have rank p.
+    """The best shares for the candidates `rows`, shape (N, p), which must have rank p.
 
-    weighting: None for D, W (p, p) for tr(W·M⁻¹). least: every candidate keeps this share. start: shares to begin with.
-    fixed: (p, p), information per observation that is there whatever the shares are. Ends when the
-    excess is below `tolerance` or after `most_steps`; the remaining excess is reported and the bounds allow for it.
-    Raises ValueError when the candidates cannot give all terms.
+    weighting: None for D, W (p, p) for tr(W·M⁻¹). least: smallest share of every candidate. start: shares to begin with. fixed: (p,
+    p), information per observation that does not depend on the shares. The iteration ends when the excess is below `tolerance` or
+    after `most_steps`. The remaining excess is reported, and the bounds allow for it. Raises ValueError if the candidates cannot
+    determine all terms.
     """
     rows = np.asarray(rows, dtype=float)
     count, p = rows.shape
@@ -109,7 +110,7 @@ def solve(
 def judged(
     rows: Array, shares: Array, weighting: Array | None = None, least: float = 0.0, fixed: Array | None = None
 ) -> Continuous:
-    """Given shares with their certificate over `rows`."""
+    """The given shares with their certificate over `rows`."""
     matrix = information(rows, shares) + (0.0 if fixed is None else fixed)
     gain = derivative(rows, matrix, weighting)
     free = shares - least
@@ -120,8 +121,8 @@ def judged(
 
 
 def _step(shares: Array, gain: Array, p: int) -> Array:
-    """Towards the candidate with the largest variance, or away from the one with the smallest that has a share, whichever violates
-    optimality more; the length maximises |M| along the way."""
+    """A step towards the candidate with the largest variance, or away from the candidate with the smallest variance that has a
+    share, whichever violates optimality more. The length of the step maximises |M|."""
     up = int(np.argmax(gain))
     held = np.flatnonzero(shares > 0.0)
     down = int(held[np.argmin(gain[held])])
@@ -139,7 +140,7 @@ def _step(shares: Array, gain: Array, p: int) -> Array:
 
 
 def _needed(gain: Array, p: int, excess: float) -> Array:
-    """Which candidates may support a D-optimal design (Harman & Pronzato, Statist. Probab. Lett. 77, 2007)."""
+    """The candidates that may support a D-optimal design (Harman & Pronzato, Statist. Probab. Lett. 77, 2007)."""
     e = p * excess
     bound = p * (1.0 + e / 2 - np.sqrt(e * (4.0 + e - 4.0 / p)) / 2)
     return np.asarray(gain >= bound)
@@ -157,10 +158,11 @@ def solve_with_climbing(
     most_rounds: int = 6,
     fixed: Array | None = None,
 ) -> Continuous:
-    """The best shares over a continuous region: candidates, then better points found by climbing, until there are none.
+    """The best shares over a continuous region. It begins with the candidates and adds better points found by climbing, until there
+    are none.
 
-    climb(M, W) → (points' rows, their derivatives) at local maxima of the derivative over the region. The excess of what is returned
-    is that over the region, as far as climbing sees it.
+    climb(M, W) → (points' rows, their derivatives) at local maxima of the derivative over the region. The excess of the result
+    refers to the region, as far as climbing finds the maxima.
     """
     known = np.asarray(rows, dtype=float)
     shares: Array | None = None

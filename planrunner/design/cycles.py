@@ -1,8 +1,8 @@
 """Searches for rotation cycles whose stops and turns each have zero residual for a constant horizontal error.
 
-`same_order` keeps the planned order of the stops and chooses the sense of every turn, repeating the cycle with other choices where
-one round does not suffice. `free_order` chooses the order as well, with every position held as often as every other. Both return to
-where they began, with cables unwound, and prefer a mean angle of zero, then the smallest range of cable, then the shortest cycle.
+`same_order` keeps the planned order of the stops and chooses the sense of every turn. If one round is not enough, it repeats the
+cycle with other choices. `free_order` chooses the order as well. Every position is held equally often. Both return to the first
+position with unwound cables. They prefer a mean angle of zero, then the smallest range of cable, then the shortest cycle.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Cable:
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """Extent of one search. moves: of the cycles; tried: number of cycles; balanced: number with zero residual; wound: how many of those
-    wind the cables up; exhaustive: whether these were all."""
+    """Extent of one search. moves: number of moves of the cycles; tried: number of cycles; balanced: number of cycles with zero
+    residual; wound: number of those that wind the cables up; exhaustive: whether all cycles were tried."""
 
     moves: int
     tried: int
@@ -55,7 +55,7 @@ class Round:
 
 @dataclass(frozen=True, slots=True)
 class FoundCycle:
-    """cycle: the best cycle with zero residual, or None; rounds: the searches made; the last one was successful."""
+    """Result of the searches. cycle: the best cycle with zero residual, or None; rounds: the searches; the last one was successful."""
 
     cycle: RotationCycle | None
     rounds: tuple[Round, ...]
@@ -63,8 +63,8 @@ class FoundCycle:
 
 @dataclass(frozen=True, slots=True)
 class StudiedCycle:
-    """cycle: in the plan's sense; moves: as a plan writes them; drive: the Schuler oscillation that it builds up, against the one without
-    rotation."""
+    """A cycle of the study. cycle: in the plan's sense; moves: as a plan writes them; drive: growth of the Schuler oscillation
+    relative to the oscillation without rotation."""
 
     cycle: RotationCycle
     moves: tuple[str, ...]
@@ -72,9 +72,9 @@ class StudiedCycle:
 
 
 def same_order(planned: RotationCycle, cable: Cable = Cable()) -> FoundCycle:
-    """The planned stops with turns in either sense, of at most half a turn or the longest planned turn.
+    """Searches the planned stops with turns in either sense, each at most half a turn or the longest planned turn.
 
-    Raises `CycleError` where the stops themselves do not balance, which no turn can mend, and where there are too many choices.
+    Raises `CycleError` if the stops themselves are not balanced, which no turn can correct, and if there are too many choices.
     """
     if abs(planned.integral()[0]) > NOTHING * planned.period:
         raise CycleError(
@@ -100,13 +100,13 @@ def same_order(planned: RotationCycle, cable: Cable = Cable()) -> FoundCycle:
 
 
 def _ways(turn: float, most: float) -> list[float]:
-    """The turns to the same position, `turn` first, of at most `most`; a full turn does not become a stop."""
+    """The turns of at most `most` to the same position, `turn` first. A full turn does not become a stop."""
     others = [turn + TURN * whole for whole in range(-2, 3) if whole]
     return [turn, *(other for other in others if abs(other) <= most and abs(other) > _ANGLE)]
 
 
 def _best_of(turns: Array, planned: RotationCycle, cable: Cable) -> tuple[RotationCycle | None, Round]:
-    """The best of (m, n) cycles of equal stops, and how many leave nothing."""
+    """The best of (m, n) cycles of equal stops, and the number of cycles with zero residual."""
     ends = np.cumsum(turns, axis=1)
     begins = ends - turns
     left = np.zeros(len(turns), dtype=complex)
@@ -133,10 +133,12 @@ def _best_of(turns: Array, planned: RotationCycle, cable: Cable) -> tuple[Rotati
 def free_order(
     positions: Sequence[float], planned: RotationCycle, cable: Cable = Cable(), most: float = HALF_TURN
 ) -> FoundCycle:
-    """Cycles through `positions` [rad, from the first of the planned cycle], each held equally often, with turns of at most `most` rad.
+    """Searches cycles through `positions` [rad, from the first of the planned cycle], each held equally often, with turns of at
+    most `most` rad.
 
-    Every order is tried for as many moves as there are positions, then twice as many, and so on, until one leaves nothing and has a mean
-    angle of zero; where that is too much, turns to neighbouring positions alone. Raises `CycleError` where the positions do not balance.
+    It tries every order with as many moves as there are positions, then twice as many, and so on, until a cycle has zero residual
+    and a mean angle of zero. If there are too many orders, it tries only turns to neighbouring positions. Raises `CycleError` if
+    the positions are not balanced.
     """
     angles = sorted({round(angle % TURN, 9) % round(TURN, 9): angle % TURN for angle in positions}.values())
     if len(angles) < 2:
@@ -159,7 +161,7 @@ def free_order(
 
 
 class _Search:
-    """Walks through every order of stops, cutting off what winds further than the best found."""
+    """Searches every order of stops, and omits branches that wind the cables further than the best cycle found."""
 
     def __init__(
         self, angles: Sequence[float], visits: int, planned: RotationCycle, cable: Cable, most: float, near: bool
@@ -191,7 +193,7 @@ class _Search:
     def _walk(
         self, at: int, angle: float, low: float, high: float, left: complex, turns: tuple[float, ...]
     ) -> Iterator[tuple[tuple[float, ...], complex]]:
-        """Every closed sequence of turns, with the residual of its turns."""
+        """Yields every closed sequence of turns, with the residual of its turns."""
         self.walked += 1
         if len(turns) == self.moves:
             if at == self.home:
@@ -229,7 +231,7 @@ class _Search:
 
 
 def _steps(angles: Sequence[float], start: int, most: float, near: bool) -> list[tuple[int, float]]:
-    """(index of a position, turn to it) from one position, the shortest first and of two equal ones the positive."""
+    """The steps from one position, as (index of a position, turn to it); the shortest first, and of two equal ones the positive."""
     count = len(angles)
     ends = [(start + 1) % count, (start - 1) % count] if near else [index for index in range(count) if index != start]
     found = set()

@@ -1,10 +1,11 @@
-"""The information in a set of observations, by the four usual criteria of optimal design, and its efficiency relative to the best set.
+"""The information in a set of observations by the four usual criteria of optimal design, and its efficiency relative to the best
+set.
 
-rows: shape (n, p), one observation each, columns divided by their declared magnitudes; M = Σ w_i·x_i·x_iᵀ is the information matrix in
-units of the inverse variance of one observation. D asks for the largest |M|, A for the smallest trace of M⁻¹ (sum of the coefficients'
-variances), G for the smallest worst variance xᵀM⁻¹x of a predicted output, I for its smallest mean over a region.
-Efficiencies are per observation: at 80 % the best design needs 0.8 times as many observations for the same (Atkinson, Donev & Tobias,
-Optimum Experimental Designs, with SAS, 2007, chapters 10 and 11).
+rows: shape (n, p), one observation each, columns divided by their declared magnitudes; M = Σ w_i·x_i·x_iᵀ is the information matrix
+in units of the inverse variance of one observation. D maximises |M|. A minimises the trace of M⁻¹ (sum of the coefficients'
+variances). G minimises the largest variance xᵀM⁻¹x of a predicted output, and I its mean over a region. Efficiencies are per
+observation: at 80 % the best design needs 0.8 times as many observations for the same (Atkinson, Donev & Tobias, Optimum
+Experimental Designs, with SAS, 2007, chapters 10 and 11).
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ SINGULAR = 1e-9
 class Merit:
     """The criteria of one set of n observations of p terms.
 
-    determinant: |M|, zero where the rank is short; trace: of M⁻¹; worst, mean: largest and mean variance of a predicted output over the
-    region, in units of one observation's variance. The last three are infinite where the rank is short.
+    determinant: |M|, zero if M is singular; trace: of M⁻¹; worst, mean: largest and mean variance of a predicted output over the
+    region, in units of one observation's variance. The last three are infinite if M is singular.
     """
 
     observations: int
@@ -43,7 +44,7 @@ class Merit:
 
 @dataclass(frozen=True, slots=True)
 class Efficiency:
-    """Shares of a reference, 1 at the reference itself."""
+    """Efficiencies relative to a reference set; each is 1 for the reference itself."""
 
     D: float
     A: float
@@ -52,7 +53,7 @@ class Efficiency:
 
 
 def information(rows: Array, weights: Array | None = None) -> Array:
-    """M, shape (p, p). weights: (n,), one for each row without them."""
+    """The information matrix M, shape (p, p). weights: (n,), by default one for each row."""
     rows = np.asarray(rows, dtype=float)
     return rows.T @ rows if weights is None else (rows * np.asarray(weights)[:, None]).T @ rows
 
@@ -63,13 +64,13 @@ def region_moment(region: Array) -> Array:
 
 
 def variances(rows: Array, matrix: Array) -> Array:
-    """xᵀM⁻¹x for each row, shape (n,)."""
+    """The variance xᵀM⁻¹x for each row, shape (n,)."""
     return np.asarray(np.einsum("ij,ij->i", rows @ np.linalg.inv(matrix), rows))
 
 
 def merit(rows: Array, region: Array, weights: Array | None = None, fixed: Array | None = None) -> Merit:
-    """The criteria of a set. region: rows over which predictions are wanted; weights: of each observation, one without them; fixed: rows
-    (k, p) that are observed whatever the set is, which `observations` does not count."""
+    """The criteria of a set. region: rows for which predictions are required; weights: of each observation, by default one; fixed:
+    rows (k, p) that are always observed and that `observations` does not count."""
     n, p = rows.shape
     used = rows if weights is None else rows * np.sqrt(weights)[:, None]
     if fixed is not None:

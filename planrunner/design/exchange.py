@@ -1,8 +1,9 @@
-"""The best n of a list of candidates: all choices if they are few enough, otherwise exchange from many starts.
+"""The best n of a list of candidates: by trying all choices if they are few, otherwise by exchange from many starts.
 
-Exchange (Fedorov 1972; in the form of Cook & Nachtsheim, Technometrics 22, 1980): each point in turn gives way to the candidate that is
-best beside the others, until none does. With S the inverse information of the others and d = xᵀSx, adding x multiplies the determinant by
-1 + d and lowers tr(W·M⁻¹) by xᵀSWSx/(1 + d). `fixed`, shape (p, p), is information that is there whatever is chosen.
+In an exchange (Fedorov 1972; in the form of Cook & Nachtsheim, Technometrics 22, 1980), the candidate that is best in combination
+with the others replaces each point in turn, until nothing changes. With S the inverse information of the others and d = xᵀSx,
+adding x multiplies the determinant by 1 + d and lowers tr(W·M⁻¹) by xᵀSWSx/(1 + d). `fixed`, shape (p, p), is information that does
+not depend on the choice.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ _RIDGE = 1e-10  # keeps the others' information matrix invertible while a set is
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """indices: (n,), of the candidates, ascending; loss: −ln|M| (D) or tr(W·M⁻¹), infinite if no choice determines all terms.
-    tried: choices or restarts; exhaustive: whether all choices were tried."""
+    """Result of a choice. indices: (n,), of the candidates, ascending; loss: −ln|M| (D) or tr(W·M⁻¹), infinite if no choice
+    determines all terms. tried: number of choices or restarts; exhaustive: whether all choices were tried."""
 
     indices: Indices
     loss: float
@@ -65,7 +66,7 @@ def choose(
     fixed: Array | None = None,
     progress: Progress | None = None,
 ) -> Chosen:
-    """The best set of `count` different candidates: exhaustive where feasible, else by exchange."""
+    """The best set of `count` different candidates, by exhaustive search if feasible, otherwise by exchange."""
     if math.comb(len(rows), count) <= MOST_CHOICES:
         return exhaust(rows, count, weighting, progress, fixed)
     return exchange(rows, count, weighting, restarts=restarts, seed=seed, fixed=fixed, progress=progress)
@@ -106,7 +107,7 @@ def _chunks(size: int, count: int) -> Iterator[Indices]:
 
 
 def _losses(matrices: Array, weighting: Array | None) -> Array:
-    """Of many information matrices (N, p, p); infinite where singular."""
+    """The losses of many information matrices (N, p, p); infinite for singular ones."""
     p = matrices.shape[-1]
     sign, logarithm = np.linalg.slogdet(matrices)
     size = np.log(np.maximum(np.trace(matrices, axis1=1, axis2=2) / p, 1e-300))
@@ -186,7 +187,7 @@ def _settle(rows: Array, start: Indices, weighting: Array | None, repeats: bool,
 
 
 def _worth(rows: Array, others: Array, weighting: Array | None) -> Array:
-    """The value of each candidate in addition to the others; only the order matters."""
+    """The value of each candidate in addition to the others. Only the order of the values matters."""
     values, vectors = np.linalg.eigh(others)
     inverse = (vectors / np.maximum(values, 1e-13 * max(values[-1], 1e-300))) @ vectors.T
     carried = rows @ inverse

@@ -16,9 +16,9 @@ from planrunner.estimators.interface import Design, DesignBlock
 class Identifiability:
     """Information that the planned segments give about one output.
 
-    rank of `columns` terms; condition: of the columns divided by their declared magnitudes, infinite when the rank is short.
-    determinant: of the information matrix of those columns with equal weights, as in comparing sets of positions. unidentifiable: names.
-    explanation: in words, empty when all is well.
+    rank: of `columns` terms; condition: of the columns divided by their declared magnitudes, infinite if the rank is deficient.
+    determinant: of the information matrix of those columns with equal weights, to compare sets of positions. unidentifiable: names.
+    explanation: in words, empty if all terms can be identified.
     """
 
     output: str
@@ -35,7 +35,7 @@ class Identifiability:
 
 
 def identify(design: Design) -> tuple[Identifiability, ...]:
-    """One result for each output of a design. Outputs that share a design matrix are judged once."""
+    """One result for each output of a design. Outputs that share a design matrix are analysed once."""
     found: list[Identifiability] = []
     for place, block in enumerate(design.blocks):
         alike = [k for k, other in enumerate(design.blocks[:place]) if _alike(other, block)]

@@ -1,6 +1,6 @@
-"""Positions beyond a list of candidates: local optimisation over continuous settings, from many seeded starts.
+"""Positions that are not in a list of candidates: local optimisation over continuous settings, from many seeded starts.
 
-A setting is a row of k numbers within bounds, such as a table's joint angles, so that whatever is found can be reached. `rows_of` turns
+A setting is a row of k numbers within bounds, such as a table's joint angles, so the table can reach every result. `rows_of` turns
 settings (m, k) into rows of the design matrix (m, p), columns divided by their magnitudes.
 """
 
@@ -27,8 +27,8 @@ CLIMBERS = 24  # places from which the variance is climbed
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """settings: (N, k), candidates spread over the region; rows: (N, p) of them; bounds: (lowest, highest) of each of the k numbers,
-    infinite if there is none."""
+    """A region of settings. settings: (N, k), candidates spread over the region; rows: (N, p), their design rows; bounds: (lowest,
+    highest) of each of the k numbers, infinite if there is none."""
 
     rows_of: RowsOf
     settings: Array
@@ -38,8 +38,8 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """settings: (n, k); loss: −ln|M| or tr(W·M⁻¹); starts: how many local optimisations; agreeing: how many ended within 1e-4 of the
-    best."""
+    """Result of a search. settings: (n, k); loss: −ln|M| or tr(W·M⁻¹); starts: number of local optimisations; agreeing: number of
+    those that ended within 1e-4 of the best."""
 
     settings: Array
     loss: float
@@ -53,7 +53,7 @@ def region(rows_of: RowsOf, settings: Array, bounds: Sequence[tuple[float, float
 
 
 def spread(bounds: Sequence[tuple[float, float]], count: int, seed: int) -> Array:
-    """Settings drawn evenly within bounds, shape (count, k); an unbounded angle over one turn."""
+    """Random settings with uniform distribution within bounds, shape (count, k). An angle without bounds covers one turn."""
     low = np.array([-math.pi if math.isinf(low) else low for low, _ in bounds])
     high = np.array([math.pi if math.isinf(high) else high for _, high in bounds])
     return np.asarray(low + (high - low) * np.random.default_rng(seed).random((count, len(bounds))))
@@ -71,10 +71,10 @@ def search(
     progress: Progress | None = None,
     workers: Workers = ALONE,
 ) -> Found:
-    """The best `count` settings found: exchange among the candidates, then every set is improved locally.
+    """The best `count` settings found. Exchange among the candidates gives sets, and local optimisation improves each set.
 
-    starts: settings (count, k) to improve as well, such as those of a plan. fixed: (p, p), information that is there in any
-    case. workers: share the sets that are improved. The same seed gives the same settings, with any workers.
+    starts: additional settings (count, k) to improve, such as those of a plan. fixed: (p, p), information that does not depend on
+    the choice. workers: processes that share the sets to improve. The same seed gives the same settings with any workers.
     """
     sets = exchange.exchange_all(over.rows, count, weighting, restarts=restarts, seed=seed, repeats=True, fixed=fixed)
     begun = [*starts, *(over.settings[chosen.indices] for chosen in sets)]
@@ -94,7 +94,7 @@ def _refined(over: Region, weighting: Array | None, fixed: Array | None, start: 
 
 
 def refine(over: Region, start: Array, weighting: Array | None = None, fixed: Array | None = None) -> Array:
-    """The nearest local optimum, shape of `start` (n, k), by L-BFGS-B with the exact gradient in the rows."""
+    """The nearest local optimum, in the shape of `start` (n, k), by L-BFGS-B with the exact gradient in the rows."""
     from scipy.optimize import minimize
 
     shape = start.shape
@@ -116,7 +116,8 @@ def refine(over: Region, start: Array, weighting: Array | None = None, fixed: Ar
 
 
 def climb(over: Region, matrix: Array, weighting: Array | None = None) -> tuple[Array, Array]:
-    """Rows (m, p) and derivatives (m,) at the local maxima of the derivative nearest to high candidates, the highest among them."""
+    """Rows (m, p) and derivatives (m,) at local maxima of the derivative. Climbing begins at candidates with a high derivative, and
+    the highest maxima are returned."""
     from scipy.optimize import minimize
 
     inverse = np.linalg.inv(matrix)
@@ -153,9 +154,10 @@ def bound(
     tolerance: float = 1e-5,
     fixed: Array | None = None,
 ) -> Continuous:
-    """The continuous optimum over the region, with its certificate, as far as climbing from the candidates finds the maxima.
+    """The continuous optimum over the region with its certificate, as far as climbing from the candidates finds the maxima.
 
-    begin: (m, k), settings to begin with, such as the best sets found; the nearer they are to the optimum, the sooner it is certified.
+    begin: (m, k), settings to begin with, such as the best sets found. The closer they are to the optimum, the sooner it is
+    certified.
     """
     spots = over.rows[np.argsort(-np.sum(over.rows**2, axis=1), kind="stable")[: len(over.rows) // 20]]
     rows = np.vstack([over.rows_of(begin), spots])
@@ -167,8 +169,9 @@ def bound(
 def allocate(
     rows: Array, weighting: Array | None = None, *, least_share: float = 0.25, fixed: Array | None = None
 ) -> Array:
-    """Shares (n,) of the total recording time on given positions, adding up to 1, for observations whose variance falls as one over
-    the time. least_share: every position keeps this part of an equal share, so that none is lost for checking the model."""
+    """Shares (n,) of the total recording time for given positions, which add up to 1. The variance of an observation is inversely
+    proportional to its time. least_share: smallest fraction of an equal share that every position keeps, so that all positions
+    remain for checking the model."""
     return solve(rows, weighting, least=least_share / len(rows), tolerance=1e-9, fixed=fixed).shares
 
 
@@ -183,6 +186,6 @@ def with_slopes(rows_of: RowsOf, settings: Array) -> tuple[Array, Array]:
 
 
 def boxed(over: Region, count: int) -> list[tuple[float | None, float | None]]:
-    """The bounds of `count` settings one after the other, as scipy takes them."""
+    """The bounds of `count` settings in sequence, in the form of scipy."""
     own = [(None if math.isinf(low) else low, None if math.isinf(high) else high) for low, high in over.bounds]
     return own * count

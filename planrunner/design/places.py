@@ -1,7 +1,8 @@
-"""The positions of a plan that a design may move: the segments at rest there, and the response of an estimate at any other attitude.
+"""The positions of a plan that a design may move: the segments at rest at them, and the response of an estimate at any other
+attitude.
 
-A place is one orientation as the plan writes it; segments that share it (repeats, temperatures) move together. The estimator itself gives
-the information of a position at rest, so this module does not depend on any sensor.
+A place is one orientation in the text of the plan. Segments that share it (repeats, temperatures) move together. The estimator
+itself gives the information of a position at rest, so this module does not depend on any sensor.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from planrunner.plan.selection import select
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """mark: (line, column) of the orientation in the plan. segments: that rest there, in order."""
+    """mark: (line, column) of the orientation in the plan. segments: the segments at rest there, in order."""
 
     mark: tuple[int, int]
     segments: tuple[Segment, ...]
@@ -42,7 +43,7 @@ class Place:
 class Sight:
     """Response of one output of an estimate: its terms, and the estimator's rows at any attitude.
 
-    magnitudes: (p,), by which columns are divided. fixed: rows (k, p) of the unchanged segments, such as spins, in units of a position's
+    magnitudes: (p,), divisors of the columns. fixed: rows (k, p) of the unchanged segments, such as spins, in units of a position's
     noise.
     """
 
@@ -71,8 +72,8 @@ class Sight:
 
 
 def places(segments: Sequence[Segment], patterns: Sequence[str]) -> tuple[tuple[Place, ...], tuple[Segment, ...]]:
-    """The places of the segments that an estimate uses, and its segments that spin, which stay. Raises `EstimationError` for what no
-    design of positions can move."""
+    """The places of the segments that an estimate uses, and its spinning segments, which stay. Raises `EstimationError` for
+    segments that no design of positions can move."""
     chosen = set(select([segment.label for segment in segments], patterns))
     groups: dict[tuple[int, int], list[Segment]] = {}
     spins = tuple(segments[index] for index in sorted(chosen) if isinstance(segments[index].motion, Spin))
@@ -110,8 +111,8 @@ def sight(
     spins: Sequence[Segment] = (),
     output: str | None = None,
 ) -> Sight:
-    """Response of an estimate at the places, in addition to spins that stay. output: which output, if they differ. Raises
-    `EstimationError`."""
+    """Response of an estimate at the places, in addition to spins that stay. output: name of the output, if the outputs differ.
+    Raises `EstimationError`."""
     at_rest = tuple(place.segments[0] for place in found)
     design = _design(name, spec, (*at_rest, *spins), site, sensor, uses, setup)
     if design is None or not design.blocks:
@@ -182,7 +183,7 @@ def _mark(segment: Segment) -> tuple[int, int]:
 
 
 def attitudes(axes: Sequence[TableAxis], settings: Array, azimuth: float) -> Array:
-    """The sensor's axes as rows in East-North-Up, (m, 3, 3), at joint angles (m, k) [rad]; many at a time."""
+    """The sensor's axes as rows in East-North-Up, (m, 3, 3), at joint angles (m, k) [rad]; efficient for many angles."""
     platform = np.broadcast_to(_turned(np.array([0.0, 0.0, 1.0]), np.array([-azimuth])), (len(settings), 3, 3))
     for axis, angles in zip(axes, settings.T, strict=True):
         platform = platform @ _turned(np.asarray(axis.direction, dtype=float), angles)
@@ -209,7 +210,8 @@ def reachable(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float
 
 
 def quick_order(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float) -> list[int]:
-    """A short order of the attitudes for the table: always the nearest next, then exchanges of two while this shortens the way."""
+    """A short order of the attitudes for the table: the nearest next attitude each time, then exchanges of two as long as they
+    shorten the path."""
 
     def travel(order: Sequence[int]) -> float:
         joints, total = np.zeros(len(axes)), 0.0

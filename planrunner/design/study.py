@@ -1,8 +1,8 @@
 """A design study: its options, the result of its search, and its output.
 
-Positions, rates and cycles are three sorts of study. Each kind has a search (`planrunner.tasks.design_positions` and so on), which gives a
-`Found…`, and its facts, tables and pictures (`planrunner.reporting.positions_study` and so on), which make it a `Study`. From there on
-all are alike: one task, one command, one page.
+Positions, rates and cycles are three kinds of study. Each kind has a search (`planrunner.tasks.design_positions` and so on), whose
+result is a `Found…`. Its facts, tables and pictures (`planrunner.reporting.positions_study` and so on) make it a `Study`. All
+further steps are the same for all kinds: one task, one command, one page.
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ SearchProgress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Options of a study; each kind uses only its own options. estimate: by default the first that can be designed. criterion: D, A, G or
-    I, of rates D or A. time: s, the whole plan's; dwells are allotted within it.
+    """Options of a study; each kind uses only its own options. estimate: by default the first that can be designed. criterion: D,
+    A, G or I; for rates D or A. time: s, for the whole plan; dwells are allotted within it.
 
-    Of positions, output: which to design for, where outputs differ; orientations: which set goes into the plan, free, cardinal or planned;
-    restarts, seed: of the free search. Of rates, rates: design them, whatever else could be; line_only: the estimator's own terms alone;
-    keep_lowest: the lowest planned rate stays, at which threshold and resolution are judged. Of cycles, segment: label of the segment, by
-    default the first with a cycle; order: which cycle goes into the plan, free or same.
+    For positions, output: the output to design for, if outputs differ; orientations: the set to put into the plan, free, cardinal
+    or planned; restarts, seed: of the search over free orientations. For rates, rates: whether to design them even if something
+    else could be designed; line_only: whether to use only the estimator's own terms; keep_lowest: whether to keep the lowest
+    planned rate, at which threshold and resolution are determined. For cycles, segment: label of the segment, by default the first
+    with a cycle; order: the cycle to put into the plan, free or same.
     """
 
     estimate: str | None = None
@@ -52,9 +53,9 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class PositionSet:
-    """One set of positions in the order of the plan's labels. of_found, of_bound: efficiencies against the best found among all
-    reachable orientations and against the continuous bound; of_cardinal: against the best found among cardinal ones, for cardinal sets.
-    schedule: the plan with this set; designs: what its estimates could then learn."""
+    """One set of positions in the order of the plan's labels. of_found, of_bound: efficiencies relative to the best set found among
+    all reachable orientations and to the continuous bound; of_cardinal: for cardinal sets, relative to the best cardinal set found.
+    schedule: the plan with this set; designs: the expected results of its estimates."""
 
     attitudes: tuple[Array, ...]
     texts: tuple[str, ...]
@@ -77,8 +78,8 @@ class PositionSet:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """D, A, I: bounds of the criteria that no set with this number of positions exceeds. certificate: maximum variance of the D-optimal
-    continuous design, and the number of terms, which is its lower bound."""
+    """Bounds of the criteria. D, A, I: values that no set with this number of positions exceeds. certificate: maximum variance of
+    the D-optimal continuous design, and the number of terms, which is its lower bound."""
 
     merit: Merit
     certificate: float
@@ -109,9 +110,9 @@ class FoundPositions:
 class RateSet:
     """rates: (n,), rad/s, magnitudes, largest first; dwells: (n,), s. loss: −ln|M| or tr M⁻¹ of the scaled terms.
 
-    efficiency: relative to the best rates found, for the same number of observations; per_hour: relative to the best use of the same time.
-    variance: of a predicted output over the study's `course`, in units of one observation's at the largest rate. predicted, total: what the
-    plan with these rates promises, and how long it takes [s].
+    efficiency: relative to the best rates found, for the same number of observations; per_hour: relative to the best use of the
+    same time. variance: of a predicted output over the study's `course`, in units of the variance of one observation at the largest
+    rate. predicted, total: predicted results of the plan with these rates, and its duration [s].
     """
 
     rates: tuple[float, ...]
@@ -166,7 +167,7 @@ class Subject:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """One orientation as it is drawn. attitude: (3, 3), sensor axes in site axes; words: as the plan writes it."""
+    """One orientation for drawing. attitude: (3, 3), sensor axes in site axes; words: as the plan writes it."""
 
     label: str
     attitude: Array
@@ -175,9 +176,9 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """Output of a study. varied: the designed quantity, such as `positions`; heading: one line; poses: rows of orientations by title;
-    footer: explanation of the figures; data: all of it as plain data. text: the plan with the chosen design; empty where there is none, and
-    `missing` says why."""
+    """Output of a study. varied: the designed quantity, such as `positions`; heading: one line; poses: rows of orientations by
+    title; footer: explanation of the numbers; data: all data as plain data. text: the plan with the chosen design; empty if there
+    is none, and `missing` gives the reason."""
 
     subject: Subject
     varied: str

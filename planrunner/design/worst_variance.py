@@ -1,8 +1,8 @@
-"""G-optimal sets: sets with the smallest worst variance of a predicted output over a region.
+"""G-optimal sets: sets that minimise the largest variance of a predicted output over a region.
 
-The worst variance has no slope where two places are equally bad, so a local search takes the k-norm of the variances instead, for rising
-k: its weighting of the region is that of a linear criterion tr(W·M⁻¹), and W moves to the worst places as k grows. For lists of
-candidates each position in turn gives way to whichever candidate makes the worst variance smallest.
+The largest variance is not differentiable if two places have the same variance. A local search therefore uses the k-norm of the
+variances for increasing k. Its weighting of the region is that of a linear criterion tr(W·M⁻¹), and W concentrates on the worst
+places as k grows. For lists of candidates, the candidate that minimises the largest variance replaces each position in turn.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ NORMS = (4.0, 16.0, 64.0, 256.0)
 
 
 def worst(rows: Array, region: Array, fixed: Array | None = None) -> float:
-    """The largest xᵀM⁻¹x over the rows of `region` (N, p) for a set `rows` (n, p); infinite where M is singular.
+    """The largest xᵀM⁻¹x over the rows of `region` (N, p) for a set `rows` (n, p); infinite if M is singular.
 
     fixed: (p, p), information that does not depend on the choice.
     """
@@ -32,7 +32,7 @@ def worst(rows: Array, region: Array, fixed: Array | None = None) -> float:
 
 
 def refine(over: Region, start: Array, region: Array, fixed: Array | None = None) -> Array:
-    """Settings (n, k) near `start` with a smaller worst variance over the rows of `region`; `start` itself if there are none."""
+    """Settings (n, k) near `start` with a smaller largest variance over the rows of `region`; `start` itself if there are none."""
     from scipy.optimize import minimize
 
     shape, best, least = start.shape, start, worst(over.rows_of(start), region, fixed)
@@ -63,7 +63,8 @@ def refine(over: Region, start: Array, region: Array, fixed: Array | None = None
 
 
 def exchange(rows: Array, start: Indices, region: Array, repeats: bool = False, fixed: Array | None = None) -> Indices:
-    """Indices (n,) of the candidates `rows` (N, p), reached from `start` by exchanges that lower the worst variance, until none does."""
+    """Indices (n,) of the candidates `rows` (N, p). They are reached from `start` by exchanges that reduce the largest variance,
+    until no exchange does."""
     chosen = list(map(int, start))
     least = worst(rows[chosen], region, fixed)
     improved = True

@@ -1,1 +1,1 @@
-"""Executing a schedule on a bench: the executor, stopping on request, and progress."""
+"""Executes a schedule on a bench: the executor, stopping on request, and progress."""

@@ -1,4 +1,4 @@
-"""What an executor needs of a bench whose instruments are connected."""
+"""The interface of a bench with connected instruments that an executor needs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ class ConnectedBench(Protocol):
         """Names of the instruments that were never controlled."""
 
     def make_safe(self) -> Sequence[object]:
-        """Bring every controlled instrument to its safe state; returns the failures, whose texts name them."""
+        """Brings every controlled instrument to its safe state; returns the failures, whose texts name the instruments."""
 
     def sign_of_life(self) -> None:
-        """Called often. Raises `InstrumentError` if no watchdog guards the bench any more."""
+        """Tells the watchdog that planrunner is at work. It is called often. Raises `InstrumentError` if no watchdog guards the
+        bench any more."""

@@ -1,6 +1,6 @@
 """State to restore after a crash: the states of simulated instruments and of the executor, stored with every segment.
 
-The state of a real bench is in the laboratory; after an interruption nothing about it is assumed.
+The state of a real bench is in the laboratory. After an interruption nothing is assumed about it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from planrunner.instruments.interfaces import Resumable
 
 
 class Continuity:
-    """States of a bench and of `reaching` from which a run continues."""
+    """States of a bench and of `reaching` from which a run can continue."""
 
     def __init__(self, bench: ConnectedBench, reaching: Reaching):
         self._bench = bench
@@ -23,7 +23,7 @@ class Continuity:
         self._resumable = {name: item for name, item in bench.instruments.items() if isinstance(item, Resumable)}
 
     def states(self) -> JsonObject:
-        """As JSON data; empty on a real bench."""
+        """The states as JSON data; empty on a real bench."""
         if not self._resumable:
             return {}
         reaching, attitude = self._reaching, self._reaching.attitude
@@ -49,7 +49,7 @@ class Continuity:
             return {}
 
     def restore(self, point: ResumePoint) -> None:
-        """Restore the state at which a run was interrupted."""
+        """Restores the state at which a run was interrupted."""
         self._bench.clock.set(point.clock)
         self._reaching.forget()
         # Simulated instruments get back their exact state; without an acknowledged segment they start anew.

@@ -52,10 +52,10 @@ def execute(
     patience: Patience | None = None,
     operator: Operator | None = None,
 ) -> Outcome:
-    """Execute the segments of `schedule` from `start_at` that `writer` has not acknowledged.
+    """Executes the segments of `schedule` from `start_at` that `writer` has not acknowledged.
 
-    operator: receives the prompts of the plan; None on a simulated bench, where nobody is asked. Failures of instruments or of the disk
-    raise nothing: they are in the outcome, and the bench is safe. A finished run is sealed.
+    operator: receives the prompts of the plan; None on a simulated bench, where nobody is asked. Failures of instruments or of the
+    disk raise no exception: they are in the outcome, and the bench is safe. A finished run is sealed.
     """
     return _Execution(schedule, bench, writer, stop, progress, start_at, patience or Patience(), operator).carry_out()
 
@@ -117,7 +117,7 @@ class _Execution:
         return self._account(failures, unsafe)
 
     def _account(self, failures: list[Failure], unsafe: list[str]) -> Outcome:
-        """Record how the run ended; the bench is safe already."""
+        """Records how the run ended. The bench is already safe."""
         complete = self._complete() and not failures
         cut, self.segment = self.segment, None
         stopped = None if complete or not self.stop.after_segment else self._how()
@@ -204,7 +204,7 @@ class _Execution:
         self.through = True
 
     def _segment(self, segment: Segment) -> None:
-        """Record a segment, and repeat it when a limit is exceeded, as often as the plan allows."""
+        """Records a segment, and repeats it when a limit is exceeded, as often as the plan allows."""
         self.segment = segment
         self.meter.begin(segment, self.clock.now())
         self.live.begin(segment)
@@ -232,7 +232,7 @@ class _Execution:
             return
 
     def _in_mode(self, segment: Segment) -> dict[str, float]:
-        """A reading: how long the sensor has been in the segment's mode when its record begins."""
+        """A reading: time that the sensor has been in the segment's mode when its record begins."""
         since = self.reaching.mode_since
         return {} if segment.mode is None or since is None else {IN_MODE: self.clock.now() - since}
 
@@ -271,7 +271,7 @@ class _Execution:
                 stream.close()
 
     def _stand(self, segment: Segment, holding: Holding) -> None:
-        """A dwell without recording."""
+        """Performs a dwell without recording."""
         if segment.dwell is None:
             message = f"'{segment.label}' lasts as long as its recording, but the sensor does not stream samples"
             raise InstrumentError(message)
@@ -309,7 +309,7 @@ class _Execution:
         self.live.notice(f"{instrument}: {text}")
 
     def _wait_safely(self) -> None:
-        """Brings the bench to its safe state before someone goes there; earlier commands no longer apply."""
+        """Brings the bench to its safe state before a person approaches it. Earlier commands no longer apply."""
         self.reaching.forget()
         failures = [str(failure) for failure in self.bench.make_safe()]
         if failures:

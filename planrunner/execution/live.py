@@ -57,14 +57,14 @@ class _Moments:
 
     @classmethod
     def of(cls, samples: NDArray[np.float64]) -> _Moments:
-        """samples: shape (channels, n), n > 0."""
+        """The moments of samples. samples: shape (channels, n), n > 0."""
         mean = samples.mean(axis=1)
         squares = np.square(samples - mean[:, None]).sum(axis=1)
         return cls(samples.shape[1], mean, squares, samples.min(axis=1), samples.max(axis=1))
 
     def joined(self, other: _Moments) -> _Moments:
-        """Of both sets of samples (Chan, Golub and LeVeque, Updating formulae and a pairwise algorithm for computing sample variances,
-        1979, equation 2.1)."""
+        """The moments of both sets of samples together (Chan, Golub and LeVeque, Updating formulae and a pairwise algorithm for
+        computing sample variances, 1979, equation 2.1)."""
         m, n = self.count, other.count
         delta = other.mean - self.mean
         return _Moments(
@@ -78,7 +78,7 @@ class _Moments:
 
 @dataclass(slots=True)
 class _Samples:
-    """Samples of the segment: those not yet summarised, and the moments of the others."""
+    """Samples of the segment: those not yet summarised, and the moments of all others."""
 
     units: Mapping[str, str]
     waiting: list[NDArray[np.float64]] = field(default_factory=list)
@@ -106,7 +106,7 @@ class _Samples:
         self.strip.append((self.last, new))
 
     def begin(self) -> None:
-        """Forget the samples, but not the strips."""
+        """Forgets the samples, but not the strips."""
         self.waiting, self.rows, self.moments = [], 0, None
 
 
@@ -131,17 +131,17 @@ class LiveReport:
         self._samples, self._hidden = _Samples(shown), len(channels) - len(shown)
 
     def begin(self, segment: Segment) -> None:
-        """A segment: the statistics begin again, the strips continue."""
+        """Begins a segment: the statistics begin again, the strips continue."""
         self._index, self._label = segment.index, segment.label
         self._samples.begin()
 
     def advance(self, event: Advanced) -> None:
-        """Progress within a segment."""
+        """Reports progress within a segment."""
         self._fraction, self._left, self._activity = event.fraction, event.time_left, event.activity
         self.beat()
 
     def take(self, block: Block) -> None:
-        """Samples of the segment."""
+        """Adds samples of the segment."""
         if self._samples.units:
             self._samples.take(block)
 
@@ -149,7 +149,7 @@ class LiveReport:
         self._notices.append(LiveNotice(utc_now(), text))
 
     def reject(self, label: str, reason: str) -> None:
-        """The segment is recorded again, if the plan allows: its statistics begin again."""
+        """Resets the statistics because the segment will be recorded again, if the plan allows."""
         self._samples.begin()
         self.notice(f"segment '{label}' was rejected: {reason}")
 
@@ -174,7 +174,7 @@ class LiveReport:
         self._publish()
 
     def beat(self) -> None:
-        """Called often; publishes the state if that is due."""
+        """Publishes the state if that is due. It is called often."""
         if time.monotonic() - self._published >= EVERY:
             self._publish()
 

@@ -1,6 +1,7 @@
-"""Supervision of the bench during every wait of a run: links, faults, limits of the bench, the watchdog, and requests of the operator.
+"""Supervises the bench during every wait of a run: links, faults, limits of the bench, the watchdog, and requests of the operator.
 
-About once a second, on the bench's clock, every instrument that can report its state is asked. Anything unusual goes into the journal.
+About once a second by the bench's clock, every instrument that can report its state is queried. Unusual events are entered in the
+journal.
 """
 
 from __future__ import annotations
@@ -51,11 +52,11 @@ class Lookout:
 
     @property
     def sees(self) -> bool:
-        """Whether some instrument has live readings."""
+        """Whether at least one instrument has live readings."""
         return bool(self._watched)
 
     def pause(self, seconds: float) -> None:
-        """Sleep on the bench's clock and supervise the bench. Raises the errors of `look`."""
+        """Sleeps on the bench's clock and supervises the bench. Raises the errors of `look`."""
         if not (self._watched or self._alive):
             if seconds > 0:
                 self._clock.sleep(seconds)
@@ -68,7 +69,7 @@ class Lookout:
         self.look()
 
     def look(self, fresh: bool = False) -> None:
-        """Ask the instruments if a check is due, or now. Raises `StoppedAtOnceError` and `InstrumentError`."""
+        """Queries the instruments if a check is due, or now on request. Raises `StoppedAtOnceError` and `InstrumentError`."""
         if self._stop.at_once:
             raise StoppedAtOnceError
         if self._lost is not None:
@@ -91,7 +92,8 @@ class Lookout:
             self._judge(name, condition)
 
     def idle(self) -> None:
-        """Keep the links alive while the bench waits in its safe state. There an open interlock or a lost link is not a fault."""
+        """Keeps the links alive while the bench waits in its safe state. In this state an open interlock or a lost link is not a
+        fault."""
         self._sign_of_life()
         if self._clock.now() - self._last < EVERY:
             return
@@ -105,7 +107,7 @@ class Lookout:
                 self._once(name, str(error))
 
     def hear(self) -> None:
-        """Enter the retries of the drivers into the journal."""
+        """Enters the retries of the drivers into the journal."""
         for name, item in self._remarking.items():
             for text in item.remarks():
                 self._notice(name, text)
@@ -119,7 +121,7 @@ class Lookout:
         return self._stop.at_once or self._lost is not None
 
     def begin_segment(self) -> None:
-        """Reset, so that doubts are reported again."""
+        """Resets the supervision for a segment, so that doubts are reported again."""
         self._doubts.clear()
         self._last = -math.inf
 

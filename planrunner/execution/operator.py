@@ -1,4 +1,4 @@
-"""Waiting for a person at a segment boundary: a prompt of the plan must be confirmed, or a pause must end.
+"""Waits for a person at a segment boundary: a prompt of the plan must be confirmed, or a pause must end.
 
 Meanwhile the bench is in its safe state, so that a fixture can be mounted. On a simulated bench nobody is asked. A prompt can be confirmed
 by the operator at the terminal or, from another process, by an answer in the run folder.
@@ -25,15 +25,16 @@ NOT_ASKED = "not asked: the bench is simulated"
 
 class Operator(Protocol):
     def ask(self, prompt: str) -> Callable[[], bool]:
-        """Show the prompt to the operator. The result can be called at any time and returns at once whether it is done."""
+        """Shows the prompt to the operator. Returns a function that can be called at any time and returns at once whether the
+        prompt has been confirmed."""
 
     def tell(self, text: str) -> None:
-        """Show a line that needs no answer."""
+        """Shows a line that needs no answer."""
 
 
 class Boundary:
-    """Actions between two segments. make_safe: brings the bench to its safe state and forgets earlier commands. go_on: called before the
-    first move afterwards."""
+    """Actions between two segments. make_safe: brings the bench to its safe state and forgets earlier commands. go_on: called
+    before the first move after the wait."""
 
     def __init__(
         self,
@@ -50,7 +51,7 @@ class Boundary:
         self._make_safe, self._go_on = make_safe, go_on
 
     def wait(self, segment: Segment, now: Callable[[], float]) -> None:
-        """Handle the prompts and a pause, if any, before `segment`. Returns early if the run must stop."""
+        """Handles the prompts and a pause, if any, before `segment`. Returns early if the run must stop."""
         if asked_to_pause(self._writer.folder):
             self._pause(now)
         if not segment.prompts or self._stop.after_segment:
@@ -98,7 +99,7 @@ class Boundary:
             self._writer.note("continued", clock=now())
 
     def _until(self, done: Callable[[], bool]) -> bool:
-        """Wait in real time, regardless of the bench's clock. Returns False if the run must stop."""
+        """Waits in real time, regardless of the bench's clock. Returns False if the run must stop."""
         while not done():
             if self._stop.after_segment:
                 return False

@@ -11,7 +11,7 @@ from planrunner.instruments.interfaces import InstrumentError
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """where: what the executor was doing; kind: the exception's class; message: for a quality engineer."""
+    """A failure of a run. where: activity of the executor; kind: the exception's class; message: for a quality engineer."""
 
     where: str
     kind: str
@@ -34,10 +34,10 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """completed: number of segments acknowledged in this execution; segments: number in the schedule. stopped: how the run was stopped
-    on request. unsafe: failures to make instruments safe. untouched: instruments that were never commanded and therefore left as found.
-    finished: every segment is acknowledged and the folder is sealed. remarks: what the user must know although the run is complete;
-    unsigned: why the bench did not sign the seal, although it must."""
+    """The outcome. completed: number of segments acknowledged in this execution; segments: number in the schedule. stopped: how the
+    run was stopped on request. unsafe: failures to make instruments safe. untouched: instruments that were never commanded and are
+    therefore left as they were. finished: whether every segment is acknowledged and the folder is sealed. remarks: information that
+    the user needs although the run is complete; unsigned: the reason why the bench did not sign the seal, if it should have."""
 
     completed: int
     segments: int

@@ -13,7 +13,7 @@ from planrunner.plan.schedule import Schedule, Segment
 
 @dataclass(frozen=True, slots=True)
 class SegmentBegun:
-    """fraction: completed fraction of the planned time of the run, 0 to 1. time_left: s of real time, None while unknown."""
+    """fraction: completed fraction of the planned time of the run, 0 to 1. time_left: s of real time, None if it is not yet known."""
 
     index: int
     label: str
@@ -56,7 +56,7 @@ def planned_seconds(segment: Segment) -> float:
 
 
 def with_lengths(schedule: Schedule, sensor: object) -> Schedule:
-    """The schedule with a dwell also for the segments that last as long as their recording, as far as the sensor knows it."""
+    """The schedule with dwells for the segments that last as long as their recording, as far as the sensor knows their length."""
     if not isinstance(sensor, KnowsLength):
         return schedule
     segments = (replace(one, dwell=sensor.length_of(one)) if one.dwell is None else one for one in schedule.segments)
@@ -64,11 +64,11 @@ def with_lengths(schedule: Schedule, sensor: object) -> Schedule:
 
 
 class Meter:
-    """Turns the position of the executor into events.
+    """Converts the position of the executor to events.
 
-    The time left is the remaining planned time at the pace so far, so it is real time on a simulated bench too. callback: receives all
-    events; one that raises is not called again, because a display must not end a run. live: receives the progress within segments only,
-    because most runs have no display, and the beginning and end of a segment then cost nothing.
+    The time left is the remaining planned time at the pace so far, so it is real time on a simulated bench too. callback: receives
+    all events. A callback that raises is not called again, because a display must not end a run. live: receives only the progress
+    within segments. Most runs have no display, so the beginning and end of a segment then cost nothing.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Meter:
             self._tell(SegmentBegun(segment.index, segment.label, self._segments, *self._pace(self._behind)))
 
     def advance(self, clock: float, activity: str) -> None:
-        """Called often; sends an event if one is due."""
+        """Sends an event if one is due. It is called often."""
         now = time.monotonic()
         segment = self._segment
         if segment is None or now - self._shown < EVERY:

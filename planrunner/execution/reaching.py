@@ -1,8 +1,8 @@
-"""Bringing the bench to the state of a segment and to rest again: temperature, orientation, motion, settling.
+"""Brings the bench to the state of a segment and to rest again: temperature, orientation, motion, settling.
 
-Commands return at once with their expected duration. After that time on the bench's clock the instrument is asked until it has arrived, up
-to a time-out. If the plan names quantities to settle and the instruments have readings of them, settling ends when they have settled.
-Temperature is set only when it changes, orientation only when it changes or after a motion.
+Commands return at once with their expected duration. After that time on the bench's clock, the instrument is queried until it has
+reached the state, up to a time-out. If the plan names quantities to settle and instruments measure them, settling ends when they
+have settled. Temperature is set only when it changes, orientation only when it changes or after a motion.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from planrunner.plan.units import ZERO_CELSIUS
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """How long an instrument may take beyond its expected duration, and how often it is asked, s."""
+    """Waiting times: how long an instrument may take beyond its expected duration, and the interval between queries, s."""
 
     table: float = 60.0
     chamber: float = 1800.0
@@ -37,7 +37,7 @@ class Patience:
 
 
 class Reaching:
-    """Remembers the last commands, so that nothing is moved without need."""
+    """Reaches states. It remembers the last commands, so that nothing is moved unnecessarily."""
 
     def __init__(self, bench: ConnectedBench, lookout: Lookout, patience: Patience, say: Callable[[str], None]):
         self._bench = bench
@@ -61,12 +61,13 @@ class Reaching:
         """False after an interruption, when the table may be moving."""
 
     def forget(self) -> None:
-        """Forget the last commands, because the bench was made safe."""
+        """Forgets the last commands, because the bench was made safe."""
         self.temperature, self.attitude, self.mode, self.mode_since = None, None, None, None
         self.soak_again = self.moving_perhaps = True
 
     def reach(self, segment: Segment) -> None:
-        """Bring the bench to the segment's state, settled. Raises `InstrumentError` and `StoppedAtOnceError`."""
+        """Brings the bench to the segment's state and waits until it has settled. Raises `InstrumentError` and
+        `StoppedAtOnceError`."""
         self._reach_temperature(segment)
         self._orient(segment)
         self._enter_mode(segment)
@@ -85,7 +86,7 @@ class Reaching:
             self.temperature = None
 
     def come_to_rest(self, segment: Segment) -> None:
-        """End the segment's motion."""
+        """Ends the segment's motion."""
         if not isinstance(segment.motion, Rest) and isinstance(self._table, Moves):
             self._stop(self._table)
 
@@ -95,7 +96,7 @@ class Reaching:
         self._wait(expected, self._holds_orientation, "the table does not come to rest", self._patience.table)
 
     def pause(self, seconds: float) -> None:
-        """Sleep on the bench's clock and supervise the bench. Raises the errors of `Lookout.look`."""
+        """Sleeps on the bench's clock and supervises the bench. Raises the errors of `Lookout.look`."""
         self._lookout.pause(seconds)
 
     def _settle(self, segment: Segment) -> None:
@@ -104,8 +105,8 @@ class Reaching:
             self._wait_until_settled(segment, segment.settle, segment.stable)
 
     def _wait_until_settled(self, segment: Segment, seconds: float, stability: Stability | None) -> None:
-        """Wait for a time. If the plan names quantities to settle and the instruments have readings of them, wait until these have
-        stayed within their limits for that time."""
+        """Waits for a time. If the plan names quantities to settle and instruments measure them, it waits until these have stayed
+        within their limits for that time."""
         if stability is None or not self._lookout.sees:
             self.pause(seconds)
             return
@@ -202,7 +203,7 @@ class Reaching:
 
 
 def _heater(chamber: Instrument) -> HoldsTemperature:
-    """Raises `InstrumentError` if the chamber cannot set a temperature."""
+    """The instrument that sets temperatures. Raises `InstrumentError` if the chamber cannot set a temperature."""
     if not isinstance(chamber, HoldsTemperature):
         raise InstrumentError(
             "the chamber's driver cannot set a temperature: use another driver or leave temperature out"

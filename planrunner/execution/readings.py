@@ -1,4 +1,4 @@
-"""Readings of the current state by the plan's names: settling before a segment records, and limits while it does."""
+"""Readings of the current state by the plan's names, for settling before a segment records and for limits while it records."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ class Readings:
     _courses: dict[str, deque[tuple[float, float]]] = field(default_factory=dict)
 
     def take(self, now: float, conditions: Mapping[str, Condition]) -> dict[str, float]:
-        """Reading → current value, SI, for all known readings. If several instruments report one, the worst value is taken."""
+        """Maps each reading to its current value, SI, for all known readings. If several instruments report one, the worst value is
+        taken."""
         found: dict[str, float] = {}
         for name, condition in conditions.items():
             for reading in ("position_error", "rate_error"):
@@ -53,7 +54,7 @@ class Readings:
         return found
 
     def _drift(self, name: str, now: float, kelvin: float) -> float | None:
-        """|dT/dt| [K/s] of a straight line fitted to the last `over` seconds; None before that time has passed."""
+        """The drift |dT/dt| [K/s] from a straight line fitted to the last `over` seconds; None before that time has passed."""
         course = self._courses.setdefault(name, deque())
         course.append((now, kelvin))
         while course and now - course[0][0] > self.over * (1 + 1e-9) and now - course[1][0] >= self.over:
@@ -75,7 +76,7 @@ def readings_of(bench: ConnectedBench, segment: Segment, over: float) -> Reading
 
 
 def outside(limits: Mapping[str, float], values: Mapping[str, float]) -> list[str]:
-    """In words, the readings beyond their limits; unknown readings are left out."""
+    """The readings beyond their limits, in words; unknown readings are omitted."""
     return [
         f"{_shown(name, values[name])} is more than the {_amount(name, limit)} that the plan allows"
         for name, limit in limits.items()
@@ -84,12 +85,12 @@ def outside(limits: Mapping[str, float], values: Mapping[str, float]) -> list[st
 
 
 def unread(limits: Mapping[str, float], values: Iterable[str]) -> list[str]:
-    """In words, the limited readings that no instrument has reported."""
+    """The limited readings that no instrument has reported, in words."""
     return [f"no instrument reports the {name.replace('_', ' ')}" for name in limits if name not in values]
 
 
 def frames_outside(watch: Watch, counts: FrameCounts) -> list[str]:
-    """In words, which fractions of lost or corrupt frames exceed their limits. Frames dropped by the computer count as lost."""
+    """The fractions of lost or corrupt frames that exceed their limits, in words. Frames dropped by the computer count as lost."""
     whole = counts.received + counts.lost + counts.corrupt + counts.overflowed
     shares = {
         "lost": (watch.lost, counts.lost + counts.overflowed),
@@ -132,7 +133,7 @@ class Holding:
         self._seen: set[str] = set()
 
     def check(self, fresh: bool = False) -> None:
-        """Check the bench if a check is due, or now. Raises `LimitPassedError` and the errors of `Lookout.look`."""
+        """Checks the bench if a check is due, or now on request. Raises `LimitPassedError` and the errors of `Lookout.look`."""
         self._lookout.look(fresh=fresh or not self._begun)
         self._begun = True
         if self._looks == self._lookout.looks:
@@ -165,7 +166,7 @@ class Holding:
         return None if self._counts is None else self._counts()
 
     def unjudged(self) -> list[str]:
-        """In words, the limited quantities without a reading during the dwell, on a bench that has readings."""
+        """The limited quantities without a reading during the dwell, in words, on a bench that has readings."""
         if not self._looks or self._moves:
             return []
         return unread(self._watch.limits, self._seen)

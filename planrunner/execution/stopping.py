@@ -1,4 +1,4 @@
-"""Stopping on request: the first Ctrl-C ends the run after the segment, the second or a termination signal at once.
+"""Stops a run on request: the first Ctrl-C ends it after the segment, the second or a termination signal at once.
 
 Handlers only record the request; the executor checks it between steps and leaves the bench safe. A third Ctrl-C raises KeyboardInterrupt,
 in case a driver does not return; the executor makes the bench safe then too.
@@ -32,7 +32,7 @@ class StopRequest:
         self._restore: dict[int, SignalHandler] = {}
 
     def request(self, *, at_once: bool = False, reason: str = "asked to stop") -> None:
-        """Ask to stop after the segment, or at once."""
+        """Requests to stop after the segment, or at once."""
         self.after_segment = True
         self.at_once = self.at_once or at_once
         self.reason = reason

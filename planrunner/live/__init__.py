@@ -1,1 +1,1 @@
-"""What is running now: the running runs of an archive, the server of the live page, and the view on a terminal."""
+"""The running runs of an archive, the server of the live page, and the view on a terminal."""

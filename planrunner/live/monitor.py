@@ -1,7 +1,7 @@
-"""The running runs of an archive, found in its run folders; and what a person may do to them: pause, continue, confirm a prompt.
+"""The running runs of an archive, found in its run folders; and the actions of a person: pause, continue, confirm a prompt.
 
-Runs are executed by other processes. A run that has a live state is running if that state changes, or if its folder is locked. The lock is
-tried as rarely as possible, because trying it takes it for a moment.
+Runs are executed by other processes. A run with a live state is running if that state changes, or if its folder is locked. The lock
+is tried as rarely as possible, because a trial holds it for a moment.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ RunOutcome = Literal["finished", "not finished", "unreadable"]
 
 @dataclass(frozen=True, slots=True)
 class RunHeader:
-    """From run.json; empty texts if it cannot be read. started: UTC, ISO 8601."""
+    """Data of a run from run.json; empty texts if it cannot be read. started: UTC, ISO 8601."""
 
     run: str
     plan: str = ""
@@ -55,7 +55,7 @@ class RunHeader:
 
 @dataclass(frozen=True, slots=True)
 class RunningRun:
-    """asked_to_pause: a pause is requested, whether or not it has begun."""
+    """A running run. asked_to_pause: whether a pause is requested, even if it has not begun."""
 
     header: RunHeader
     state: LiveState
@@ -67,7 +67,7 @@ class RunningRun:
 
 @dataclass(frozen=True, slots=True)
 class RecentRun:
-    """segments: number of recorded segments. reason: last failure in the journal, if any."""
+    """A recent run. segments: number of recorded segments. reason: last failure in the journal, if any."""
 
     header: RunHeader
     outcome: RunOutcome
@@ -80,7 +80,7 @@ class RecentRun:
 
 @dataclass(frozen=True, slots=True)
 class Activity:
-    """What an archive looked like at one moment; the newest runs first. at: UTC, ISO 8601."""
+    """State of an archive at one moment; the newest runs first. at: UTC, ISO 8601."""
 
     running: tuple[RunningRun, ...]
     recent: tuple[RecentRun, ...]
@@ -95,7 +95,8 @@ class Activity:
 
 @dataclass(slots=True)
 class _Pulse:
-    """at: time in the last state. seen: when it was first seen, s. alive: answer of the lock, None if it was not tried for this state."""
+    """The last live state of a run. at: time in this state. seen: when it was first seen, s. alive: answer of the lock, None if it
+    was not tried for this state."""
 
     at: str
     seen: float
@@ -103,7 +104,7 @@ class _Pulse:
 
 
 class Monitor:
-    """Looks at an archive. Raises `InputError` if it is not a folder. May be used from several threads."""
+    """Observes an archive. Raises `InputError` if it is not a folder. It may be used from several threads."""
 
     def __init__(self, archive: Path):
         try:
@@ -124,7 +125,7 @@ class Monitor:
     # -- looking -----------------------------------------------------------------------------------------------------
 
     def look(self) -> Activity:
-        """The activity now. A folder that cannot be read is left out."""
+        """The present activity. A folder that cannot be read is omitted."""
         with self._lock:
             names = self._names()
             running = [one for name in names if self._has_live(name) and (one := self._running(name)) is not None]
@@ -134,7 +135,7 @@ class Monitor:
             return Activity(tuple(running), tuple(islice(recent, RECENT)))
 
     def _names(self) -> list[str]:
-        """Names of the folders, the newest run first: they begin with the time."""
+        """Names of the folders, the newest run first. The names begin with the time."""
         try:
             with os.scandir(self.path) as listed:
                 names = [item.name for item in listed if not item.name.startswith(".") and item.is_dir()]
@@ -143,7 +144,7 @@ class Monitor:
         return sorted(names, reverse=True)
 
     def _has_live(self, name: str) -> bool:
-        """A quick look; what is found is opened with care."""
+        """Whether a folder seems to have a live state. This is a quick check; the file is then opened with all precautions."""
         return os.path.lexists(self.path / name / NAME)
 
     def _running(self, name: str) -> RunningRun | None:
@@ -195,7 +196,7 @@ class Monitor:
     # -- acting ------------------------------------------------------------------------------------------------------
 
     def pause(self, run: str) -> None:
-        """Ask a running run to pause. Raises `InputError`."""
+        """Asks a running run to pause. Raises `InputError`."""
         folder = self._written(run)
         try:
             pausing.ask_to_pause(folder)
@@ -203,7 +204,7 @@ class Monitor:
             raise self._refused(run, f"the run folder cannot be written: {error.strerror or error}") from None
 
     def go_on(self, run: str) -> None:
-        """Continue a paused run, or withdraw the request for a pause. Raises `InputError`."""
+        """Continues a paused run, or withdraws the request for a pause. Raises `InputError`."""
         folder = self._written(run)
         try:
             pausing.take_back(folder)
@@ -211,7 +212,7 @@ class Monitor:
             raise self._refused(run, f"the run folder cannot be written: {error.strerror or error}") from None
 
     def answer(self, run: str, question: str, by: str) -> None:
-        """Confirm the prompt that a run shows. by: name of the person. Raises `InputError`."""
+        """Confirms the prompt that a run shows. by: name of the person. Raises `InputError`."""
         folder = self._written(run)
         name = " ".join(by.split())
         if not name or len(name) > LONGEST_NAME or not name.isprintable():
@@ -225,7 +226,7 @@ class Monitor:
             raise self._refused(run, f"the run folder cannot be written: {error.strerror or error}") from None
 
     def _written(self, run: str) -> GuardedFolder:
-        """The folder of a run that a process writes."""
+        """The folder of a run that a process is writing."""
         try:
             folder = self._archive.folder(run)
             if read_live(folder) is not None and pausing.is_written(folder):

@@ -63,7 +63,7 @@ HEADERS = {
 
 
 class _Watching:
-    """Looks at the archive once for all pages, and only while a page watches."""
+    """Observes the archive once for all pages, and only while a page is open."""
 
     def __init__(self, monitor: Monitor):
         self._monitor = monitor
@@ -75,7 +75,7 @@ class _Watching:
         self.text = ""
 
     def enter(self) -> bool:
-        """A page begins to watch. Returns whether there is room for it."""
+        """Registers a page. Returns whether there is room for it."""
         with self._condition:
             if self._watchers >= MOST_WATCHERS or self._stop.is_set():
                 return False
@@ -90,7 +90,7 @@ class _Watching:
             self._watchers -= 1
 
     def after(self, number: int) -> tuple[int, str]:
-        """The first text after the one with this number, or the same after `KEEP_ALIVE`."""
+        """The first text with a higher number than the given one, or the same text after `KEEP_ALIVE`."""
         with self._condition:
             self._condition.wait_for(lambda: self.number > number or self._stop.is_set(), KEEP_ALIVE)
             return self.number, self.text
@@ -105,7 +105,7 @@ class _Watching:
             self._condition.notify_all()
 
     def refresh(self) -> None:
-        """Look at once, after an action."""
+        """Observes the archive at once, after an action."""
         self._take(self._monitor.look())
 
     def _look(self) -> None:
@@ -165,7 +165,7 @@ class LiveServer(ThreadingHTTPServer):
         super().shutdown()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A page that went away is not an error to report."""
+        """Ignores errors of pages that were closed."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -218,7 +218,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise RefusedRequestError(http.HTTPStatus.NOT_FOUND, "there is nothing at this address")
 
     def _events(self) -> None:
-        """Server-sent events: the activity, now and whenever it changes."""
+        """Sends server-sent events: the activity, at once and whenever it changes."""
         watching = self.server.watching
         if not watching.enter():
             raise RefusedRequestError(
@@ -303,4 +303,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Connection", "close")
 
     def log_message(self, format: str, *args: object) -> None:
-        """Requests are not logged."""
+        """Does nothing, because requests are not logged."""

@@ -2,13 +2,13 @@
 zero.
 
 Coarse: the mean specific force points up, its cross product with the mean rate points east (Britting, "Inertial Navigation Systems
-Analysis", 1971, chapter 9). Fine: the navigator runs from the coarse attitude. Its velocity is pure error and drives a Kalman filter with
-the linear error equations, which gives tilt and azimuth with their covariance (gyrocompassing). Swaying does no harm, because the gyros
-measure it.
+Analysis", 1971, chapter 9). Fine: the navigator runs from the coarse attitude. Its velocity is then only error. It is the
+measurement of a Kalman filter with the linear error equations, which gives tilt and azimuth with their covariance (gyrocompassing).
+Swaying is permitted, because the gyros measure it.
 
-While the unit keeps its attitude, constant sensor errors cannot be distinguished from tilt and azimuth (`ErrorEquations.levelled`). If it
-is turned about the vertical from stop to stop they can be distinguished. The filter then has them as states, together with the gyro errors
-that the turns cause through scale factor and misalignment, in proportion to the rate of turn.
+While the unit keeps its attitude, constant sensor errors cannot be distinguished from tilt and azimuth (`ErrorEquations.levelled`).
+If the unit is turned about the vertical from stop to stop, they can be distinguished. The filter then includes them as states,
+together with the gyro errors that the turns cause through scale factor and misalignment, in proportion to the rate of turn.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ _PRIOR = math.radians(10)  # standard uncertainty of the coarse attitude; so wid
 @dataclass(frozen=True, slots=True)
 class Alignment:
     """rotation: body axes as columns in East-North-Up, (3, 3). covariance: (16, 16), of the remaining errors: the states of
-    `error_equations`, the constant sensor errors, and the gyro errors per rate of turn in body axes. constant: (6,), constant errors as
-    estimated, rad/s and m/s². consistency: root mean square of the innovations divided by the value expected from the noise; 1 or less is
-    normal. largest: the largest innovation, m/s. followed: (16, 6, m), the remaining errors per error of each sensor, rad/s or m/s²,
-    in each of m intervals of the alignment; without intervals unless they were asked for."""
+    `error_equations`, the constant sensor errors, and the gyro errors per rate of turn in body axes. constant: (6,), constant
+    errors as estimated, rad/s and m/s². consistency: root mean square of the innovations divided by the value expected from the
+    noise; 1 or less is normal. largest: the largest innovation, m/s. followed: (16, 6, m), the remaining errors per error of each
+    sensor, rad/s or m/s², in each of m intervals of the alignment; m = 0 unless the intervals are requested."""
 
     rotation: Array
     covariance: Array
@@ -50,7 +50,7 @@ class Alignment:
 
     @property
     def tilt_covariance(self) -> Array:
-        """(3, 3), rad²."""
+        """Covariance of the tilt and azimuth errors, (3, 3), rad²."""
         return self.covariance[TILT, TILT]
 
 
@@ -63,7 +63,7 @@ def coarse(rate: Array, force: Array) -> Array:
 
 
 class FineAlignment:
-    """The filter: takes velocities knot by knot and gives the attitude at the end."""
+    """The filter. It takes velocities knot by knot and gives the attitude at the end."""
 
     def __init__(
         self,
@@ -73,9 +73,9 @@ class FineAlignment:
         constant: Array | None = None,
         follow: float | None = None,
     ):
-        """density: (6, 6), variance per second of the integrated gyros [rad²/s] and accelerometers [(m/s)²/s], navigation axes. seconds:
-        between knots. constant: (6,), standard uncertainty of the constant errors before alignment; None if they are not estimated. follow:
-        s, length of the intervals for `Alignment.followed`; None for none."""
+        """density: (6, 6), variance per second of the integrated gyros [rad²/s] and accelerometers [(m/s)²/s], navigation axes.
+        seconds: time between knots. constant: (6,), standard uncertainty of the constant errors before alignment; None if they are
+        not estimated. follow: length of the intervals for `Alignment.followed`, s; None for none."""
         self._transition = np.eye(_ALL)
         self._transition[:SIZE, :SIZE], self._response = equations.step(seconds)
         self._added = np.zeros((_ALL, _ALL))
@@ -88,8 +88,8 @@ class FineAlignment:
         self._followed = np.zeros((_ALL, 0))
 
     def take(self, velocities: Array, rotations: Array, turns: Array) -> None:
-        """velocities: (m, 2), m/s, east and north, at the next m knots; rotations: (m, 3, 3), body axes as columns, the mean over the
-        time before each; turns: (m,), mean rate about the vertical in that time, rad/s."""
+        """Takes measurements. velocities: (m, 2), m/s, east and north, at the next m knots; rotations: (m, 3, 3), body axes as
+        columns, averaged over the time before each knot; turns: (m,), mean rate about the vertical in that time, rad/s."""
         for first in range(0, len(velocities), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             transitions = self._transitions(rotations[part], turns[part])
@@ -124,8 +124,8 @@ class FineAlignment:
         self._largest = max(self._largest, *map(abs, innovation.tolist()))
 
     def _follow(self, kept: Array, transition: Array, interval: int) -> None:
-        """What errors of the sensors, in this interval and before, leave after the update. The true errors of the sensors are not among the
-        states that the alignment begins with, so their responses begin at zero."""
+        """Updates the errors that sensor errors in this interval and before leave after the measurement. The initial states of the
+        alignment do not contain these sensor errors, so their responses begin at zero."""
         missing = INPUTS * (interval + 1) - self._followed.shape[1]
         errors = np.hstack([self._followed, np.zeros((_ALL, max(missing, 0)))])
         errors = transition @ errors

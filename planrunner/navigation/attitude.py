@@ -1,8 +1,8 @@
 """Attitude: body axes in East-North-Up as quaternion, matrix, and heading, pitch and roll.
 
-The body's x, y, z axes are right, forward, up: with heading, pitch and roll zero they point east, north, up. Heading: of the y axis from
-true north, clockwise seen from above; pitch: of the y axis above the horizon; roll: about the y axis, positive with the x axis below it.
-Quaternions are scalar first and turn body vectors into navigation axes.
+The body's x, y, z axes are right, forward, up: with heading, pitch and roll zero they point east, north, up. Heading: of the y axis
+from true north, clockwise seen from above; pitch: of the y axis above the horizon; roll: about the y axis, positive with the x axis
+below it. Quaternions are scalar first and rotate body vectors into navigation axes.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ def angles(rotation: Array) -> Array:
 
 
 def angle_sensitivities(rotation: Array) -> Array:
-    """∂(heading, pitch, roll)/∂φ (3, 3) for an attitude that is turned by a small φ [rad] in navigation axes: C → (1 + φ×)·C."""
+    """The derivatives ∂(heading, pitch, roll)/∂φ (3, 3) for an attitude that is rotated by a small φ [rad] in navigation axes: C →
+    (1 + φ×)·C."""
     step = 1e-6
     columns = []
     for axis in range(3):

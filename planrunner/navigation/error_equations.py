@@ -28,7 +28,7 @@ _TERMS = 16
 
 @dataclass(frozen=True, slots=True)
 class ErrorEquations:
-    """ẋ = dynamics·x + inputs·(ε, ∇). dynamics: (7, 7); inputs: (7, 6)."""
+    """The equations ẋ = dynamics·x + inputs·(ε, ∇). dynamics: (7, 7); inputs: (7, 6)."""
 
     dynamics: Array
     inputs: Array
@@ -80,7 +80,7 @@ class ErrorEquations:
             yield covariance
 
     def responses(self, start: Array, inputs: Array, seconds: float) -> Array:
-        """State (n, 7, k) after each of n intervals of `seconds`. start: (7, k); inputs: (n, 6, k), the mean over each interval."""
+        """State (n, 7, k) after each of n intervals of `seconds`. start: (7, k); inputs: (n, 6, k), averaged over each interval."""
         transition, response = self.step(seconds)
         found = np.empty((len(inputs), *start.shape))
         state = start
@@ -90,7 +90,7 @@ class ErrorEquations:
         return found
 
     def levelled(self) -> Array:
-        """The tilt (3, 6) after alignment at rest, per constant input error: the tilt of the stationary solution.
+        """The tilt (3, 6) after alignment at rest per constant input error. It is the tilt of the stationary solution.
 
         φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L), the limit of gyrocompassing."""
         g, rate_n, rate_u = self.dynamics[3, 4], -self.dynamics[4, 6], self.dynamics[4, 5]

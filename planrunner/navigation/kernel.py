@@ -10,8 +10,8 @@ Weston, "Strapdown Inertial Navigation Technology", 2nd ed., chapters 3 and 11):
     attitude          q  ← q(−ω_in·dt) ∘ q ∘ q(φ)
     position          trapezoid of v, with radii and latitude of the middle of the interval
 
-Earth rate and transport rate are taken at the middle of the interval, so the error of a step is of third order in dt. Only the state vector
-is carried from sample to sample, so the result does not depend on how samples are divided into blocks.
+Earth rate and transport rate are evaluated at the middle of the interval, so the error of a step is of third order in dt. Only the
+state vector is carried from sample to sample, so the result does not depend on how samples are divided into blocks.
 
 All arithmetic is on scalars, because small arrays would cost more than the arithmetic. The compiler inlines the functions into one loop.
 """
@@ -42,7 +42,8 @@ _SMALL = 0.01  # rad²; below, the series of the half-angle functions are exact 
 
 @compiled()
 def _body_increments(t, u, a, b):  # type: ignore[no-untyped-def]
-    """Rotation vector and velocity increment in body axes. t, u: angle and velocity increments of this interval; a, b: of the last."""
+    """Rotation vector and velocity increment in body axes. t, u: angle and velocity increments of this interval; a, b: of the
+    preceding one."""
     tx, ty, tz = t
     ux, uy, uz = u
     ax, ay, az = a
@@ -63,7 +64,7 @@ def _body_increments(t, u, a, b):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _turned(q, v):  # type: ignore[no-untyped-def]
-    """A body vector in navigation axes."""
+    """A body vector transformed to navigation axes."""
     w, x, y, z = q
     dx, dy, dz = v
     cx, cy, cz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
@@ -96,7 +97,7 @@ def _earth_at(latitude, height, north, rate, factor):  # type: ignore[no-untyped
 
 @compiled()
 def _half_angle(x):  # type: ignore[no-untyped-def]
-    """sin(φ/2)/φ and cos(φ/2) for φ² = x."""
+    """The values sin(φ/2)/φ and cos(φ/2) for φ² = x."""
     if x < _SMALL:
         return (
             0.5 - x * (1.0 / 48.0 - x * (1.0 / 3840.0 - x * (1.0 / 645120.0))),
@@ -108,7 +109,7 @@ def _half_angle(x):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _product(p, q):  # type: ignore[no-untyped-def]
-    """p ∘ q of two quaternions."""
+    """The product p ∘ q of two quaternions."""
     p0, p1, p2, p3 = p
     q0, q1, q2, q3 = q
     return (
@@ -121,7 +122,8 @@ def _product(p, q):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _new_attitude(q, body, e, n, u):  # type: ignore[no-untyped-def]
-    """The attitude after the body's rotation vector and a rotation vector (e, n, u) of the navigation axes; normalised."""
+    """The attitude after two rotations: the body's rotation vector, and a rotation vector (e, n, u) of the navigation axes. It is
+    normalised."""
     bx, by, bz = body
     s, c = _half_angle(bx * bx + by * by + bz * bz)
     turned = _product(q, (c, s * bx, s * by, s * bz))
@@ -152,12 +154,13 @@ def _new_velocity(v, d, place, dt, held):  # type: ignore[no-untyped-def]
 
 @compiled()
 def advance(state, increments, interval, aiding, earth, gains, held, every, knots):  # type: ignore[no-untyped-def]
-    """Carries `state` (18,) over n samples, in place; returns how many knots were written.
+    """Advances `state` (18,) over n samples in place; returns the number of knots written.
 
-    increments: (6, n), angle [rad] and velocity [m/s] about and along body x, y, z. interval: (n,), s. aiding: (n,) reference height [m]
-    for the damped vertical channel, or (1,) for a constant one. earth: (rotation rate [rad/s], factor on normal gravity). gains: (3,) of
-    the third-order loop [1/s, 1/s², 1/s³], zeros for a free vertical channel. held: height and vertical velocity keep their values. every:
-    number of steps between knots, counted since the state was made. knots: (m, 10), written in order.
+    increments: (6, n), angle [rad] and velocity [m/s] about and along body x, y, z. interval: (n,), s. aiding: (n,) reference
+    height [m] for the damped vertical channel, or (1,) for a constant one. earth: (rotation rate [rad/s], factor on normal
+    gravity). gains: (3,) of the third-order loop [1/s, 1/s², 1/s³], zeros for a free vertical channel. held: whether height and
+    vertical velocity keep their values. every: number of steps between knots, counted since the state was made. knots: (m, 10),
+    written in order.
     """
     q = (state[0], state[1], state[2], state[3])
     ve, vn, vu = state[4], state[5], state[6]

@@ -1,4 +1,4 @@
-"""A strapdown navigator: its state and its update with blocks of increments. The arithmetic is in `kernel`."""
+"""A strapdown navigator: its state and its update with blocks of increments. The module `kernel` contains the arithmetic."""
 
 from __future__ import annotations
 

@@ -39,8 +39,8 @@ def normal_gravity(latitude: ArrayLike, height: ArrayLike = 0.0) -> Array:
 def separation(
     latitude: ArrayLike, longitude: ArrayLike, to_latitude: ArrayLike, to_longitude: ArrayLike, height: ArrayLike = 0.0
 ) -> tuple[Array, Array]:
-    """East and north distance [m] from positions [rad] to others at the same height [m]: arcs of parallel and meridian at the middle
-    latitude, correct to third order in the distance."""
+    """East and north distance [m] from positions [rad] to other positions at the same height [m]. The distances are arcs of
+    parallel and meridian at the middle latitude, correct to third order."""
     middle = (np.asarray(latitude) + np.asarray(to_latitude)) / 2
     north, east = radii(middle)
     turn = np.remainder(np.asarray(to_longitude) - np.asarray(longitude) + np.pi, 2 * np.pi) - np.pi

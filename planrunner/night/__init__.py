@@ -1,1 +1,1 @@
-"""Unattended nights: suites of plans, their timetable and record; and what happened to an archive of runs over time."""
+"""Unattended nights: suites of plans, their timetable and record; and the history of an archive of runs."""

@@ -1,7 +1,8 @@
-"""Civil time of a night: windows given by local times of day, as instants.
+"""Civil time of a night: converts windows in local time of day to instants.
 
-Instants are seconds since 1970 UTC, so that durations are true durations also when daylight saving begins or ends during the night. A local
-time that does not exist (clocks go forward) counts as if they had not gone forward; one that exists twice (clocks go back) is the first.
+Instants are seconds since 1970 UTC, so that durations are correct even if daylight saving begins or ends during the night. A local
+time that does not exist (clocks go forward) counts as if the clocks had not gone forward. For a local time that exists twice
+(clocks go back), the first is used.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from planrunner.night.suite import DAYS, NightWindow
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """A window on one day: from `opens` until `closes`, instants."""
+    """A window on one day, from the instant `opens` to the instant `closes`."""
 
     opens: float
     closes: float
 
 
 def zone_of(name: str | None, mark: Mark) -> tzinfo | None:
-    """The time zone; None is that of the computer. Raises `InputError`."""
+    """The time zone; None means the zone of the computer. Raises `InputError`."""
     if name is None:
         return None
     from zoneinfo import ZoneInfo, ZoneInfoNotFoundError

@@ -1,4 +1,5 @@
-"""The tests of a suite: each plan on each device and bench, with each combination of its matrix, and what each test waits for."""
+"""The tests of a suite: each plan on each device and bench, with each combination of its matrix, and the tests for which each one
+waits."""
 
 from __future__ import annotations
 
@@ -30,11 +31,10 @@ Measurement = tuple[Path, str, tuple[tuple[str, str], ...]]
 class PlannedTest:
     """One test of a night: one run of a plan.
 
-    name: unique, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1,dwell=2 min`. entry: name of the plan in the suite. matrix: its
-    run information from the matrix. parameters: its values for parameters of the plan. information: all run
-    information that the suite gives for it, asked for by the plan or not. after, needs: indices of the tests that must have ended, and of
-    those that must have passed. mark: its place in the suite.
-    standard: whether it measures the check standard of its bench.
+    name: unique, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1,dwell=2 min`. entry: name of the plan in the suite.
+    matrix: run information from the matrix. parameters: values for parameters of the plan. information: all run information that
+    the suite gives for the test, whether the plan asks for it or not. after, needs: indices of the tests that must have ended, and
+    of those that must have passed. mark: its place in the suite. standard: whether it measures the check standard of its bench.
     """
 
     index: int
@@ -55,7 +55,7 @@ class PlannedTest:
 
     @property
     def values(self) -> dict[str, str]:
-        """What distinguishes it from the other tests of its plan with its device on its bench."""
+        """The values that distinguish it from the other tests of its plan with its device on its bench."""
         return {**self.matrix, **self.parameter_values}
 
     @property
@@ -64,14 +64,14 @@ class PlannedTest:
 
     @property
     def measurement(self) -> Measurement:
-        """What is checked once for all tests that share it."""
+        """The key of the data that are checked once for all tests that share them."""
         return self.file, self.bench, tuple(self.parameter_values.items())
 
 
 @dataclass(frozen=True, slots=True)
 class StandardFirst:
-    """The check standard of a bench that is measured before its other tests. file: of the plan. blocks: whether the others need it to be in
-    control."""
+    """The check standard of a bench that is measured before its other tests. file: of the plan. blocks: whether the other tests
+    need the check standard to be in control."""
 
     device: str
     file: Path
@@ -200,8 +200,9 @@ def _combinations(choices: Mapping[str, Sequence[_Value]]) -> Iterator[dict[str,
 def _waited_for(
     test: PlannedTest, entries: Sequence[str], groups: Mapping[tuple[str | None, ...], Sequence[int]]
 ) -> tuple[int, ...]:
-    """The tests of other plans that a test waits for: those of its device on its bench; if there are none, those of its device; if there
-    are none, all. groups: tests of a plan, of a plan with a device, and of a plan with a device on a bench."""
+    """The tests of other plans for which a test waits. These are the tests of its device on its bench; if there are none, those of
+    its device; if there are none, all tests. groups: tests of a plan, of a plan with a device, and of a plan with a device on a
+    bench."""
     found: list[int] = []
     for entry in dict.fromkeys(entries):
         here, of_device = groups.get((entry, test.device, test.bench)), groups.get((entry, test.device))
@@ -230,7 +231,7 @@ def _check_names(suite: Suite, log: Findings) -> None:
 
 
 def _check_values(plan: SuitePlan, log: Findings) -> None:
-    """A value that is given twice, or a name in `matrix` and `parameters`, would give two tests the same name."""
+    """Checks for a value that is given twice, or a name in both `matrix` and `parameters`. Both would give two tests the same name."""
     for key, choices in (("matrix", plan.matrix), ("parameters", plan.parameters)):
         for name, values in choices.items():
             for place, value in enumerate(values):
@@ -247,14 +248,14 @@ def _check_values(plan: SuitePlan, log: Findings) -> None:
 
 
 def _unknown(names: Sequence[str], known: Collection[str], key: str) -> Iterator[tuple[str, str]]:
-    """The names that are not known, each with a hint. key: where they would be declared."""
+    """Reports unknown names, each with a hint. key: the key where they should be declared."""
     for name in names:
         if name not in known:
             yield name, closest(name, known) or f"declare it under `{key}:`"
 
 
 def _check_cycles(suite: Suite, log: Findings) -> None:
-    """Plans that wait for each other, reported once for each cycle."""
+    """Reports plans that wait for each other, once for each cycle."""
     done: set[str] = set()
     for start in suite.plans:
         path = _cycle_from(suite, start, done)
@@ -268,8 +269,8 @@ def _check_cycles(suite: Suite, log: Findings) -> None:
 
 
 def _cycle_from(suite: Suite, start: str, done: set[str]) -> list[str]:
-    """A cycle that is reachable from a plan and has no plan in `done`; all plans reached are added to `done`. Without recursion, so that
-    a long chain does no harm."""
+    """A cycle that is reachable from a plan and has no plan in `done`; all plans reached are added to `done`. It works without
+    recursion, so that a long chain causes no error."""
     path: list[str] = []
     stack: list[tuple[str, bool]] = [(start, False)]
     while stack:
@@ -301,7 +302,7 @@ def known_failure(test: str, failures: Sequence[KnownFailure], kind: str, today:
 
 
 def check_known_failures(suite: Suite, tests: Sequence[PlannedTest], today: date, log: Findings) -> None:
-    """Patterns that match no test, dates that do not exist, and entries that have expired."""
+    """Reports patterns that match no test, dates that do not exist, and entries that have expired."""
     names = [test.name for test in tests]
     for entry in suite.known_failures:
         for position, pattern in enumerate(entry.tests):

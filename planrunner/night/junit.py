@@ -25,7 +25,7 @@ _ELEMENT = {
 
 
 def to_junit(night: JsonObject) -> bytes:
-    """The document of a night, from its record as JSON."""
+    """The JUnit document of a night, from its record as JSON."""
     tests = night["tests"]
     root = ET.Element("testsuites", {"name": _text(night["title"]), **_counts(tests), "time": _total(tests)})
     for entry in dict.fromkeys(test["entry"] for test in tests):
@@ -84,5 +84,5 @@ def _seconds(value: float) -> str:
 
 
 def _text(text: str) -> str:
-    """Text without the characters that XML 1.0 cannot contain."""
+    """A text without the characters that XML 1.0 cannot contain."""
     return _NOT_XML.sub("�", text)

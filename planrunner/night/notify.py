@@ -18,7 +18,7 @@ SIGNATURE = "X-Planrunner-Signature"
 
 
 class NotificationError(Exception):
-    """A notification could not be sent. The message says why; it contains no secret."""
+    """A notification could not be sent. The message gives the reason; it contains no secret."""
 
 
 def receiver(entry: Notification) -> str:
@@ -33,7 +33,7 @@ def wanted(entry: Notification, exit_code: int) -> bool:
 
 
 def send(entry: Notification, night: JsonObject, environment: Mapping[str, str]) -> None:
-    """Send one notification. Raises `NotificationError`."""
+    """Sends one notification. Raises `NotificationError`."""
     if entry.email:
         _mail(entry, night, environment)
     else:
@@ -46,7 +46,7 @@ def _post(entry: Notification, night: JsonObject, environment: Mapping[str, str]
     from urllib.request import HTTPRedirectHandler, Request, build_opener
 
     class NoRedirect(HTTPRedirectHandler):
-        """A redirect could carry the summary to another host."""
+        """Refuses redirects, because a redirect could send the summary to another host."""
 
         def redirect_request(self, *_: object) -> None:
             return None

@@ -1,4 +1,4 @@
-"""The record of a night: what is known from the events of its journal.
+"""The record of a night: everything that follows from the events of its journal.
 
     <archive>/nights/<UTC time>-<suite>-<id>/
       suite.yaml      the exact bytes
@@ -28,7 +28,7 @@ FORMAT = 1
 
 
 def holds_nights(folder: Path) -> bool:
-    """Whether a folder is the one in which an archive keeps its nights. It lies beside the run folders: `runs/*` contains it."""
+    """Whether a folder is the folder in which an archive keeps its nights. It is next to the run folders, so `runs/*` includes it."""
     return folder.name == FOLDER and folder.is_dir() and not (folder / RUN).exists()
 
 
@@ -55,7 +55,7 @@ class Attempt:
 
 @dataclass(slots=True)
 class RecordedTest:
-    """A test and what became of it. findings: reasons in words, each with file and line if known."""
+    """A test and its result. findings: reasons in words, each with file and line if known."""
 
     about: JsonObject
     state: StateOfTest = "waiting"
@@ -71,7 +71,8 @@ class RecordedTest:
 
 @dataclass(slots=True)
 class NightRecord:
-    """A night. closes: None without window and budget. state: running, interrupted, finished, or abandoned if it was not continued."""
+    """A night. closes: instant; None without window and budget. state: running, interrupted, finished, or abandoned if it was not
+    continued."""
 
     zone: tzinfo | None = None
     created: JsonObject = field(default_factory=dict)
@@ -87,7 +88,7 @@ class NightRecord:
     sessions: int = 0
 
     def take(self, event: Mapping[str, Json]) -> None:
-        """Add one event of the journal."""
+        """Updates the record with one event of the journal."""
         self.now = max(self.now, event.get("now", self.now))
         match event["event"]:
             case "created":
@@ -143,11 +144,11 @@ class NightRecord:
         return {state: number for state, number in found.items() if number}
 
     def time(self, instant: float | None) -> str | None:
-        """Local time with offset, ISO 8601."""
+        """A local time with offset, ISO 8601."""
         return None if instant is None else civil(instant, self.zone).isoformat(timespec="seconds")
 
     def to_json(self) -> JsonObject:
-        """night.json."""
+        """The content of night.json."""
         ends = [attempt.ends for test in self.tests for attempt in test.attempts if attempt.ends is not None]
         return {
             "planrunner_night": FORMAT,

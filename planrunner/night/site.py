@@ -1,8 +1,9 @@
 """The static site of an archive: runs, devices, benches and coefficients over time, as files that a browser opens without a server.
 
-Browsers do not let a page read files from a file share, but they load scripts from it. So the data are scripts that hand JSON to the page:
-`data-<digest>/runs-0.js` and so on, in chunks, and one file for each device. `data.js` names them and is replaced last, so that a reader
-sees the old site or the new one. Texts are data: they reach the page as JSON strings in ASCII, and the page shows them as text.
+Browsers do not let a page read files from a file share, but they load scripts from it. So the data are scripts that hand JSON to
+the page: `data-<digest>/runs-0.js` and so on, in chunks, and one file for each device. `data.js` names them and is replaced last,
+so that a reader sees the old site or the new one. Texts are data: the page receives them as JSON strings in ASCII and shows them as
+text.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ REPORTS = (".html", ".md")
 
 @dataclass(frozen=True, slots=True)
 class BuiltSite:
-    """page: the file to open. runs, devices: their numbers."""
+    """page: the file to open. runs, devices: number of runs and of devices."""
 
     page: Path
     runs: int
@@ -69,7 +70,7 @@ class BuiltSite:
 
 @dataclass(frozen=True, slots=True)
 class _Point:
-    """A coefficient of one run. run: its place in the list of runs."""
+    """A coefficient of one run. run: index in the list of runs."""
 
     run: int
     row: CoefficientRow
@@ -77,7 +78,8 @@ class _Point:
 
 
 def build_site(index: Index, out: Path, notice: Announce | None = None) -> BuiltSite:
-    """Write the site of an archive into `out`, which is created if absent. Raises `InputError` if `out` holds anything but a site."""
+    """Writes the site of an archive into `out`, which is created if it does not exist. Raises `InputError` if `out` contains
+    anything but a site."""
     runs = index.runs()
     links = _archive_link(index.archive, out)
     devices = sorted({run.device for run in runs if run.device})
@@ -120,14 +122,14 @@ def build_site(index: Index, out: Path, notice: Announce | None = None) -> Built
 
 
 def _night(runs: Sequence[RunRow]) -> str:
-    """The moment from which the wall shows runs; the newest run is the first."""
+    """The moment after which the wall display shows runs; the newest run comes first."""
     if not runs:
         return ""
     return (datetime.fromisoformat(runs[0].created) - NIGHT).isoformat(timespec="microseconds")
 
 
 def _nights(archive: Path) -> Iterator[Json]:
-    """The newest nights: what became of each test, and why. A record that is damaged is left out; `verify` is for that."""
+    """The newest nights: the result of each test with its reason. A damaged record is omitted; `verify` reports it."""
     from jsonschema import Draft202012Validator
 
     validator = Draft202012Validator(formats.schema("night"))
@@ -165,7 +167,7 @@ def _nights(archive: Path) -> Iterator[Json]:
 
 
 def _run(run: RunRow, archive: Path) -> Json:
-    """A run as a row; the order is that of `RUN` in site.js."""
+    """A run as a row, in the order of `RUN` in site.js."""
     return [
         run.folder,
         run.created,
@@ -199,8 +201,8 @@ def _reports(archive: Path, run: RunRow) -> Iterator[str]:
 
 
 def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs: Sequence[RunRow]) -> Json:
-    """A coefficient of a device over time, the oldest run first, with the limits of the plans, the control charts and the changes. None
-    where a value or its uncertainty is missing, or if there are no control limits."""
+    """A coefficient of a device over time, the oldest run first, with the limits of the plans, the control charts and the changes.
+    None for a missing value or uncertainty, and if there are no control limits."""
     ordered = list(reversed(found))
     held = trend(device, quantity, [HistoryPoint(runs[point.run], point.row, point.limits) for point in ordered])
     usable = {point.run.folder for point in held.points}
@@ -208,7 +210,7 @@ def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs
     charts = held.charts
 
     def spread(values: NDArray[np.float64] | None) -> list[Json]:
-        """The values of a chart at their places."""
+        """The values of a chart at their indices."""
         placed: list[Json] = [None] * len(ordered)
         for k, value in zip(places, () if values is None else values.tolist(), strict=values is not None):
             placed[k] = value
@@ -238,7 +240,7 @@ def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs
 
 
 def _change(one: ChangePoint, places: Sequence[int]) -> Json:
-    """before, after: the values between which the level changed."""
+    """A change of level. before, after: the values between which the level changed."""
     return {
         "before": places[one.index - 1],
         "after": places[one.index],
@@ -271,13 +273,13 @@ def _finite(value: float) -> float | None:
 
 
 def _script(name: str, value: Json) -> bytes:
-    """A script that hands data to the page: a call with JSON in ASCII, which is the same in JavaScript."""
+    """A script that passes data to the page: a call with JSON in ASCII, which JavaScript reads in the same way."""
     text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return f"planrunnerData({json.dumps(name)},{text});\n".encode("ascii")
 
 
 def _archive_link(archive: Path, out: Path) -> str | None:
-    """The archive as a relative address from the site; None if there is none, as between two drives of Windows."""
+    """The address of the archive relative to the site; None if there is none, as between two drives of Windows."""
     try:
         way = os.path.relpath(archive.absolute(), out.absolute())
     except ValueError:

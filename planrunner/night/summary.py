@@ -1,4 +1,4 @@
-"""The summary of a night: Markdown for people and chat rooms, and annotations for GitHub Actions."""
+"""The summary of a night: Markdown for readers and chat rooms, and annotations for GitHub Actions."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _ANNOTATION = {"failed": "error", "fault": "error", "refused": "error", "not_run
 
 
 def headline(night: JsonObject) -> str:
-    """One line: what the night gave."""
+    """The result of the night in one line."""
     counts = ", ".join(f"{number} {WORDS[state].lower()}" for state, number in night["counts"].items())
     state = {"finished": "", "running": " (running)", "interrupted": " (interrupted)", "abandoned": " (cut short)"}
     return f"{night['title']}: {counts}{state[night['state']]}"
 
 
 def summary(night: JsonObject) -> str:
-    """Markdown. Tests that did not pass come first."""
+    """The summary as Markdown. Tests that did not pass come first."""
     lines = [f"# {_cell(headline(night))}", ""]
     lines += [f"- Begin: {night['begins']}", f"- End: {night['ends'] or '–'} (foreseen {night['foreseen_end']})"]
     lines += [

@@ -1,11 +1,11 @@
 """The timetable of a night: which test begins when, on which bench, and which tests do not fit.
 
-`NightCourse` is the state of a night and the rules by which it goes on. It knows no processes and no clock: the caller says what ended and
-what time it is. `planrunner check` lets it run through with the planned durations (`foresee`); a night feeds it with what happens. Both
-therefore follow the same rules. Times are instants, seconds since 1970 UTC.
+`NightCourse` is the state of a night and the rules by which it goes on. It knows no processes and no clock: the caller states which
+tests have ended and what time it is. `planrunner check` simulates it with the planned durations (`foresee`). A night updates it
+with real events. Both therefore follow the same rules. Times are instants, seconds since 1970 UTC.
 
-On each bench, the first test in the order of the suite begins whose dependencies have ended, whose device is free, and which ends in time
-according to its planned duration.
+On each bench, the first test in the order of the suite begins that meets three conditions: its dependencies have ended, its device
+is free, and it ends in time according to its planned duration.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ class EndOfTest(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BenchHours:
-    """When a bench may work, and its warm-up. openings: None for any time. warm_up, stays_warm: s; inf for a bench that stays warm."""
+    """The hours in which a bench may work, and its warm-up. openings: None for any time. warm_up, stays_warm: s; inf for a bench
+    that stays warm."""
 
     openings: tuple[Opening, ...] | None = None
     warm_up: float = 0.0
@@ -67,7 +68,7 @@ class NightHours:
 
 @dataclass(frozen=True, slots=True)
 class Begin:
-    """A test begins now."""
+    """Event: a test begins now."""
 
     test: int
     at: float
@@ -75,7 +76,7 @@ class Begin:
 
 @dataclass(frozen=True, slots=True)
 class WarmUp:
-    """A bench warms up from now."""
+    """Event: a bench begins to warm up now."""
 
     bench: str
     at: float
@@ -84,7 +85,7 @@ class WarmUp:
 
 @dataclass(slots=True)
 class _Test:
-    """since: the instant from which it may begin while it waits. pending: number of tests that must end before it."""
+    """A waiting test. since: the instant from which it may begin. pending: number of tests that must end before it."""
 
     state: Literal["waiting", "running", "ended", "not run"] = "waiting"
     ending: EndOfTest | None = None
@@ -95,11 +96,12 @@ class _Test:
 
 @dataclass(slots=True)
 class _Bench:
-    """warm_at: when its last warm-up ends or ended. last_used: when its last test ended. stopped: why no further test begins on it.
+    """The state of a bench. warm_at: end of its last warm-up. last_used: end of its last test. stopped: the reason why no further
+    test begins on it.
 
-    ready: device → its tests that wait for nothing but the bench, the device and the hours, in the order of the suite. first: heap of the
-    first such test of each device. longest: heaps of the waiting tests with and without a warm-up, as (−planned seconds, test). Entries of
-    heaps that no longer hold are dropped when they come up.
+    ready: device → its tests that wait only for the bench, the device and the hours, in the order of the suite. first: heap of the
+    first such test of each device. longest: heaps of the waiting tests with and without a warm-up, as (−planned seconds, test).
+    Invalid entries of heaps are removed when they reach the top.
     """
 
     running: int | None = None
@@ -115,7 +117,7 @@ class _Bench:
 class NightCourse:
     """The state of a night. durations: planned seconds of each test; None if unknown (the test then counts as short).
 
-    What begins next is found without looking at every test, so that the time for a night grows with the number of its tests and
+    It finds the next action without examining every test, so that the time for a night grows with the number of its tests and
     dependencies, not with its square.
     """
 
@@ -152,7 +154,7 @@ class NightCourse:
     # -- what happened ---------------------------------------------------------------------------------------------------
 
     def begun(self, test: int, at: float) -> None:
-        """A test has begun."""
+        """Records that a test has begun."""
         state = self._tests[test]
         self._withdraw(test)
         state.state, state.since = "running", at
@@ -163,12 +165,12 @@ class NightCourse:
         self._benches[bench].warm_at = until
 
     def cooled(self) -> None:
-        """Every bench needs its warm-up again, for example after a power failure."""
+        """Records that every bench needs its warm-up again, for example after a power failure."""
         for bench in self._benches.values():
             bench.warm_at = None
 
     def ended(self, test: int, at: float, ending: EndOfTest) -> bool:
-        """A running test has ended. Returns True if it will not be repeated, so that its outcome is its result."""
+        """Records that a running test has ended. Returns True if it will not be repeated, so that this outcome is its result."""
         planned, state = self.tests[test], self._tests[test]
         bench = self._benches[planned.bench]
         bench.running, bench.last_used = None, at
@@ -187,19 +189,19 @@ class NightCourse:
         return True
 
     def interrupted(self, test: int) -> None:
-        """A running test was interrupted, and continues later; this does not count as an attempt."""
+        """Records that a running test was interrupted and will continue later. This does not count as an attempt."""
         self._wait(test, -math.inf)
         self._tests[test].attempts -= 1
         self._benches[self.tests[test].bench].running = None
 
     def abandon(self, test: int) -> None:
-        """A waiting test will not run."""
+        """Records that a waiting test will not run."""
         self._withdraw(test)
         self._tests[test].state = "not run"
         self._settle(test)
 
     def _wait(self, index: int, since: float) -> None:
-        """A test waits, and may begin from an instant on."""
+        """Makes a test wait until an instant before it may begin."""
         test, state = self.tests[index], self._tests[index]
         bench = self._benches[test.bench]
         state.state, state.since = "waiting", since
@@ -210,7 +212,7 @@ class NightCourse:
             self._lost.add(index)
 
     def _settle(self, index: int) -> None:
-        """A test has its result, or will not run: tests that waited for it may begin, or cannot run any more."""
+        """Handles a test that has its result or will not run: tests that waited for it may now begin, or can no longer run."""
         for other in self._followers[index]:
             state = self._tests[other]
             state.pending -= 1
@@ -220,7 +222,7 @@ class NightCourse:
             self._lost.update(self._dependents[index])
 
     def _resume(self, now: float) -> None:
-        """Tests whose pause is over become ready."""
+        """Makes tests ready whose pause has ended."""
         while self._paused and self._paused[0][0] <= now:
             since, index = heappop(self._paused)
             test, state = self.tests[index], self._tests[index]
@@ -232,7 +234,7 @@ class NightCourse:
                 heappush(bench.first, index)
 
     def _withdraw(self, index: int) -> None:
-        """A waiting test is no longer ready."""
+        """Removes a waiting test from the ready ones."""
         test = self.tests[index]
         bench = self._benches[test.bench]
         ready = bench.ready.get(test.device, [])
@@ -243,7 +245,7 @@ class NightCourse:
                 heappush(bench.first, ready[0])
 
     def _follow(self, test: PlannedTest, ending: EndOfTest) -> None:
-        """What a failure has as a consequence, according to the suite."""
+        """Applies the consequences of a failure according to the suite."""
         if ending is EndOfTest.REFUSED:
             return  # nothing moved: other tests are not concerned
         action = test.plan.on_limit if ending is EndOfTest.LIMIT else test.plan.on_fault
@@ -263,7 +265,7 @@ class NightCourse:
     # -- what comes next -------------------------------------------------------------------------------------------------
 
     def next(self, now: float) -> Begin | WarmUp | None:
-        """What begins now, if anything. The caller reports it with `begun` or `warming` and asks again."""
+        """The next action at this instant, or None. The caller reports it with `begun` or `warming` and asks again."""
         self._resume(now)
         busy = {device for index in self.running if (device := self.tests[index].device) is not None}
         for name, bench in self._benches.items():
@@ -276,7 +278,7 @@ class NightCourse:
         return None
 
     def out_of_reach(self, now: float) -> Iterator[tuple[int, str]]:
-        """Waiting tests that cannot run any more, with the reason. The caller reports them with `abandon`."""
+        """Waiting tests that can no longer run, with the reason. The caller reports them with `abandon`."""
         for bench in self._benches.values():
             if bench.running is None:
                 self._lost.update(self._too_late(bench, now))
@@ -286,7 +288,7 @@ class NightCourse:
                 yield index, reason
 
     def wakes(self, now: float) -> float:
-        """The next instant at which something may begin without anything ending; inf if there is none."""
+        """The next instant at which something may begin even if no test ends; inf if there is none."""
         self._resume(now)
         moments = [bench.warm_at for bench in self._benches.values() if bench.warm_at is not None]
         moments += [since for since, _ in self._paused[:1]]
@@ -303,7 +305,7 @@ class NightCourse:
         return tuple(index for index, state in enumerate(self._tests) if state.state == "waiting")
 
     def attempts(self, test: int) -> int:
-        """How often a test has begun; tests that found their bench in use do not count."""
+        """Number of attempts of a test. Attempts that found the bench in use do not count."""
         return self._tests[test].attempts
 
     def _open(self, bench: str, now: float) -> bool:
@@ -339,8 +341,8 @@ class NightCourse:
         return found
 
     def _too_late(self, bench: _Bench, now: float) -> Iterator[int]:
-        """The waiting tests of a bench that do not fit into its hours any more. Of two with the same warm-up, the longer one is the first
-        that does not fit."""
+        """The waiting tests of a bench that no longer fit into its hours. Of two tests with the same warm-up, the longer one is the
+        first that does not fit."""
         for heap in bench.longest.values():
             while heap:
                 index = heap[0][1]
@@ -351,7 +353,7 @@ class NightCourse:
                 heappop(heap)
 
     def _obstacle(self, test: PlannedTest, now: float) -> str:
-        """Why a waiting test cannot run any more; empty if it can."""
+        """The reason why a waiting test can no longer run; empty if it can."""
         stopped = self.stopped or self._benches[test.bench].stopped or self._devices.get(test.device or "", "")
         if stopped:
             return stopped
@@ -380,8 +382,8 @@ class NightCourse:
         )
 
     def _starts(self, index: int, now: float, *, soonest: bool = False) -> float | None:
-        """The first instant from now on at which a test could begin with respect to the hours alone; None if it does not fit any more.
-        soonest: without its pause."""
+        """The first instant from now at which a test could begin with respect to the hours alone; None if it no longer fits.
+        soonest: whether to ignore its pause."""
         test, state = self.tests[index], self._tests[index]
         limits, bench = self.hours.benches[test.bench], self._benches[test.bench]
         earliest = max(now, self.hours.begins, -math.inf if soonest else state.since, bench.warm_at or -math.inf)
@@ -393,7 +395,7 @@ class NightCourse:
         return None
 
     def _warm_up(self, test: PlannedTest, bench: _Bench, at: float) -> float:
-        """Seconds that a bench has to warm up before a test that begins at an instant."""
+        """Warm-up time [s] of a bench before a test that begins at an instant."""
         hours = self.hours.benches[test.bench]
         if not test.plan.warm:
             return 0.0
@@ -403,8 +405,8 @@ class NightCourse:
 
 
 def night_hours(suite: Suite, begins: float, zone: tzinfo | None) -> NightHours:
-    """The hours of the night that begins at or after an instant: at the instant itself if the window is open, otherwise when it opens
-    next."""
+    """The hours of the night that begins at or after an instant. It begins at the instant itself if the window is open, otherwise
+    when it opens next."""
     closes = math.inf
     if suite.window is not None:
         opening = next(openings(suite.window, begins, zone))
@@ -428,7 +430,7 @@ def night_hours(suite: Suite, begins: float, zone: tzinfo | None) -> NightHours:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A stretch of time on a bench: a test, or a warm-up if test is None."""
+    """A period of time on a bench: a test, or a warm-up if test is None."""
 
     bench: str
     begins: float
@@ -438,7 +440,7 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class NightForecast:
-    """A night as planned. left_out: index of each test that does not run, with the reason."""
+    """The forecast of a night. left_out: index of each test that does not run, with the reason."""
 
     hours: NightHours
     slots: tuple[Slot, ...]
@@ -451,14 +453,14 @@ class NightForecast:
 
     @property
     def slots_of_tests(self) -> dict[int, Slot]:
-        """Test → its slot, for the tests that run."""
+        """Maps each test that runs to its slot."""
         return {slot.test: slot for slot in self.slots if slot.test is not None}
 
 
 def foresee(
     tests: Sequence[PlannedTest], durations: Sequence[float | None], hours: NightHours, zone: tzinfo | None
 ) -> NightForecast:
-    """The night if every test takes its planned duration and passes."""
+    """The forecast of a night in which every test takes its planned duration and passes."""
     course = NightCourse(tests, durations, hours, zone)
     now = hours.begins
     slots: list[Slot] = []

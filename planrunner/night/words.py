@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def spell_out(seconds: float) -> str:
-    """`3484` → `58 min`; minutes, and seconds only below two minutes."""
+    """A duration in words: `3484` → `58 min`; minutes, and seconds only below two minutes."""
     if seconds < 120:
         return f"{seconds:.0f} s"
     hours, minutes = divmod(round(seconds / 60), 60)

@@ -1,1 +1,1 @@
-"""Physics: frames, Earth, table kinematics, stimulus and error-model terms. No I/O and no state."""
+"""Physics: frames, Earth, table kinematics, stimulus and error-model terms. It has no I/O and no state."""

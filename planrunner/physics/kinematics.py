@@ -1,9 +1,9 @@
 """Rate-table kinematics: attitude from joint angles, joint angles from attitude, reach, and the duration of moves.
 
-Conventions: axes outermost first; R_i = rotation by joint angle q_i, right-handed about the axis's direction at joint angle zero. With the
-site's azimuth α (clockwise from north) the attitude of the platform is R_z(−α)·R_1·R_2·R_3 in East-North-Up, and with all joints at zero
-and α = 0 the sensor's x, y, z axes point east, north, up. Adjacent axes are at right angles. The inverse solves the classical subproblems
-of screw theory (Murray, Li, Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3).
+Conventions: axes outermost first; R_i = rotation by joint angle q_i, right-handed about the axis's direction at joint angle zero.
+With the site's azimuth α (clockwise from north), the attitude of the platform in East-North-Up is R_z(−α)·R_1·R_2·R_3. With all
+joints at zero and α = 0, the sensor's x, y, z axes point east, north, up. Adjacent axes are at right angles. The inverse solves the
+classical subproblems of screw theory (Murray, Li, Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3).
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def rotation_about(axis: Sequence[float], angle: float) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """a × b, shape (3,). `numpy.cross` is made for many vectors and takes ten times as long for one."""
+    """The cross product a × b, shape (3,). `numpy.cross` is designed for many vectors and takes ten times as long for one."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
@@ -85,11 +85,12 @@ def attitude(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth
 def joint_angles(
     axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
 ) -> Array:
-    """Joint angles [rad], shape (n,), for an attitude (3, 3): the solution within the limits that is reached fastest from `near`.
+    """Joint angles [rad], shape (n,), for an attitude (3, 3): the solution within the limits that the table reaches fastest from
+    `near`.
 
-    A limited axis keeps its absolute angle, so that cables unwind where they must. A continuous axis turns the shorter way. Of equally
-    good solutions, that with the limited axes nearest to zero is taken, then that which turns in the positive direction. Raises
-    `Unreachable` with the reason.
+    A limited axis keeps its absolute angle, so that cables unwind if necessary. A continuous axis turns the shorter way. Of equally
+    fast solutions, the one with the limited axes nearest to zero is chosen, then the one that turns in the positive direction.
+    Raises `Unreachable` with the reason.
     """
     return quickest_move(axes, target, near, azimuth)[0]
 
@@ -97,14 +98,15 @@ def joint_angles(
 def quickest_move(
     axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
 ) -> tuple[Array, float]:
-    """The joint angles as `joint_angles` gives them, and the seconds of the move. Raises `Unreachable` with the reason."""
+    """The joint angles as in `joint_angles`, and the time [s] of the move. Raises `Unreachable` with the reason."""
     start = np.asarray(near, dtype=float).tobytes()
     angles, seconds = _quickest_move(tuple(axes), np.asarray(target, dtype=float).tobytes(), start, azimuth)
     return np.array(angles), seconds
 
 
 def quickest_ends(axes: Sequence[TableAxis], target: Array, starts: Array, azimuth: float = 0.0) -> Array:
-    """The joint angles that `quickest_move` gives from each of some starts (n, joints), same shape; not to be written to."""
+    """The joint angles that `quickest_move` gives from each of several starts (n, joints), in the same shape. The result must not
+    be modified."""
     return _quickest_ends(tuple(axes), np.asarray(target, dtype=float).tobytes(), starts.tobytes(), azimuth)
 
 
@@ -138,8 +140,8 @@ def _quickest_move(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azi
 
 @lru_cache(maxsize=8192)
 def _solutions(axes: tuple[TableAxis, ...], target: bytes, near: Angles | None, azimuth: float) -> tuple[Angles, ...]:
-    """Joint angles for an attitude, wherever the table is. In gimbal lock a choice is left, which `near` decides; empty if `near` is None.
-    Raises `Unreachable` if the axes do not allow the attitude."""
+    """Joint angles for an attitude, independent of the table's present position. In gimbal lock one angle is free, and `near`
+    determines it; empty if `near` is None. Raises `Unreachable` if the axes do not allow the attitude."""
     wanted = rotation_about((0.0, 0.0, 1.0), azimuth) @ np.frombuffer(target).reshape(3, 3).T
     candidates = {1: _one_axis, 2: _two_axes, 3: _three_axes}[len(axes)](axes, wanted, near)
     off = _misalignment(axes, candidates[0], wanted) if candidates else 0.0
@@ -152,8 +154,8 @@ def _solutions(axes: tuple[TableAxis, ...], target: bytes, near: Angles | None, 
 
 
 def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> Angles:
-    """The quickest of some moves to joint angles; of equally quick ones, the shortest; of equally short ones, that with the limited axes
-    nearest to zero; and of those, that which turns the outermost differing axis in the positive direction."""
+    """The fastest of several moves to joint angles. Of equally fast moves, it is the shortest; of equally short moves, the one with
+    the limited axes nearest to zero; and of those, the one that turns the outermost differing axis in the positive direction."""
     if len(ways) == 1:
         return ways[0]
     ways = _least(ways, [transition_time(axes, near, way) for way in ways])
@@ -167,13 +169,13 @@ def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> A
 
 
 def _least(ways: list[Angles], values: list[float]) -> list[Angles]:
-    """The ways whose value is the least one, or exceeds it by so little that rounding or the end of a motion may decide."""
+    """The ways with the smallest value, and those that exceed it by so little that rounding or the end of a motion may decide."""
     most = min(values) * (1 + AS_QUICK) + ALIKE
     return [way for way, value in zip(ways, values, strict=True) if value <= most]
 
 
 def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
-    """Seconds for a rest-to-rest move with a trapezoidal rate profile.
+    """Time [s] of a rest-to-rest move with a trapezoidal rate profile.
 
     Accelerating to rate w takes w/a and covers w²/2a, so a move of |angle| < w²/a is triangular: 2·√(|angle|/a).
     """
@@ -184,18 +186,19 @@ def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
 
 
 def transition_time(axes: Sequence[TableAxis], start: Sequence[float] | Array, end: Sequence[float] | Array) -> float:
-    """Seconds from rest to rest between joint angles [rad]. All axes move at once, so the slowest one decides."""
+    """Time [s] from rest to rest between joint angles [rad]. All axes move at the same time, so the slowest one determines the
+    time."""
     moves = zip(axes, start, end, strict=True)
     return max(move_time(stop - begin, axis.max_rate, axis.max_acceleration) for axis, begin, stop in moves)
 
 
 def spin_up_time(axis: TableAxis, rate: float) -> float:
-    """Seconds from rest to `rate` [rad/s], or back to rest."""
+    """Time [s] from rest to `rate` [rad/s], or back to rest."""
     return abs(rate) / axis.max_acceleration
 
 
 def joint_directions(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth: float = 0.0) -> Array:
-    """Direction of every axis at these joint angles, shape (n, 3), East-North-Up unit vectors; not to be written to."""
+    """Direction of every axis at these joint angles, shape (n, 3), East-North-Up unit vectors. The result must not be modified."""
     return _joint_directions(tuple(axes), np.asarray(angles, dtype=float).tobytes(), azimuth)
 
 
@@ -216,8 +219,8 @@ def spin_axis(
 ) -> int:
     """Index of the axis that is parallel or antiparallel to the site direction `about` at these joint angles.
 
-    Of several, the outermost, because it carries the others. Raises `Unreachable` if there is none; the message gives the directions of the
-    axes.
+    If there are several, it is the outermost, because it carries the others. Raises `Unreachable` if there is none; the message
+    gives the directions of the axes.
     """
     cosines = joint_directions(axes, angles, azimuth) @ np.asarray(about, dtype=float)
     for index, cosine in enumerate(cosines):
@@ -302,14 +305,14 @@ def _locked_family(axes: Sequence[TableAxis], middle: float, wanted: Array, near
 
 
 def _best_turn(axis: Sequence[float], wanted: Array) -> float:
-    """The angle about `axis` whose rotation comes nearest to `wanted` (maximal trace of Rᵀ·wanted)."""
+    """The angle about `axis` whose rotation is nearest to `wanted` (maximal trace of Rᵀ·wanted)."""
     unit = np.asarray(axis)
     skew = np.array([wanted[2, 1] - wanted[1, 2], wanted[0, 2] - wanted[2, 0], wanted[1, 0] - wanted[0, 1]])
     return math.atan2(float(unit @ skew), float(np.trace(wanted) - unit @ wanted @ unit))
 
 
 def _angle_between(axis: Array, start: Array, end: Array) -> float | None:
-    """The angle about `axis` that turns `start` towards `end`; None when either lies along the axis."""
+    """The angle about `axis` that rotates `start` towards `end`; None if either is parallel to the axis."""
     a = start - axis * float(axis @ start)
     b = end - axis * float(axis @ end)
     if min(np.linalg.norm(a), np.linalg.norm(b)) < LOCKED:
@@ -325,10 +328,11 @@ def _misalignment(axes: Sequence[TableAxis], angles: Angles, wanted: Array) -> f
 
 
 def _place(axis: TableAxis, angle: float, near: float) -> tuple[float, tuple[float, str] | None]:
-    """The equivalent of `angle` nearest to `near` within the limits; otherwise by how much it lies outside, and the reason.
+    """The equivalent of `angle` nearest to `near` within the limits; otherwise the distance to the limits, and the reason.
 
-    Half a turn away, two are equally near. A continuous axis then turns in the positive direction. A limited axis goes to the one nearer to
-    zero, even if the other is nearer by `NEARLY`; of two that are equally far from zero, it goes to the positive one.
+    At a distance of half a turn, two angles are equally near. A continuous axis then turns in the positive direction. A limited
+    axis goes to the angle nearer to zero, even if the other is nearer by `NEARLY`. If both are equally far from zero, it goes to
+    the positive one.
     """
     nearest = angle + TURN * math.floor((near - angle + ALIKE) / TURN + 0.5)
     if axis.continuous:

@@ -18,13 +18,14 @@ MEAN_RADIUS = 6_371_009.0  # m, of the Earth (IUGG)
 
 
 def schuler_rate(site: Site) -> float:
-    """ω_s [rad/s]; its period is 84.4 min."""
+    """The Schuler rate ω_s [rad/s]; its period is 84.4 min."""
     return math.sqrt(site.gravity / (MEAN_RADIUS + site.height))
 
 
 def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
-    """Growth of the free Schuler oscillation under a constant gyro drift: its largest amplitude within `seconds`, divided by the amplitude
-    that the same drift causes without rotation. 0 if the cycle is too short for any harmonic to lie near the Schuler rate.
+    """Growth of the free Schuler oscillation under a constant gyro drift: its largest amplitude within `seconds`, divided by the
+    amplitude that the same drift causes without rotation. It is 0 if the cycle is too short for any harmonic to lie near the
+    Schuler rate.
 
     A drift ε(t) leaves an oscillation of size |∫ ε·exp(−iωt) dt| at each of the two free rates ω, and their sum is the semi-major axis of
     the ellipse that the velocity describes. Without rotation it is 2·|ε|/ω_s. Over n cycles the integral is that of one cycle times

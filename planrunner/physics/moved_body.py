@@ -1,4 +1,4 @@
-"""The input of a sensor whose motion was not commanded, from the channels of the recording that show the motion.
+"""The input of a sensor whose motion was not commanded, computed from the channels of the recording that show the motion.
 
 A hand, a vehicle or a jig without a drive moves the sensor; an encoder, an attitude reference, or other gyros and accelerometers on the
 same body show how. Derivatives are differences over the neighbouring samples, so that their mean over a stretch depends on its ends alone.
@@ -16,11 +16,11 @@ from planrunner.physics.earth import Site
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyMotion:
-    """What a moving sensor feels, at n samples, in its own axes.
+    """The input of a moving sensor at n samples, in its own axes.
 
-    attitude: (n, 3, 3), takes site vectors to these axes; zeros if the recording does not show it. turn: (n, 3), rad/s, its rotation,
-    relative to the Earth if the attitude is known; swing: (n, 3), rad/s², its angular acceleration. omega: (n, 3), rad/s, against inertial
-    space. force: (n, 3), m/s²; zeros if the recording does not show it.
+    attitude: (n, 3, 3), takes site vectors to these axes; zeros if the recording does not show it. turn: (n, 3), rad/s, its
+    rotation rate, relative to the Earth if the attitude is known; swing: (n, 3), rad/s², its angular acceleration. omega: (n, 3),
+    rad/s, against inertial space. force: (n, 3), m/s²; zeros if the recording does not show it.
     """
 
     attitude: Array
@@ -34,7 +34,7 @@ class BodyMotion:
         return BodyMotion(*(averaged(part, size) for part in self._parts))
 
     def at(self, rows: NDArray[np.bool_]) -> BodyMotion:
-        """Some of the samples."""
+        """The motion at some of the samples."""
         return BodyMotion(*(part[rows] for part in self._parts))
 
     @property
@@ -43,14 +43,14 @@ class BodyMotion:
 
 
 def averaged(values: Array, size: int) -> Array:
-    """Means (n // size, …) over `size` consecutive values (n, …); an incomplete rest is left out."""
+    """Means (n // size, …) over `size` consecutive values (n, …). An incomplete last group is omitted."""
     whole = len(values) - len(values) % size
     return np.asarray(values[:whole].reshape(-1, size, *values.shape[1:]).mean(axis=1))
 
 
 def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None = None) -> BodyMotion:
-    """From unit quaternions (n, 4), real part first, that take vectors from the sensor's axes to East-North-Up. force: (n, 3), measured;
-    by default that of a sensor which only turns."""
+    """The motion from unit quaternions (n, 4), real part first, that transform vectors from the sensor's axes to East-North-Up.
+    force: (n, 3), measured; by default that of a sensor that only rotates."""
     from scipy.spatial.transform import Rotation
 
     attitude = Rotation.from_quat(quaternions, scalar_first=True).as_matrix().swapaxes(1, 2)
@@ -61,8 +61,8 @@ def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None
 
 
 def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: Array | None = None) -> BodyMotion:
-    """From measured angular rates against inertial space (n, 3). start: (3, 3), the attitude at the first sample; None if unknown, so that
-    only measured specific force `force` (n, 3) counts."""
+    """The motion from measured angular rates (n, 3) relative to inertial space. start: (3, 3), the attitude at the first sample;
+    None if it is unknown. In that case only the measured specific force `force` (n, 3) is used."""
     n = len(time)
     if start is None:
         nothing = np.zeros((n, 3))
@@ -76,16 +76,17 @@ def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: 
 
 
 def by_force(force: Array) -> BodyMotion:
-    """From measured specific force (n, 3) alone."""
+    """The motion from measured specific force (n, 3) alone."""
     n = len(force)
     return BodyMotion(np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), force)
 
 
 def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
-    """Attitudes (n, 3, 3) of a body that turns with omega (n, 3) in its axes, from `start` on.
+    """Attitudes (n, 3, 3) of a body that rotates with omega (n, 3) in its axes, beginning with `start`.
 
-    Between two samples the body turns by the mean of both rates. Its attitude against inertial space is the product of these turns; the
-    site turns below it with the Earth's rate. All products of the first k turns follow from those of half as many by one multiplication.
+    Between two samples the body rotates by the mean of both rates. Its attitude relative to inertial space is the product of these
+    rotations. The site rotates below it with the Earth's rate. The products of the first k rotations are computed from those of
+    half as many by one multiplication.
     """
     from scipy.spatial.transform import Rotation
 
@@ -101,8 +102,8 @@ def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
 
 
 def rates_of(time: Array, attitude: Array) -> Array:
-    """Angular rates (n, 3) in the body's axes between the neighbours of each sample, from attitudes (n, 3, 3) that take vectors to these
-    axes."""
+    """Angular rates (n, 3) in the body's axes between the neighbours of each sample, from attitudes (n, 3, 3) that transform
+    vectors to these axes."""
     from scipy.spatial.transform import Rotation
 
     before, after = np.r_[0, np.arange(len(time) - 1)], np.r_[np.arange(1, len(time)), len(time) - 1]

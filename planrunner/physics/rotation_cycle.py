@@ -27,8 +27,9 @@ NOTHING = 1e-6  # of a period: negligible, because errors are known to a few per
 
 @dataclass(frozen=True)
 class RotationCycle:
-    """turns: rad, one for each move, positive about the axis; before each move the axis rests for `stop` s. rate: rad/s, above zero;
-    acceleration: rad/s^2, infinite for turns without ramps. Raises `ValueError` for a cycle that takes no time."""
+    """A cycle of turns and stops. turns: rad, one for each move, positive about the axis; before each move the axis rests for
+    `stop` s. rate: rad/s, above zero; acceleration: rad/s^2, infinite for turns without ramps. Raises `ValueError` for a cycle that
+    takes no time."""
 
     turns: tuple[float, ...]
     stop: float
@@ -53,7 +54,7 @@ class RotationCycle:
 
     @property
     def period(self) -> float:
-        """Seconds of one cycle."""
+        """Duration of one cycle, s."""
         return float(self._pieces[1].sum())
 
     @property
@@ -94,7 +95,7 @@ class RotationCycle:
     # -- the residual -------------------------------------------------------------------------------------------------
 
     def integral(self, frequency: float = 0.0) -> tuple[complex, complex]:
-        """∫ exp(i(θ − ωt)) dt over the stops and over the turns of one cycle [s], ω = `frequency` in rad/s.
+        """The integral ∫ exp(i(θ − ωt)) dt over the stops and over the turns of one cycle [s], with ω = `frequency` in rad/s.
 
         At ω = 0 this is the residual of the cycle. At k times 2π/period, divided by the period, it is the k-th Fourier coefficient.
         """
@@ -144,12 +145,12 @@ class RotationCycle:
 
 @cache
 def _gauss_legendre() -> tuple[Array, Array]:
-    """Ten nodes and their weights. numpy loads its polynomials for them, which few plans need."""
+    """Ten nodes and their weights. It is cached because numpy must load its polynomials for them, which few plans need."""
     return np.polynomial.legendre.leggauss(10)
 
 
 def _ramps(begins: Array, lasting: Array, angles: Array, rates: Array, slopes: Array, frequency: float) -> Array:
-    """∫ exp(i(θ − ωt)) dt over each of n pieces [s], shape (n,), by quadrature on panels."""
+    """The integral ∫ exp(i(θ − ωt)) dt over each of n pieces [s], shape (n,), by quadrature on panels."""
     nodes, weights = _gauss_legendre()
     span = (np.maximum(np.abs(rates), np.abs(rates + slopes * lasting)) + abs(frequency)) * lasting
     panels = np.maximum(1, np.ceil(span)).astype(int)

@@ -37,7 +37,7 @@ def motion_at(motion: Motion, since: Array, encoder: Array | None, left: float =
 
 
 def period_of(motion: Motion) -> float:
-    """Seconds of a turn or of rocking; infinite at rest."""
+    """Duration of a turn or of one rocking period, s; infinite at rest."""
     if isinstance(motion, Spin):
         return 2 * np.pi / abs(motion.rate) if motion.rate else np.inf
     return 1 / motion.frequency if isinstance(motion, Rock) else np.inf
@@ -53,5 +53,5 @@ def fading(motion: Motion, size: int, rate: float) -> float:
 
 
 def turned_by(motion: Motion, since: Array) -> Array:
-    """The planned angle of a turning table, rad; zero for a table that rests or rocks."""
+    """The planned angle of a turning table, rad; zero for a table at rest or rocking."""
     return motion.rate * since if isinstance(motion, Spin) else np.zeros(len(since))

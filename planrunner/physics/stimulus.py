@@ -73,7 +73,7 @@ class Poses:
 
     @classmethod
     def of(cls, segments: Sequence[Segment], durations: Sequence[float | None] | None = None) -> Poses:
-        """See `segment_means`. Raises `StimulusError`."""
+        """The poses of segments; see `segment_means`. Raises `StimulusError`."""
         n = len(segments)
         attitude = np.array([_attitude(segment) for segment in segments], dtype=float).reshape(n, 3, 3)
         mean, spin, rate, angle = attitude, np.zeros((n, 3)), np.zeros(n), np.zeros(n)
@@ -96,12 +96,12 @@ class Poses:
 
     @property
     def arrays(self) -> tuple[Array, ...]:
-        """All of it, in the order of the fields."""
+        """All arrays in the order of the fields."""
         return self.attitude, self.mean, self.spin, self.table_rate, self.table_angle, self.temperature, self.time
 
     @property
     def timeless(self) -> Poses:
-        """Without temperature and time."""
+        """The same poses without temperature and time."""
         unknown = np.full(len(self.time), np.nan)
         return Poses(self.attitude, self.mean, self.spin, self.table_rate, self.table_angle, unknown, unknown)
 
@@ -119,7 +119,8 @@ class Poses:
 
 
 def mean_while_turning(axis: Array, turned: float | None) -> Array:
-    """Takes a site-fixed vector to its mean in axes that turn with the table about the unit vector `axis` by `turned` rad, (3, 3).
+    """The matrix (3, 3) that transforms a site-fixed vector to its mean in axes that rotate with the table about the unit vector
+    `axis` by `turned` rad.
 
     With p the part along the axis, q the rest and r = axis × vector, the vector in these axes is p + q·cos θ − r·sin θ at angle θ; its mean
     over 0 … Θ is p + q·sin Θ/Θ − r·(1 − cos Θ)/Θ. Over whole turns, where `turned` is None, only p is left.
@@ -145,7 +146,7 @@ def _attitude(segment: Segment) -> Array:
 
 
 def _temperature(segment: Segment) -> float:
-    """The mean of a ramp; NaN where not known."""
+    """The temperature of a segment; for a ramp its mean, NaN if it is not known."""
     kelvin, ramp_to = segment.temperature, segment.ramp_to
     if kelvin is None:
         return math.nan

@@ -30,8 +30,8 @@ class Excess:
 
 @dataclass(frozen=True, slots=True)
 class SpinCourse:
-    """A spin as a table executes it. joint: index of the axis that turns; rate: rad/s of that joint, with its sign; ramp: s from rest to
-    the rate, and back."""
+    """A spin in the form in which a table executes it. joint: index of the axis that turns; rate: rad/s of that joint, with its
+    sign; ramp: s from rest to the rate, and back."""
 
     joint: int
     rate: float
@@ -41,7 +41,8 @@ class SpinCourse:
     def of(
         cls, motion: Spin, axes: Sequence[TableAxis], joints: Sequence[float] | Array, azimuth: float = 0.0
     ) -> SpinCourse:
-        """joints: rad, where the spin begins; azimuth: of the site, rad. Raises `Unreachable` if no axis has that direction."""
+        """The course of a spin. joints: rad, at the beginning of the spin; azimuth: of the site, rad. Raises `Unreachable` if no
+        axis has that direction."""
         index = spin_axis(axes, joints, motion.about, azimuth)
         along = float(joint_directions(axes, joints, azimuth)[index] @ np.asarray(motion.about))
         ramp = abs(motion.rate) / axes[index].max_acceleration
@@ -114,7 +115,7 @@ def about_one_axis(motion: Motion) -> bool:
 
 
 def _beyond(axis: TableAxis, what: str, rate: float, acceleration: float = 0.0) -> list[Excess]:
-    """rate: rad/s; acceleration: rad/s^2."""
+    """Requirements beyond the limits of one axis. rate: rad/s; acceleration: rad/s²."""
     found = []
     if rate > axis.max_rate * _GRANTED:
         able = f"the {axis.name} axis reaches {_deg(axis.max_rate)} deg/s"

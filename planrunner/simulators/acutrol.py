@@ -28,7 +28,7 @@ _COMMAND = re.compile(r"(?P<head>[:\w*]+)(?P<query>\?)?\s*(?P<arguments>.*)", re
 
 @dataclass(slots=True)
 class _Held:
-    """State of one axis in the controller: mode, demands, limits by mode. Degrees."""
+    """State of one axis in the controller: mode, demands, limits by mode. Angles are in degrees."""
 
     mode: str = "off"
     position: float = 0.0
@@ -248,7 +248,7 @@ class Acutrol:
             self._pursue(index)
 
     def _pursue(self, index: int) -> None:
-        """Execute the demand of the mode."""
+        """Executes the demand of the present mode."""
         held, model = self.held[index], self.plant.axes[index].model
         rate = math.radians(held.rates.get(held.mode, math.degrees(model.max_rate)))
         acceleration = math.radians(held.accelerations.get(held.mode, math.degrees(model.max_acceleration)))
@@ -263,7 +263,7 @@ class Acutrol:
     # -- axes ----------------------------------------------------------------------------------------------------------
 
     def _mode(self, index: int) -> str:
-        """The actual mode, which may differ from the commanded one: an axis stopped by a fault is in none."""
+        """The actual mode. It may differ from the commanded one: an axis that a fault stopped has no mode."""
         axis = self.plant.axes[index]
         if axis.faults:
             return "abort"
@@ -276,12 +276,12 @@ class Acutrol:
         return place
 
     def _axes(self, arguments: list[str]) -> list[int]:
-        """All axes for `all`, or if none is named."""
+        """All axes for `all`, or if no axis is named."""
         if not arguments or arguments[0].lower() == "all":
             return list(range(len(self.held)))
         return [self._axis(arguments)]
 
 
 def simulated(keys: object, live: LiveWorld) -> Conversation:
-    """The instrument of a bench file."""
+    """The simulated instrument for a bench file."""
     return Conversation(Acutrol(TablePlant(live)), framed=True)

@@ -1,6 +1,6 @@
 """An Ideal Aerosmith table on its serial line: mnemonics of three letters, a reply line and a prompt after each.
 
-Motions that last (`JOG`, a sine) are answered when they end; `STO` is not answered at all.
+Long motions (`JOG`, a sine) are answered when they end; `STO` is not answered at all.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _COMMAND = re.compile(r"([A-Za-z]{3})\s*(\S*)")
 
 
 class Aerosmith:
-    """A table of one axis. Degrees."""
+    """A table of one axis. Angles are in degrees."""
 
     identity = "Ideal Aerosmith, simulated"
 
@@ -43,7 +43,7 @@ class Aerosmith:
             return "?"
 
     def later(self) -> list[str]:
-        """The answer to a lasting motion that has ended."""
+        """The answer to a long motion that has ended."""
         if self.lasting and self.plant.paths.still(self.plant.live.now()):
             self.lasting = False
             return [""]
@@ -95,5 +95,5 @@ class Aerosmith:
 
 
 def simulated(keys: object, live: LiveWorld) -> Conversation:
-    """The instrument of a bench file."""
+    """The simulated instrument for a bench file."""
     return Conversation(Aerosmith(TablePlant(live)), Manner(b"\r\n", b"\r", "prompt"))

@@ -33,7 +33,7 @@ class ChamberPlant:
         self.overshoot = 0.0
 
     def air(self) -> float:
-        """The measured temperature. Also checks the limits of the chamber."""
+        """The measured temperature. This also checks the limits of the chamber."""
         found = float(self.live.world.air(np.array([self.live.now()]))[0])
         slack = self.model.tolerance
         if self.running and not self.lowest - slack <= found <= self.highest + slack:
@@ -41,18 +41,18 @@ class ChamberPlant:
         return found
 
     def regulate(self, setpoint: float | None = None) -> None:
-        """Run, towards a new setpoint or the present one."""
+        """Starts the chamber with a new setpoint or with the present one."""
         self.setpoint = self.setpoint if setpoint is None else setpoint
         self.running = not self.alarms
         self._drive()
 
     def set_only(self, setpoint: float) -> None:
-        """Accept a setpoint; it acts at once if the chamber runs."""
+        """Accepts a setpoint. It takes effect at once if the chamber runs."""
         self.setpoint = setpoint
         self._drive()
 
     def set_ramp(self, ramp: float) -> None:
-        """The ramp of the setpoint from now on; 0 for the largest rate."""
+        """Sets the ramp of the setpoint for the future; 0 means the largest rate."""
         self.ramp = ramp
         self._drive()
 
@@ -61,7 +61,7 @@ class ChamberPlant:
         self._drive()
 
     def alarm(self, number: int) -> None:
-        """Raise an alarm; the chamber switches itself off."""
+        """Raises an alarm; the chamber switches itself off."""
         self.alarms = (*self.alarms, number)
         self.stop()
 
@@ -69,13 +69,13 @@ class ChamberPlant:
         self.alarms = ()
 
     def disturb(self, *, stuck: bool | None = None, overshoot: float | None = None) -> None:
-        """stuck: the air keeps its temperature regardless of commands; overshoot: K beyond every setpoint."""
+        """Applies a disturbance. stuck: the air keeps its temperature regardless of commands; overshoot: K beyond every setpoint."""
         self.stuck = self.stuck if stuck is None else stuck
         self.overshoot = self.overshoot if overshoot is None else overshoot
         self._drive()
 
     def _drive(self) -> None:
-        """Send the present target to the air of the world."""
+        """Sends the present target to the air of the world."""
         now = self.live.before_change()
         world = self.live.world
         air = float(world.air(np.array([now]))[0])

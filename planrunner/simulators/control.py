@@ -20,8 +20,8 @@ Handler = Callable[[Mapping[str, Json]], Mapping[str, Json]]
 
 
 class Control:
-    """handle: answers a request; a `ValueError` that it raises is returned as an error. token: must be in every request that changes
-    something."""
+    """The control channel. handle: answers a request; a `ValueError` that it raises is returned as an error. token: required in
+    every request that changes something."""
 
     def __init__(self, host: str, port: int, handle: Handler):
         self.host, self.port, self.handle = host, port, handle

@@ -17,14 +17,14 @@ class Controller(Protocol):
         """The reply to a message, both without terminators; None if there is none."""
 
     def later(self) -> list[str]:
-        """Replies that have become due since; empty for instruments that send only replies to messages."""
+        """Replies that have become due since the last call; empty for instruments that only reply to messages."""
 
     def watch(self) -> None:
-        """Check the limits of the instrument; called many times per second."""
+        """Checks the limits of the instrument. It is called many times per second."""
 
 
 def first_with(word: str, options: tuple[str, ...]) -> str:
-    """The first option that a word abbreviates, letter case aside. Raises `NotUnderstoodError`."""
+    """The first option that a word abbreviates, ignoring case. Raises `NotUnderstoodError`."""
     found = next((option for option in options if word and option.startswith(word.lower())), None)
     if found is None:
         raise NotUnderstoodError(word)
@@ -32,7 +32,7 @@ def first_with(word: str, options: tuple[str, ...]) -> str:
 
 
 def number(word: str) -> float:
-    """A number of a message. Raises `NotUnderstoodError`."""
+    """The number in a message. Raises `NotUnderstoodError`."""
     try:
         return float(word)
     except ValueError:
@@ -40,6 +40,6 @@ def number(word: str) -> float:
 
 
 def shown(value: float, digits: int = 6) -> str:
-    """A number as instruments write it, without a needless fraction or the sign of zero."""
+    """A number in the form that instruments write, without an unnecessary fraction or the sign of zero."""
     text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text

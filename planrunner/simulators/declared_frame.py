@@ -22,7 +22,7 @@ from planrunner.simulators.sensor_units import SensorUnit
 
 @dataclass(frozen=True, slots=True)
 class FieldPlace:
-    """Position of a number. kind: `i24`, `u16`, `f32` …; a value v goes out as (v − zero)/scale, in `unit`."""
+    """Position of a number. kind: `i24`, `u16`, `f32` …; a value v is sent as (v − zero)/scale, in `unit`."""
 
     at: int
     kind: str
@@ -126,7 +126,8 @@ class Alarms:
     set_is_good: bool
 
     def told(self, ails: Collection[str]) -> tuple[int, bytes]:
-        """Its position and bytes. A fault of the sensor sets the bits whose words name it, or all bits if none does."""
+        """The position and bytes of the status word. A fault of the sensor sets the bits whose words name it, or all bits if none
+        does."""
         wrong = {text for text in self.bits if any(word in text for word in ails)} or set(self.bits if ails else ())
         high = set(self.bits) - wrong if self.set_is_good else wrong
         return self.at, sum(1 << self.bits[text] for text in high).to_bytes(self.width, self.order)
@@ -134,7 +135,8 @@ class Alarms:
 
 @dataclass(slots=True)
 class DeclaredUnit:
-    """units: of the virtual sensor's channels. words: line → mode to which it switches; switch: called with the mode."""
+    """The electronics of a declared sensor. units: of the virtual sensor's channels. words: line → mode to which it switches;
+    switch: called with the mode."""
 
     units: Mapping[str, str]
     form: DeclaredFrame
@@ -153,7 +155,7 @@ class DeclaredUnit:
         return form.frames(channels, numbers)
 
     def hear(self, data: bytes) -> bytes:
-        """Lines that switch the mode are not answered."""
+        """Receives bytes. Lines that switch the mode are not answered."""
         self.heard += data
         for word, mode in self.words.items():
             if word in self.heard:

@@ -19,7 +19,7 @@ UNKNOWN, OUT_OF_RANGE, NOT_READY = "NA:CMD ERR", "NA:DATA OUT OF RANGE", "NA:CHB
 
 
 class EspecP300:
-    """address: on RS-485, where messages for other addresses are ignored; None on TCP and RS-232."""
+    """A P300 controller. address: on RS-485, where messages for other addresses are ignored; None on TCP and RS-232."""
 
     def __init__(self, plant: ChamberPlant, identity: str = "T,T,S2,140.0", address: int | None = None):
         self.plant = plant
@@ -69,7 +69,7 @@ class EspecP300:
         return ",".join(map(str, (len(self.plant.alarms), *self.plant.alarms)))
 
     def _tell(self, word: str, arguments: list[str]) -> str | None:
-        """The refusal, or None."""
+        """The refusal of a message, or None."""
         if word == "TEMP" and arguments:
             return self._limits([(argument[:1], number(argument[1:])) for argument in arguments])
         if word == "POWER" and arguments in (["ON"], ["OFF"]):
@@ -115,6 +115,6 @@ class EspecP300Keys(Protocol):
 
 
 def simulated(keys: EspecP300Keys, live: LiveWorld) -> Conversation:
-    """The instrument of a bench file, at its station."""
+    """The simulated instrument for a bench file, at its station."""
     controller = EspecP300(ChamberPlant(live), address=keys.station)
     return Conversation(controller, Manner(b"\r\n", b"\r\n"))

@@ -154,7 +154,7 @@ def _check(fault: Fault, roles: Mapping[str, str], log: Findings) -> None:
 
 @dataclass(slots=True)
 class DeclaredFault:
-    """A fault that was declared. begins, ends: s on the bench's clock; begun: whether it has taken effect; left: number of replies that it
+    """A declared fault. begins, ends: s on the bench's clock; begun: whether it has taken effect; left: number of replies that it
     still affects."""
 
     number: int
@@ -173,7 +173,7 @@ class FaultBoard:
     declared: int = 0
 
     def declare(self, fault: Fault, now: float) -> int:
-        """The number of the fault, with which it can be cleared."""
+        """Declares a fault; returns its number, with which it can be cleared."""
         self.declared += 1
         begins = now + fault.begins.value
         ends = begins + (fault.lasts.value if fault.lasts else float("inf"))
@@ -181,7 +181,7 @@ class FaultBoard:
         return self.declared
 
     def clear(self, number: int | None = None) -> None:
-        """End a fault, or all, at once."""
+        """Ends a fault, or all faults, at once."""
         for item in self.standing.values():
             if number in (None, item.number):
                 item.ends = float("-inf")
@@ -201,7 +201,7 @@ class FaultBoard:
         return [item.fault for item in self._active(instrument, now)]
 
     def of_reply(self, instrument: str, message: str, now: float) -> Fault | None:
-        """The fault that affects the reply to a message; the reply is counted."""
+        """The fault that affects the reply to a message. The reply is counted."""
         for item in self._active(instrument, now):
             if item.fault.fault in WORDS and (item.fault.message or "") in message:
                 if item.left is not None:
@@ -226,7 +226,7 @@ _COMPASS = b"$HEHDT,274.07,T*03\r\n"
 
 
 def struck(frames: Bytes, faults: Sequence[Fault], draw: np.random.Generator) -> Bytes:
-    """The frames (n, length) after the effect of the active faults."""
+    """The frames (n, length) changed by the active faults."""
     for fault in faults:
         if not len(frames):
             return frames
@@ -249,7 +249,7 @@ def struck(frames: Bytes, faults: Sequence[Fault], draw: np.random.Generator) ->
 
 
 def _corrupted(frames: Bytes, rows: np.ndarray, draw: np.random.Generator) -> Bytes:
-    """One byte of each chosen frame is changed."""
+    """Frames in which one byte of each chosen frame is changed."""
     changed = frames.copy()
     places = draw.integers(0, frames.shape[1], rows.size)
     changed[rows, places] ^= draw.integers(1, 256, rows.size).astype(np.uint8)
@@ -257,6 +257,6 @@ def _corrupted(frames: Bytes, rows: np.ndarray, draw: np.random.Generator) -> By
 
 
 def _misread(frames: Bytes) -> Bytes:
-    """Every bit is read twice as fast as it is sent: each byte becomes two, of doubled bits."""
+    """Frames in which every bit is read twice as fast as it is sent: each byte becomes two bytes of doubled bits."""
     bits = np.unpackbits(frames, axis=1, bitorder="little")
     return np.packbits(np.repeat(bits, 2, axis=1), axis=1, bitorder="little")

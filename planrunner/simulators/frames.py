@@ -49,7 +49,7 @@ def constant(data: bytes, count: int) -> Bytes:
 
 
 def joined(*parts: Bytes) -> Bytes:
-    """Columns side by side."""
+    """Joins columns side by side."""
     return np.concatenate(parts, axis=1)
 
 
@@ -61,8 +61,8 @@ _REVERSED = np.packbits(
 
 @dataclass(frozen=True)
 class Crc:
-    """width: bits, 8 to 32; start: the register before the first byte; reflected: every byte, and the result, from its lowest bit on;
-    inverted: the bits of the result are inverted."""
+    """A cyclic redundancy check. width: bits, 8 to 32; start: the register before the first byte; reflected: whether every byte,
+    and the result, begins with its lowest bit; inverted: whether the bits of the result are inverted."""
 
     width: int
     polynomial: int
@@ -109,6 +109,6 @@ def sum_to_zero(frames: Bytes) -> Bytes:
 
 
 def exclusive_or(frames: Bytes) -> Bytes:
-    """All bytes of each frame (n, length) added without carry, shape (n,)."""
+    """The exclusive-or of all bytes of each frame (n, length), shape (n,)."""
     folded: Bytes = np.bitwise_xor.reduce(frames, axis=1)
     return folded

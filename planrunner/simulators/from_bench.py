@@ -1,4 +1,4 @@
-"""From a bench file to the simulated instruments at its addresses: the virtual instruments of its `simulation`, each with the protocol of
+"""Makes the simulated instruments at the addresses of a bench file. The virtual instruments of its `simulation` use the protocol of
 the bench's driver of the same role.
 
 Drivers are only known by name, and their settings only as the keys of the bench file: no code is shared with them.
@@ -66,7 +66,7 @@ class Streamed:
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """Everything served at a bench's addresses."""
+    """All simulated instruments at a bench's addresses."""
 
     live: LiveWorld
     spoken: tuple[Spoken, ...]
@@ -109,7 +109,7 @@ def simulated(bench: Bench, path: str, clock: Clock, seed: int | None = None) ->
 
 
 def _alive(truth: Bench, clock: Clock, seed: int) -> tuple[LiveWorld, dict[str, Instrument]]:
-    """The virtual instruments of a bench in running time, by role."""
+    """The virtual instruments of a bench, by role, with running time."""
     site = site_of(truth)
     world = World(clock, site, seed, real_time=True)
     live = LiveWorld(world, clock)
@@ -158,7 +158,7 @@ def _streamed(name: str, entry: InstrumentEntry, live: LiveWorld, virtual: Instr
 
 
 def _simulated(entry: InstrumentEntry) -> str:
-    """The entry's driver, for which a simulator is installed. Raises `InputError` otherwise."""
+    """The driver of an entry, for which a simulator must be installed. Raises `InputError` otherwise."""
     known = plugins.names(plugins.SIMULATORS)
     if entry.driver not in known:
         message = f"there is no simulated instrument for the driver '{entry.driver}'"

@@ -1,7 +1,8 @@
 """Motion of each joint of a simulated table: pieces of constant acceleration and sines, as commanded by a controller.
 
-The virtual table moves all its joints by one command; a table behind a controller is commanded axis by axis, and a command may come while
-the axis moves. A path keeps the pieces of the last seconds, so that a sensor that is read a little later still measures the earlier motion.
+The virtual table moves all its joints by one command. A table behind a controller is commanded axis by axis, and a command may
+arrive while the axis moves. A path keeps the pieces of the last seconds, so that a sensor that is read a little later still
+measures the earlier motion.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _KEPT = 10.0  # s for which pieces that are over are kept
 
 @dataclass(frozen=True, slots=True)
 class Glide:
-    """Constant acceleration from `begin` [s] on: angle [rad] and rate [rad/s] there."""
+    """Constant acceleration beginning at `begin` [s]; angle [rad] and rate [rad/s] at that time."""
 
     begin: float
     angle: float
@@ -69,7 +70,7 @@ class Swing:
         return TURN * self.frequency * (2 + 2 * max(self.before, self.amplitude))
 
     def faded(self) -> float:
-        """Time from which the amplitude is final."""
+        """Time after which the amplitude is final, s."""
         return self.begin + 1 / self.frequency
 
 
@@ -88,7 +89,7 @@ class Path:
         return cls((Glide(0.0, angle),))
 
     def then(self, now: float, pieces: Sequence[PathPiece], arrival: float) -> Path:
-        """The path with new pieces from `now` on."""
+        """The path with new pieces beginning at `now`."""
         past = [piece for piece in self.pieces if piece.begin < now]
         ends = [*(piece.begin for piece in past[1:]), now]
         kept = [piece for piece, end in zip(past, ends, strict=False) if end > now - _KEPT]
@@ -105,7 +106,7 @@ class Path:
         return next((piece for piece in reversed(self.pieces) if piece.begin <= time), self.pieces[0])
 
     def follow(self, times: Array) -> tuple[Value, Value]:
-        """Angle and rate at `times`, floats if the joint is at rest throughout."""
+        """Angle and rate at `times`; floats if the joint is at rest throughout."""
         first, last = self.current(float(times[0])), self.current(float(times[-1]))
         if first is last:
             if isinstance(first, Glide) and first.rate == first.acceleration == 0.0:
@@ -123,7 +124,7 @@ class Path:
     # -- commands ----------------------------------------------------------------------------------------------------
 
     def turn(self, now: float, rate: float, acceleration: float) -> Path:
-        """Change to a rate at an acceleration."""
+        """Changes to a rate at an acceleration."""
         angle, first, _ = self.state(now)
         change = (rate - first) / acceleration
         ramp = Glide(now, angle, first, math.copysign(acceleration, change))
@@ -131,7 +132,7 @@ class Path:
         return self.then(now, (ramp, Glide(there, ramp.at(there)[0], rate)), there)
 
     def go(self, now: float, target: float, rate: float, acceleration: float) -> Path:
-        """Come to rest, then move to an angle: acceleration, at most `rate`, deceleration."""
+        """Comes to rest, then moves to an angle: acceleration, at most `rate`, deceleration."""
         _, first, _ = self.state(now)
         path = self.turn(now, 0.0, acceleration) if first != 0.0 else self
         start = max(now, path.arrival) if first != 0.0 else now
@@ -149,7 +150,7 @@ class Path:
         return path.then(start, (up, level, slow, rest), rest.begin)
 
     def swing(self, now: float, amplitude: float, frequency: float, phase: float, zero: float, about: float) -> Path:
-        """A sine about an angle; a change of its amplitude fades, any other change begins from rest."""
+        """Starts a sine about an angle. A change of only its amplitude fades; any other change begins from rest."""
         piece = self.current(now)
         same = isinstance(piece, Swing) and (piece.frequency, piece.phase, piece.zero) == (frequency, phase, zero)
         before = piece.amplitude if isinstance(piece, Swing) and same else 0.0

@@ -17,7 +17,7 @@ MODULUS = 128  # of the sequence number
 
 @dataclass(frozen=True, slots=True)
 class Kvh1775:
-    """format: A; B with a time stamp of 4 bytes; C with one more float (temperature or magnetic field)."""
+    """The frames of one format. format: A; B with a time stamp of 4 bytes; C with one more float (temperature or magnetic field)."""
 
     format: str = "A"
 
@@ -44,6 +44,6 @@ class Kvh1775:
 
 
 def built_in_test(results: bytes) -> bytes:
-    """The answer to `?bit`: results of 6 bytes, ended by the sum of all bytes before."""
+    """The answer to `?bit`: results of 6 bytes, followed by the sum of all preceding bytes."""
     answer = b"\xfe\x81\x00\xaa" + results
     return answer + bytes([sum(answer) & 0xFF])

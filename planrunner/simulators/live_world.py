@@ -1,4 +1,4 @@
-"""The virtual bench in running time: table, chamber and sensor, at a given multiple of real time.
+"""The virtual bench with running time: table, chamber and sensor, at a given multiple of real time.
 
 All simulation runs in one thread. Before the world is changed, the recorders are brought up to date, so that samples before a command are
 not affected by it.
@@ -62,7 +62,8 @@ class RunsFreely(Protocol):
 
 @dataclass(slots=True)
 class LiveWorld:
-    """table, chamber: the virtual instruments that know the truth, or None. recorders: called with the time before the world changes."""
+    """table, chamber: the virtual instruments that know the truth, or None. recorders: functions that are called with the time
+    before the world changes."""
 
     world: World
     clock: Clock
@@ -74,7 +75,7 @@ class LiveWorld:
         return self.clock.now()
 
     def before_change(self) -> float:
-        """Bring all recorders up to date; returns the time."""
+        """Brings all recorders up to date; returns the time."""
         now = self.now()
         for record in self.recorders:
             record(now)
@@ -99,7 +100,7 @@ class SensorFeed:
         live.recorders.append(self.catch_up)
 
     def start_over(self) -> None:
-        """Restart, as after switching on."""
+        """Restarts, as after switching on."""
         hold = max(1, round(self.rate * _GRID))
         now = self.live.now()
         self.sampling = Sampling(now, self.rate, 0, hold, hold)
@@ -109,7 +110,7 @@ class SensorFeed:
         self.runs += 1
 
     def catch_up(self, now: float) -> None:
-        """Make all samples whose interval has ended."""
+        """Makes all samples whose interval has ended."""
         hold = self.sampling.hold
         due = math.floor((now - self.sampling.start) * self.rate) // hold * hold
         while self.made < due:
@@ -124,7 +125,7 @@ class SensorFeed:
         return taken
 
     def set_mode(self, mode: str) -> None:
-        """Switch the sensor to one of its modes."""
+        """Switches the sensor to one of its modes."""
         if not isinstance(self.sensor, HasModes):
             raise InstrumentError(f"the virtual sensor '{type(self.sensor).__name__}' has no modes")
         self.live.before_change()

@@ -36,7 +36,7 @@ class Manner:
 
 
 class MessagePort:
-    """The conversation of one instrument with its clients. now: the bench's time."""
+    """The conversation of one instrument with its clients. now: time of the bench."""
 
     def __init__(self, name: str, controller: Controller, manner: Manner, board: FaultBoard, now: Callable[[], float]):
         self.name, self.controller, self.manner, self.board, self.now = name, controller, manner, board, now
@@ -44,7 +44,7 @@ class MessagePort:
         self.last_speaker: Writer | None = None
 
     def heard(self, held: bytearray, data: bytes, write: Writer, hang_up: Callable[[], None]) -> None:
-        """Take bytes; complete messages are answered in the order of their arrival."""
+        """Receives bytes. Complete messages are answered in the order of their arrival."""
         held += data
         pieces = re.split(b"[" + re.escape(self.manner.sent_ends) + b"]", held)
         held[:] = pieces.pop()[-_LONGEST:]
@@ -53,7 +53,7 @@ class MessagePort:
                 self._answer(piece.decode("ascii", "replace"), write, hang_up)
 
     def say_later(self) -> None:
-        """Replies that have become due, to the client that sent the last message."""
+        """Sends replies that have become due to the client that sent the last message."""
         for reply in self.controller.later():
             if self.last_speaker is not None:
                 self.last_speaker(self.manner.framed(reply))
@@ -114,7 +114,7 @@ class TcpMessages:
         """Handles connections when they send data."""
 
     def refuse(self) -> None:
-        """Close the port, and every connection."""
+        """Closes the port and every connection."""
         if self.server is not None:
             self.server.close()
             self.server = None
@@ -164,6 +164,6 @@ class TerminalMessages:
             self.terminal.write(data)
 
     def _hang_up(self) -> None:
-        """A cable that is unplugged and plugged in again."""
+        """Disconnects and reconnects, like a cable that is unplugged and plugged in again."""
         self.terminal.unplug()
         self.terminal.plug()

@@ -28,7 +28,7 @@ def _vectors(outputs: Outputs, block: Block) -> tuple[Array, Array]:
 
 @dataclass(slots=True)
 class XsensUnit:
-    """rate: packets per second. silent: True while it is being configured."""
+    """An Xsens unit. rate: packets per second. silent: whether it is being configured and sends nothing."""
 
     outputs: Outputs
     form: xsens.Xsens
@@ -59,7 +59,8 @@ class XsensUnit:
         return self.form.frames(columns)
 
     def hear(self, data: bytes) -> bytes:
-        """Configuration, outputs and measurement are acknowledged by the next identifier; other messages are unknown to it."""
+        """Receives messages. Configuration, outputs and measurement are acknowledged with the next identifier; other messages are
+        unknown."""
         self.heard += data
         replies = b""
         while (start := self.heard.find(b"\xfa\xff")) >= 0 and len(self.heard) >= start + 5:
@@ -96,7 +97,7 @@ def _turns(angles: Array) -> Array:
 
 @dataclass(slots=True)
 class VectorNavUnit:
-    """form: its binary messages; text: the line that it sends instead of them, or nothing. Neither has a status."""
+    """A VectorNav unit. form: its binary messages; text: the line that it sends instead of them, or nothing. Neither has a status."""
 
     outputs: Outputs
     form: vectornav.VectorNav
@@ -122,15 +123,15 @@ class VectorNavUnit:
         return self.form.frames({name: columns[name] for name in self.form.fields})
 
     def _lines(self, rates: Array, forces: Array) -> Bytes:
-        """Lines of one length: their numbers are written with leading zeros."""
+        """Lines of equal length. Their numbers have leading zeros."""
         sent = [
             vectornav.measurement((0, 0, 0), f, w, (0, 0, 0), self.text) for f, w in zip(forces, rates, strict=True)
         ]
         return np.frombuffer(b"".join(sent), dtype=np.uint8).reshape(len(sent), -1)
 
     def hear(self, data: bytes) -> bytes:
-        """Registers that can be read: 1 the model, 3 the serial number, others are refused (error 8). A register that is written is
-        repeated."""
+        """Receives commands. Registers 1 (the model) and 3 (the serial number) can be read; others are refused (error 8). A
+        register that is written is repeated."""
         self.heard += data
         replies = b""
         while b"\n" in self.heard:
@@ -152,7 +153,7 @@ class XsensKeys(Protocol):
 
 
 def simulated_xsens(keys: XsensKeys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
-    """The Xsens MTi of a bench file."""
+    """The simulated Xsens MTi for a bench file."""
     names = {"acceleration": 0x4020, "delta_v": 0x4010, "rate": 0x8020, "delta_q": 0x8030, "temperature": 0x0810}
     items = (0x1020, *(names[name] for name in keys.outputs), 0xE020)
     return XsensUnit(Outputs(feed.sensor.channels()), xsens.Xsens(items), feed.rate)
@@ -164,7 +165,7 @@ class VectorNavKeys(Protocol):
 
 
 def simulated_vectornav(keys: VectorNavKeys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
-    """The VectorNav of a bench file."""
+    """The simulated VectorNav for a bench file."""
     return VectorNavUnit(
         Outputs(feed.sensor.channels()),
         vectornav.VectorNav(keys.fields),

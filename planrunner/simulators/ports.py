@@ -1,8 +1,8 @@
 """Connections of simulated instruments: addresses as in bench files, pseudo-terminals and sockets on loopback, and a serial line with rate
 and buffer.
 
-The kind of address decides what a simulator opens; only this computer is served. The serial line of a sensor has a limited bit rate and a
-small buffer, and drops frames when the buffer is full.
+The kind of address determines what a simulator opens. Only this computer is served. The serial line of a sensor has a limited bit
+rate and a small buffer, and drops frames when the buffer is full.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Port(Protocol):
     def unplug(self) -> None: ...
 
     def plug(self) -> None:
-        """Reappear under the same name."""
+        """Reappears under the same name."""
 
     def close(self) -> None: ...
 
@@ -80,7 +80,7 @@ class PseudoTerminal:
         self.watch.register(self.master, select.POLLIN)
 
     def attend(self) -> None:
-        """Check for connections and read incoming data."""
+        """Checks for connections and reads incoming data."""
         if self.master < 0:
             return
         seen = dict(self.watch.poll(0)).get(self.master, 0)
@@ -115,7 +115,7 @@ class PseudoTerminal:
 
 
 class Socket:
-    """A port on loopback. All clients get the same bytes."""
+    """A port on loopback. All clients receive the same bytes."""
 
     def __init__(self, host: str, port: int, heard: Callable[[bytes], None]):
         self.host, self.port, self.heard = host, port, heard
@@ -131,7 +131,7 @@ class Socket:
         self.port = self.server.sockets[0].getsockname()[1]
 
     def attend(self) -> None:
-        """Incoming data are processed as they arrive."""
+        """Processes incoming data as they arrive."""
 
     async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.writers.add(writer)
@@ -175,7 +175,8 @@ _HERE = ("127.0.0.1", "localhost")
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """host, port: of a TCP address; link: the name of a pseudo-terminal, None for TCP. before, after: text before and after the address."""
+    """An address. host, port: of a TCP address; link: the name of a pseudo-terminal, None for TCP; before, after: text before and
+    after the address."""
 
     before: str
     after: str
@@ -185,7 +186,7 @@ class Address:
 
     @classmethod
     def of(cls, text: str) -> Address:
-        """Raises `PortError` for an address that cannot be simulated."""
+        """Parses an address. Raises `PortError` for an address that cannot be simulated."""
         for form, between in ((_VISA_SOCKET, "::"), (_URL, ":")):
             if found := form.fullmatch(text):
                 if found[2].lower() not in _HERE:
@@ -206,7 +207,7 @@ class Address:
         return Address(self.before, self.after, self.host, 0, link)
 
     def written(self, port: int | None = None) -> str:
-        """The address as in a bench file; `port` if the system chose it."""
+        """The address in the form of a bench file. port: number if the system chose it."""
         return f"{self.before}{self.link or port or self.port}{self.after}"
 
 
@@ -216,7 +217,8 @@ _BUFFERED = 0.25  # s of the wall that the sensor's own buffer holds
 
 @dataclass(slots=True)
 class LineCounts:
-    """Frames offered; complete frames dropped by the sensor because the line is too slow; bytes dropped because they were not read."""
+    """Counts of a line: frames offered; complete frames that the sensor dropped because the line is too slow; bytes dropped because
+    they were not read."""
 
     frames: int = 0
     frames_dropped: int = 0
@@ -225,8 +227,8 @@ class LineCounts:
 
 
 class SerialLine:
-    """baud: bits per second of the simulated line; speed: seconds of the bench per second of real time, which also accelerates its
-    bytes."""
+    """A serial line. baud: bits per second of the simulated line; speed: seconds of the bench per second of real time, which also
+    accelerates its bytes."""
 
     def __init__(self, port: Port, baud: float, speed: float, now: float):
         self.port = port
@@ -238,7 +240,7 @@ class SerialLine:
         self.counts = LineCounts()
 
     def offer(self, frames: Bytes) -> None:
-        """Frames (n, length) to send."""
+        """Takes frames (n, length) to send."""
         if not len(frames):
             return
         room = (self.capacity - len(self.waiting)) // frames.shape[1]
@@ -247,11 +249,11 @@ class SerialLine:
         self.waiting += frames[: max(0, room)].tobytes()
 
     def reply(self, data: bytes) -> None:
-        """Other bytes, such as the answer to a command."""
+        """Sends other bytes, such as the answer to a command."""
         self.waiting += data
 
     def pump(self, now: float) -> None:
-        """Send as many bytes as the line could have transmitted by now. now: s of real time."""
+        """Sends as many bytes as the line could have transmitted by now. now: s of real time."""
         self.credit = min(self.credit + (now - self.last) * self.bytes_a_second, float(self.capacity))
         self.last = now
         length = min(len(self.waiting), int(self.credit))

@@ -1,4 +1,4 @@
-"""A table with SCPI-like commands: those of the example in the bench reference, with errors in a queue."""
+"""A table with SCPI-like commands: the commands of the example in the bench reference, with errors in a queue."""
 
 from __future__ import annotations
 
@@ -115,5 +115,5 @@ class ScpiTable:
 
 
 def simulated(keys: object, live: LiveWorld) -> Conversation:
-    """The instrument of a bench file."""
+    """The simulated instrument for a bench file."""
     return Conversation(ScpiTable(TablePlant(live)))

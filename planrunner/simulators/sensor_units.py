@@ -1,6 +1,6 @@
 """Sensors as units on a line: the outputs of the virtual sensor in their frames, and their replies to commands.
 
-STIM300 and KVH are here, Xsens and VectorNav in `navigation_units.py`, declared frames in `declared_frame.py`.
+STIM300 and KVH are in this module, Xsens and VectorNav in `navigation_units.py`, declared frames in `declared_frame.py`.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _INTEGRITY, _OVERLOAD_X = 0x80, 0x11  # status of a STIM300's cluster
 
 
 class SensorUnit(Protocol):
-    """The electronics of a sensor between its samples and its line. ails: faults in its status, `overload` and `self-test`, as far as its
-    frames can show them."""
+    """The electronics of a sensor between its samples and its line. ails: faults in its status, `overload` and `self-test`, as far
+    as its frames can show them."""
 
     ails: frozenset[str]
 
@@ -72,7 +72,7 @@ class SampleNumber:
 
 @dataclass(slots=True)
 class Stim300Unit:
-    """rate: datagrams per second, which determines the step of the counter."""
+    """A STIM300 unit. rate: datagrams per second, which determines the step of the counter."""
 
     outputs: Outputs
     form: Stim300
@@ -134,7 +134,8 @@ def _with_check(text: str) -> bytes:
 
 @dataclass(slots=True)
 class KvhUnit:
-    """degrees: gyro outputs in deg in place of rad; increments: angles in place of rates; hundredths: of the temperature's degrees."""
+    """A KVH unit. degrees: whether gyro outputs are in deg instead of rad; increments: whether outputs are angles instead of rates;
+    hundredths: whether temperatures are in hundredths of a degree."""
 
     outputs: Outputs
     form: Kvh1775
@@ -191,7 +192,7 @@ class Stim300Keys(Protocol):
 
 
 def simulated_stim300(keys: Stim300Keys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
-    """The STIM300 of a bench file."""
+    """The simulated STIM300 for a bench file."""
     form = Stim300(keys.datagram, int(keys.acceleration_range.split()[0]), keys.gyro_output == "increment")
     return Stim300Unit(Outputs(feed.sensor.channels()), form, feed.rate)
 
@@ -204,7 +205,7 @@ class Kvh1775Keys(Protocol):
 
 
 def simulated_kvh1775(keys: Kvh1775Keys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
-    """The KVH 1775 of a bench file."""
+    """The simulated KVH 1775 for a bench file."""
     form, degrees, increments = Kvh1775(keys.format), keys.angle_unit == "deg", keys.rotation == "delta"
     return KvhUnit(
         Outputs(feed.sensor.channels()), form, feed.rate, degrees, increments, keys.temperature_unit == "C_100"

@@ -1,4 +1,4 @@
-"""A simulated bench at work: it listens, advances the simulated world, injects faults, and ends on request."""
+"""Operates a simulated bench: it listens, advances the simulated world, injects faults, and ends on request."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Serving:
     # -- from beginning to end -----------------------------------------------------------------------------------------
 
     async def open(self) -> None:
-        """Listen at every address. Raises `PortError` for an address that is in use or not possible."""
+        """Listens at every address. Raises `PortError` for an address that is in use or not possible."""
         for item in self.simulated.spoken:
             await self._listen(item)
         sensor = self.simulated.sensor
@@ -60,7 +60,7 @@ class Serving:
         await self.control.listen()
 
     async def run(self) -> None:
-        """Run until `ended` is set."""
+        """Runs until `ended` is set."""
         while not self.ended.is_set():
             self.tick()
             with contextlib.suppress(TimeoutError):
@@ -91,7 +91,7 @@ class Serving:
     # -- operation --------------------------------------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Bring everything up to the present time."""
+        """Brings everything up to the present time."""
         begun, over = self.board.changes(self.live.now())
         for fault in begun:
             self._strike(fault, True)
@@ -117,7 +117,7 @@ class Serving:
             self.line.reply(self.simulated.sensor.unit.hear(data))
 
     def _strike(self, fault: Fault, begins: bool) -> None:
-        """Apply the change of a fault when it begins, and undo it when it ends."""
+        """Applies the change of a fault when it begins, and reverses it when it ends."""
         if fault.fault in ("unplug", "refuse"):
             self._pull(fault, begins)
             return
@@ -158,7 +158,8 @@ class Serving:
         return [self.board.declare(fault, self.live.now()) for fault in faults]
 
     def handle(self, request: Mapping[str, Json]) -> Mapping[str, Json]:
-        """`{ask: bench}`, `{inject: FAULT}`, `{clear: NUMBER or all}`, `{ask: state}`, `{stop: true}`. Raises `ValueError`."""
+        """Handles a request: `{ask: bench}`, `{inject: FAULT}`, `{clear: NUMBER or all}`, `{ask: state}`, `{stop: true}`. Raises
+        `ValueError`."""
         if request.get("ask") == "bench":
             return {
                 "speed": self.speed,
@@ -184,8 +185,8 @@ class Serving:
         raise ValueError("a request must be one of ask, inject, clear and stop")
 
     def state(self) -> Mapping[str, Json]:
-        """The present true state, for tests of a run: joint angles and rates [rad, rad/s], air, its target, set point [K], faults, the
-        line's counts."""
+        """The true present state, for tests of a run: joint angles and rates [rad, rad/s], air, its target, set point [K], faults,
+        the counts of the line."""
         told: JsonObject = {"now": self.live.now(), "faults": self.board.told()}
         if self.live.table is not None:
             angles, rates = self.live.world.joints(self.live.now())

@@ -36,7 +36,8 @@ INTERNAL_RATE = 2000.0  # Hz, what the counter counts
 
 @dataclass(frozen=True, slots=True)
 class Stim300:
-    """How a unit is configured. acceleration_range: g; increments: angles in place of rates; crlf: whether CR LF ends a datagram."""
+    """The configuration of a unit. acceleration_range: g; increments: whether outputs are angles instead of rates; crlf: whether CR
+    LF ends a datagram."""
 
     datagram: int = 0xA7
     acceleration_range: int = 10

@@ -1,6 +1,6 @@
 """The mechanics of a simulated table: axes that turn, move and swing within limits, an interlock, and faults that end a motion.
 
-Independent of any protocol. Angles in rad, rates in rad/s, accelerations in rad/s^2.
+It is independent of any protocol. Angles in rad, rates in rad/s, accelerations in rad/s^2.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ _GRANTED = 1 + 1e-9
 
 @dataclass(slots=True)
 class Axis:
-    """One axis and the settings of its controller. rates, accelerations: limits by mode. lowest, highest, trip, tracking: limits beyond
-    which it refuses or switches off. aim: the last demanded angle. faults: those that ended its motion, until they are reset."""
+    """One axis and the settings of its controller. rates, accelerations: limits by mode. lowest, highest, trip, tracking: limits
+    beyond which it refuses a demand or switches off. aim: the last demanded angle. faults: faults that ended its motion, until they
+    are reset."""
 
     model: TableAxis
     lowest: float
@@ -52,7 +53,7 @@ class TablePlant:
     # -- measurements --------------------------------------------------------------------------------------------------
 
     def state(self, index: int) -> tuple[float, float, float]:
-        """Angle, rate and acceleration now. Also checks the limits: an axis beyond its trip rate is switched off."""
+        """Angle, rate and acceleration now. This also checks the limits: an axis beyond its trip rate is switched off."""
         found = self.paths.paths[index].state(self.live.now())
         axis = self.axes[index]
         if abs(found[1]) > axis.trip * _GRANTED and not axis.faults:
@@ -65,7 +66,7 @@ class TablePlant:
     # -- commands ------------------------------------------------------------------------------------------------------
 
     def go(self, index: int, angle: float, rate: float, acceleration: float) -> None:
-        """Move to an angle; a continuous axis takes the shorter way."""
+        """Moves to an angle. A continuous axis takes the shorter way."""
         axis, now = self.axes[index], self.live.before_change()
         if axis.model.continuous:
             here = self.paths.paths[index].state(now)[0]
@@ -78,7 +79,7 @@ class TablePlant:
         self._point()
 
     def turn(self, index: int, rate: float, fastest: float, acceleration: float) -> None:
-        """Change to a rate, held to the limit."""
+        """Changes to a rate, limited to the largest rate."""
         axis, now = self.axes[index], self.live.before_change()
         fastest, acceleration = self._within(axis, fastest, acceleration)
         axis.limited = "rate" if abs(rate) > fastest * _GRANTED else ""
@@ -89,7 +90,7 @@ class TablePlant:
     def swing(
         self, index: int, amplitude: float, frequency: float, phase: float, rate: float, acceleration: float
     ) -> None:
-        """A sine about the last commanded angle of the axis. All sines have the same beginning."""
+        """Starts a sine about the last commanded angle of the axis. All sines have the same beginning."""
         axis, now = self.axes[index], self.live.before_change()
         path = self.paths.paths[index]
         swinging = [p for p in (path.current(now) for path in self.paths.paths) if isinstance(p, Swing)]
@@ -101,7 +102,7 @@ class TablePlant:
         self.paths.paths[index] = path.swing(now, min(amplitude, most), frequency, phase, zero, axis.centre)
 
     def stop(self, index: int, acceleration: float | None = None) -> None:
-        """Come to rest at the angle that results."""
+        """Comes to rest at the angle that results."""
         now = self.live.before_change()
         axis, path = self.axes[index], self.paths.paths[index]
         self.paths.paths[index] = path.turn(now, 0.0, acceleration or axis.model.max_acceleration)
@@ -110,14 +111,14 @@ class TablePlant:
     # -- faults --------------------------------------------------------------------------------------------------------
 
     def fail(self, index: int, fault: str) -> None:
-        """`over-rate`, `tracking error` or `axis fault`: the axis brakes and accepts no demand until it is reset."""
+        """Causes a fault, `over-rate`, `tracking error` or `axis fault`: the axis brakes and accepts no demand until it is reset."""
         axis = self.axes[index]
         axis.faults = (*axis.faults, fault)
         self.stop(index)
         axis.powered = False
 
     def open_interlock(self, is_open: bool = True) -> None:
-        """Open the interlock chain of doors and buttons: every axis brakes, and the status stays set until it is reset."""
+        """Opens the interlock chain of doors and buttons: every axis brakes, and the status stays set until it is reset."""
         self.interlock_open = is_open
         if is_open:
             self.interlock_fault = True
@@ -127,7 +128,7 @@ class TablePlant:
                 axis.powered = False
 
     def reset(self) -> None:
-        """Clear faults; an interlock that is still open becomes a fault again at once."""
+        """Clears faults. An interlock that is still open becomes a fault again at once."""
         self.interlock_fault = self.interlock_open
         for axis in self.axes:
             axis.faults = ()
@@ -138,7 +139,7 @@ class TablePlant:
         return min(rate, axis.model.max_rate), min(acceleration, axis.model.max_acceleration)
 
     def _point(self) -> None:
-        """The pointing error of the orientation that the axes were sent to."""
+        """The pointing error of the last commanded orientation."""
         world = self.live.world
         aims = [axis.aim for axis in self.axes]
         world.skew = self.table.pointing_error(attitude(world.axes, aims, world.site.azimuth))

@@ -1,4 +1,4 @@
-"""A Thermotron 8800 chamber controller: questions on channel 1, operations, which are answered by a code, and a stop code."""
+"""A Thermotron 8800 chamber controller: queries on channel 1, operations, which are answered by a code, and a stop code."""
 
 from __future__ import annotations
 
@@ -79,5 +79,5 @@ class Thermotron8800:
 
 
 def simulated(keys: object, live: LiveWorld) -> Conversation:
-    """The instrument of a bench file."""
+    """The simulated instrument for a bench file."""
     return Conversation(Thermotron8800(ChamberPlant(live)), Manner(b"\r", b"\r"))

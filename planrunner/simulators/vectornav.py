@@ -24,7 +24,7 @@ _COMMON = {
 
 @dataclass(frozen=True, slots=True)
 class VectorNav:
-    """fields: outputs of the common group, by name."""
+    """The binary messages of a VectorNav. fields: outputs of the common group, by name."""
 
     fields: Sequence[str] = ("time_startup", "imu", "mag_pres")
 

@@ -112,5 +112,5 @@ class WatlowF4t:
 
 
 def simulated(keys: object, live: LiveWorld) -> Conversation:
-    """The instrument of a bench file."""
+    """The simulated instrument for a bench file."""
     return Conversation(WatlowF4t(ChamberPlant(live)))

@@ -20,7 +20,8 @@ _FINE_TICKS = 10_000.0  # of SampleTimeFine in a second
 
 @dataclass(frozen=True, slots=True)
 class Xsens:
-    """items: data identifiers in the order of the packet, the format of reals (0 f32, 1 12.20, 2 16.32, 3 f64) in their low bits."""
+    """The packets of an Xsens MTi. items: data identifiers in the order of the packet, with the format of reals (0 f32, 1 12.20, 2
+    16.32, 3 f64) in their low bits."""
 
     items: Sequence[int] = (PACKET_COUNTER, SAMPLE_TIME_FINE, 0x4020, 0x8020, TEMPERATURE, STATUS_WORD)
 
@@ -60,7 +61,7 @@ def known(item: int) -> bool:
 
 
 def _real(values: Values, form: int) -> Bytes:
-    """Reals (n,): IEEE 754, or fixed point with 20 or 32 bits behind the point (of the latter, the fraction goes first)."""
+    """Reals (n,): IEEE 754, or fixed point with 20 or 32 bits after the point. With 32 bits, the fraction comes first."""
     if form == 1:
         return integers(np.rint(values * 2.0**20), 4)
     if form == 2:
@@ -84,5 +85,5 @@ def short_message(identifier: int, payload: bytes = b"") -> bytes:
 
 
 def fine_time(seconds: Array) -> Array:
-    """SampleTimeFine at times [s]."""
+    """The value SampleTimeFine at times [s]."""
     return np.floor(np.asarray(seconds) * _FINE_TICKS)

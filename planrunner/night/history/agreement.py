@@ -2,10 +2,11 @@
 
     E_n = (x − X) / √(U(x)² + U(X)²)
 
-with expanded uncertainties for about 95 %; |E_n| ≤ 1 is agreement (ISO 13528:2022, 9.7; ISO/IEC 17043:2023, B.3.1.3). x is the mean of
-the values of one participant. Its standard uncertainty is the root mean square of the stated ones: most of what a bench states is the
-same in all its runs, and does not become smaller by repeating. The reference X is the value of a named participant, or else the mean of
-all others, weighted with 1/u². The participant itself is left out of it, because the formula is for independent values.
+with expanded uncertainties for about 95 %; |E_n| ≤ 1 is agreement (ISO 13528:2022, 9.7; ISO/IEC 17043:2023, B.3.1.3). x is the mean
+of the values of one participant. Its standard uncertainty is the root mean square of the stated ones. It does not decrease with the
+number of runs, because most of what a bench states is the same in all its runs. The reference X is the value of a named
+participant, otherwise the mean of all others, weighted with 1/u². The participant itself is excluded from this mean, because the
+formula requires independent values.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ COVERAGE = 2.0
 
 @dataclass(frozen=True, slots=True)
 class ParticipantAgreement:
-    """value, standard_uncertainty: of the participant; reference, reference_uncertainty: what it is compared with; runs: number of its
-    values."""
+    """Agreement of one participant. value, standard_uncertainty: of the participant; reference, reference_uncertainty: of the
+    reference; runs: number of its values."""
 
     name: str
     runs: int
@@ -32,7 +33,7 @@ class ParticipantAgreement:
 
     @property
     def en(self) -> float:
-        """E_n; nan without any uncertainty."""
+        """The E_n number; nan without any uncertainty."""
         expanded = COVERAGE * math.hypot(self.standard_uncertainty, self.reference_uncertainty)
         return (self.value - self.reference) / expanded if expanded > 0 else math.nan
 
@@ -44,8 +45,8 @@ class ParticipantAgreement:
 def agreement(
     values: Mapping[str, Sequence[tuple[float, float]]], reference: str | None = None
 ) -> tuple[ParticipantAgreement, ...]:
-    """E_n of every participant, by name. values: participant → values with standard uncertainties. reference: the participant whose value
-    is the assigned one. Empty with fewer than two participants."""
+    """The E_n number of every participant, by name. values: participant → values with standard uncertainties. reference: the
+    participant whose value is the assigned one. Empty with fewer than two participants."""
     means = {name: _mean(found) for name, found in values.items() if found}
     compared = []
     for name, (value, u) in sorted(means.items()):

@@ -1,11 +1,12 @@
-"""Changes of the level of a coefficient, and what else changed at the same time.
+"""Changes of the level of a coefficient, and other circumstances that changed at the same time.
 
-Model: x_i ~ N(μ of its stretch, σ_i²) with σ_i known. For a change between values k and k + 1, the likelihood ratio is that of two means,
+Model: x_i ~ N(μ of its stretch, σ_i²), where σ_i is known. For a change between values k and k + 1, the likelihood ratio is that of
+two means,
 
     T_k = (m₂ − m₁)² / (1/W₁ + 1/W₂),    W = Σ 1/σ_i²,  m = Σ x_i/σ_i² / W
 
-The most likely place has the largest T_k (Hawkins, Journal of the American Statistical Association 72, 1977). Its p-value is bounded by
-the sum over all places (Bonferroni), p ≤ (n − 1)·P(χ²₁ > T): a change is reported too rarely rather than too often. Each side is then
+The most likely place has the largest T_k (Hawkins, Journal of the American Statistical Association 72, 1977). Its p-value is
+bounded by the sum over all places (Bonferroni), p ≤ (n − 1)·P(χ²₁ > T). The test is therefore conservative. Each side is then
 searched again (binary segmentation; Scott and Knott, Biometrics 30, 1974).
 """
 
@@ -27,8 +28,9 @@ LEVEL = 0.01
 
 @dataclass(frozen=True, slots=True)
 class CauseCandidate:
-    """A circumstance that changed with the level. before, after: its values in the last run before the change and in the first after it.
-    shared: fraction of the runs of both stretches in which it had the value of its side; 1 means that it tells both stretches apart."""
+    """A circumstance that changed with the level. before, after: its values in the last run before the change and in the first
+    after it. shared: fraction of the runs of both stretches in which it had the value of its side; 1 means that it distinguishes
+    the stretches completely."""
 
     kind: CircumstanceKind
     name: str
@@ -99,8 +101,8 @@ def _p(z: float, n: int) -> float:
 
 def steps_fit_better(values: Array, sigma: Array, days: Array, changes: Sequence[ChangePoint]) -> bool:
     """Whether levels with these changes describe the values better than one straight line over time, by the Bayesian information
-    criterion χ² + p·log n (Schwarz, Annals of Statistics 6, 1978). All arrays (n,). A drift also looks like a series of changes; it has
-    no cause at any of them."""
+    criterion χ² + p·log n (Schwarz, Annals of Statistics 6, 1978). All arrays (n,). A drift also resembles a series of changes, but
+    no circumstance changes at them."""
     n, w = len(values), 1 / sigma**2
     edges = [0, *(one.index for one in changes), n]
     steps = sum(_misfit(values[a:b], w[a:b], np.ones((b - a, 1))) for a, b in pairwise(edges))
@@ -116,7 +118,7 @@ def _misfit(values: Array, weight: Array, design: Array) -> float:
 
 
 def causes(point: ChangePoint, circumstances: Sequence[Sequence[Circumstance]]) -> tuple[CauseCandidate, ...]:
-    """What else changed at a change of the level, the circumstances that tell both stretches apart best first. circumstances: of every
+    """Circumstances that changed with the level. Those that distinguish the two stretches best come first. circumstances: of every
     run, in the order of the values."""
     known = [{(one.kind, one.name): one.value for one in run} for run in circumstances[point.begin : point.end]]
     split = point.index - point.begin

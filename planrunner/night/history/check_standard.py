@@ -1,16 +1,16 @@
-"""Whether the check standard of a bench is in control.
+"""Determines whether the check standard of a bench is in control.
 
 A new value x of the check standard with the stated standard uncertainty u is compared with
 
 - a reference value R with the standard uncertainty u_R, if the bench file states one: |x − R| ≤ 3·√(u² + u_R² + τ²);
 - its own first values, if there are enough of them: the charts of `control_charts`, whose mean and τ come from these.
 
-τ is the stated repeatability, or else that of the first values. A value that is judged never takes part in its own limits. The method is
-that of the NIST/SEMATECH e-Handbook of Statistical Methods, 2.2.2: a Shewhart chart, and an exponentially weighted moving average for small
-changes, of the values of a check standard about an accepted value, with limits from data that were taken before; SOP 17 (NISTIR 7383)
-describes the same with three standard deviations as limits of action, and a test against the reference value. Here the stated
-uncertainty of each value widens its own limits (docs/decisions/0045). The comparison with a reference has no average: its uncertainty u_R
-is the same in all values, and would not become smaller.
+τ is the stated repeatability, or else that of the first values. A tested value never contributes to its own limits. The method is
+that of the NIST/SEMATECH e-Handbook of Statistical Methods, 2.2.2: a Shewhart chart, and an exponentially weighted moving average
+for small changes, of the values of a check standard about an accepted value, with limits from data that were taken before; SOP 17
+(NISTIR 7383) describes the same with three standard deviations as limits of action, and a test against the reference value. Here
+the stated uncertainty of each value widens its own limits (docs/decisions/0045). The comparison with a reference has no average:
+its uncertainty u_R is the same in all values, and would not become smaller.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ CHECK_STANDARD_FORMAT = 1
 
 
 class ControlStanding(Enum):
-    """What a check standard says of its bench."""
+    """Result for the check standard of a bench."""
 
     IN_CONTROL = "in control"
     OUT_OF_CONTROL = "out of control"
@@ -57,7 +57,7 @@ class ControlStanding(Enum):
 
 
 class ControlTest(Enum):
-    """The comparisons of a value."""
+    """Comparisons of a value of a check standard."""
 
     REFERENCE = "reference"
     SHEWHART = "Shewhart"
@@ -67,7 +67,7 @@ class ControlTest(Enum):
 
 @dataclass(frozen=True)
 class ControlLimits:
-    """The limits of the newest value in a comparison that has no memory: with a reference value, or the Shewhart chart."""
+    """The limits of the newest value in a comparison without memory: with a reference value, or in the Shewhart chart."""
 
     test: ControlTest
     centre: float
@@ -77,9 +77,9 @@ class ControlLimits:
 
 @dataclass(frozen=True)
 class CoefficientControl:
-    """A coefficient of the check standard. trend: its history, the newest value last. limits: of the newest value, in each comparison that
-    is established. charts: of its own history, None with too few values. failed: the comparisons in which the newest value is outside.
-    missing: earlier values that are still needed for limits."""
+    """A coefficient of the check standard. trend: its history, the newest value last. limits: limits of the newest value, in each
+    comparison that has limits. charts: of its own history, None with too few values. failed: comparisons in which the newest value
+    is outside the limits. missing: number of earlier values that are still needed for limits."""
 
     quantity: str
     trend: Trend
@@ -89,7 +89,7 @@ class CoefficientControl:
     missing: int
 
     def words(self) -> str:
-        """The newest value and its limits."""
+        """The newest value and its limits in words."""
         value = f"{self.quantity} is {self.trend.values[-1]:.6g} {self.trend.unit}"
         if not self.limits:
             return f"{value}, and {self.missing} more values are needed for limits"
@@ -118,9 +118,9 @@ class CoefficientControl:
 
 @dataclass(frozen=True)
 class ControlState:
-    """The check standard of a bench at a moment. run: its newest run, None without one. reasons: why it is not in control, in words.
-    damaged: runs of the archive that cannot be read, and are or may be runs of the check standard; left_out: folders whose bench cannot be
-    determined, and which the rule of the bench does not use."""
+    """The check standard of a bench at a moment. run: its newest run, None if there is none. reasons: reasons why it is not in
+    control, in words. damaged: runs of the archive that cannot be read and that are or may be runs of the check standard; left_out:
+    folders whose bench cannot be determined, and which the rule of the bench does not use."""
 
     bench: str
     device: str
@@ -141,7 +141,7 @@ class ControlState:
         return f"{head}: {'; '.join(self.reasons)}" if self.reasons else head
 
     def to_json(self) -> JsonObject:
-        """See schemas/check-standard.schema.json."""
+        """JSON data according to schemas/check-standard.schema.json."""
         return {
             "planrunner_check_standard": CHECK_STANDARD_FORMAT,
             "bench": self.bench,
@@ -176,9 +176,9 @@ def judge(
     now: datetime,
     damaged: Sequence[FaultRow] = (),
 ) -> ControlState:
-    """The state at a moment. runs: of the check standard on this bench, the newest first. points: coefficient → its values in these runs,
-    the oldest first. damaged: runs of the archive that cannot be read. One that was recorded on another bench, or with another plan or
-    device, does not matter here."""
+    """The state at a moment. runs: runs of the check standard on this bench, the newest first. points: coefficient → its values in
+    these runs, the oldest first. damaged: runs of the archive that cannot be read. A damaged run that was recorded on another
+    bench, or with another plan or device, is not considered."""
     unreadable = tuple(fault for fault in damaged if fault.recorded is None)
     own = RecordedAs(bench, rule.plan_name, rule.device)
     damaged = tuple(fault for fault in damaged if fault.recorded == own)
@@ -236,7 +236,7 @@ def _age(run: RunRow, rule: CheckStandardRule, now: datetime) -> Iterator[str]:
 
 
 def _control(quantity: str, held: Trend, about: CheckedCoefficient, enough: int) -> CoefficientControl:
-    """The newest value of a history against its limits. Raises `UnknownUnitError` if a stated quantity has another dimension."""
+    """Compares the newest value of a history with its limits. Raises `UnknownUnitError` if a stated quantity has another dimension."""
     x, u = np.array(held.values), np.array(held.standard_uncertainties)
     own = unit(held.unit)
 

@@ -20,8 +20,8 @@ COMPARISON_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class ComparedCoefficient:
-    """One coefficient in several runs. values: (value, standard uncertainty) by run, None where a run lacks it or has another unit.
-    agreement: of every run that has it with the first one."""
+    """One coefficient in several runs. values: (value, standard uncertainty) by run, None if a run lacks the coefficient or has
+    another unit. agreement: E_n of every other run that has the coefficient with the first run."""
 
     quantity: str
     unit: str
@@ -36,8 +36,8 @@ class ComparedCoefficient:
 
 @dataclass(frozen=True, slots=True)
 class RunComparison:
-    """runs: the compared runs, the first of which is the reference; names: as the user gave them, a URL
-    for a copy of a remote run."""
+    """The comparison of several runs. runs: the compared runs, the first of which is the reference; names: as the user gave them, a
+    URL for a copy of a remote run."""
 
     names: tuple[str, ...]
     runs: tuple[RunRow, ...]
@@ -49,7 +49,7 @@ class RunComparison:
         return any(one.largest_en is not None and one.largest_en > 1 for one in self.coefficients)
 
     def to_json(self) -> JsonObject:
-        """See schemas/comparison.schema.json."""
+        """JSON data according to schemas/comparison.schema.json."""
         return {
             "planrunner_comparison": COMPARISON_FORMAT,
             "runs": [{**run.to_json(), "folder": name} for name, run in zip(self.names, self.runs, strict=True)],
@@ -71,7 +71,8 @@ class RunComparison:
 
 
 def compare_runs(runs: Sequence[Path]) -> RunComparison:
-    """The coefficients of several runs side by side. Raises `InputError`, for a run without an analysis too, and `IntegrityError`."""
+    """The coefficients of several runs side by side. Raises `InputError`, for example for a run without an analysis, and
+    `IntegrityError`."""
     found = [_read(run) for run in runs]
     rows = [one.run for one in found if one.run is not None]
     held = [{row.quantity: row for row in one.coefficients} for one in found]

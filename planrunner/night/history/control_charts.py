@@ -36,8 +36,8 @@ BASELINE = 20
 
 @dataclass(frozen=True, slots=True)
 class Centre:
-    """What is normal. mean: weighted with 1/σ_i²; standard_uncertainty: of the mean; between: τ; values: number it was taken from. All in
-    the unit of the values."""
+    """The centre of the charts. mean: weighted with 1/σ_i²; standard_uncertainty: of the mean; between: τ; values: number of values
+    from which it was computed. All in the unit of the values."""
 
     mean: float
     standard_uncertainty: float
@@ -47,8 +47,8 @@ class Centre:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """A chart of n values. statistic, lower, upper: (n,), of the value, its moving average or the sum; alarms: (n,), whether the
-    statistic is outside its limits."""
+    """A chart of n values. statistic: (n,), the value, its moving average or the sum; lower, upper: (n,), its limits; alarms: (n,),
+    whether the statistic is outside its limits."""
 
     statistic: Array
     lower: Array
@@ -58,8 +58,8 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class ControlCharts:
-    """sigma: (n,), standard deviation of each value about the mean. The two sums of the CUSUM chart are in units of σ; the lower one counts
-    downwards."""
+    """The charts of a coefficient. sigma: (n,), standard deviation of each value about the mean. The two sums of the CUSUM chart
+    are in units of σ; the lower one counts downwards."""
 
     centre: Centre
     sigma: Array
@@ -75,7 +75,7 @@ class ControlCharts:
 
 
 def between_runs(values: Array, u: Array) -> float:
-    """τ from the moving ranges of the values, (n,), with standard uncertainties (n,)."""
+    """The scatter τ from the moving ranges of the values (n,), with standard uncertainties (n,)."""
     if len(values) < 2:
         return 0.0
     sigma = float(np.abs(np.diff(values)).mean()) / D2
@@ -83,7 +83,7 @@ def between_runs(values: Array, u: Array) -> float:
 
 
 def centre_of(values: Array, u: Array, baseline: int = BASELINE) -> Centre:
-    """The centre of the first `baseline` values, all (n,)."""
+    """The centre from the first `baseline` values. All arrays have the shape (n,)."""
     x, s = values[:baseline], u[:baseline]
     tau = between_runs(x, s)
     variance = s**2 + tau**2
@@ -93,7 +93,7 @@ def centre_of(values: Array, u: Array, baseline: int = BASELINE) -> Centre:
 
 
 def shewhart(values: Array, mean: float, sigma: Array, width: float = SHEWHART) -> Chart:
-    """Limits at mean ± width·σ_i. values, sigma: (n,)."""
+    """The Shewhart chart with limits at mean ± width·σ_i. values, sigma: (n,)."""
     half = width * sigma
     return _chart(values, np.broadcast_to(mean - half, values.shape), np.broadcast_to(mean + half, values.shape))
 
@@ -101,10 +101,11 @@ def shewhart(values: Array, mean: float, sigma: Array, width: float = SHEWHART) 
 def ewma(
     values: Array, mean: float, sigma: Array, weight: float = LAMBDA, width: float = EWMA_WIDTH, *, steady: bool = False
 ) -> Chart:
-    """Exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. values: (n, …); sigma: (n,) or like values.
+    """The exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. values: (n, …); sigma: (n,) or like
+    values.
 
-    Its variance V_i = λ² σ_i² + (1 − λ)² V_{i−1} begins with 0, so that the first limits are narrower. steady: it begins with its final
-    value for σ_0 instead, λ/(2 − λ) σ², as the handbook draws the limits.
+    Its variance V_i = λ² σ_i² + (1 − λ)² V_{i−1} begins with 0, so that the first limits are narrower. steady: whether the variance
+    begins with its final value for σ_0 instead, λ/(2 − λ) σ², as in the handbook.
     """
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     average, half = np.empty_like(values), np.empty_like(values)
@@ -120,8 +121,8 @@ def ewma(
 def cusum(
     values: Array, mean: float, sigma: Array, allowance: float = ALLOWANCE, decision: float = DECISION
 ) -> tuple[Chart, Chart]:
-    """Tabular sums S⁺_i = max(0, S⁺_{i−1} + z_i − k) and S⁻_i = min(0, S⁻_{i−1} + z_i + k) of z_i = (x_i − mean)/σ_i, with the limits ±h.
-    values: (n, …); sigma: (n,) or like values, all positive."""
+    """The tabular CUSUM: sums S⁺_i = max(0, S⁺_{i−1} + z_i − k) and S⁻_i = min(0, S⁻_{i−1} + z_i + k) of z_i = (x_i − mean)/σ_i,
+    with the limits ±h. values: (n, …); sigma: (n,) or like values, all positive."""
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     up, down = np.empty_like(values), np.empty_like(values)
     high, low = np.zeros(values.shape[1:]), np.zeros(values.shape[1:])

@@ -1,4 +1,4 @@
-"""Drift of a coefficient against its uncertainty, and the date by which the device should be calibrated again.
+"""Drift of a coefficient compared with its uncertainty, and the date by which the device should be calibrated again.
 
 The drift is a weighted straight line through the values, x = a + b·(t − t̄), with the covariance of its two parameters. At a later time t
 the value is predicted with the variance
@@ -35,7 +35,8 @@ LEAST = 3
 
 @dataclass(frozen=True, slots=True)
 class DriftLine:
-    """slope, slope_uncertainty: unit per day. level: at the mean time `middle` [days]. between: τ; stated: ū. times in days."""
+    """A fitted line. slope, slope_uncertainty: unit per day. level: at the mean time `middle` [days]. between: τ; stated: ū; times
+    in days."""
 
     slope: float
     slope_uncertainty: float
@@ -58,7 +59,7 @@ class DriftLine:
 
 
 def drift_line(days: Array, values: Array, u: Array, between: float) -> DriftLine | None:
-    """The weighted straight line. days, values, u: (n,); between: τ. None if there are too few values or they have one time."""
+    """The weighted straight line. days, values, u: (n,); between: τ. None if there are too few values or all have the same time."""
     if len(values) < LEAST or float(np.ptp(days)) == 0:
         return None
     variance = u**2 + between**2
@@ -76,8 +77,8 @@ def drift_line(days: Array, values: Array, u: Array, between: float) -> DriftLin
 
 
 def days_left(line: DriftLine, permissible: float | None = None) -> float:
-    """Days from the last value to the next calibration, 0 if it is due at once, `HORIZON` if it is later. permissible: largest
-    deviation."""
+    """Days from the last value to the next calibration; 0 if it is due at once, `HORIZON` if it is later than that. permissible:
+    largest deviation."""
 
     def due(later: float) -> bool:
         change = abs(line.slope) * later

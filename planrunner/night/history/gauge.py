@@ -4,10 +4,11 @@ A balanced, fully crossed random-effects model with all interactions, for one to
 
     E(MS_S) = σ² + r·Σ_{T ⊇ S} σ_T²·∏_{f ∉ T} a_f
 
-with r repetitions and a_f levels of factor f. The variance components follow from it; a negative one counts as zero. Reproducibility is
-all that is not device or repeatability. Intervals are those of the modified large-sample method: Graybill and Wang (Journal of the
-American Statistical Association 75, 1980) for sums of mean squares, and Ting et al. (Journal of Statistical Computation and Simulation
-35, 1990) for differences, as Burdick, Borror and Montgomery (Design and Analysis of Gauge R&R Studies, 2005) apply them.
+with r repetitions and a_f levels of factor f. The variance components follow from it; a negative one counts as zero.
+Reproducibility is all variance that is neither that of the device nor repeatability. Intervals are those of the modified
+large-sample method: Graybill and Wang (Journal of the American Statistical Association 75, 1980) for sums of mean squares, and Ting
+et al. (Journal of Statistical Computation and Simulation 35, 1990) for differences, as Burdick, Borror and Montgomery (Design and
+Analysis of Gauge R&R Studies, 2005) apply them.
 """
 
 from __future__ import annotations
@@ -27,12 +28,12 @@ CONFIDENCE = 0.95
 
 
 class UnbalancedError(ValueError):
-    """The values do not fill the design. The message says what is missing."""
+    """The values do not fill the design. The message states which values are missing."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeanSquare:
-    """factors: of the effect; empty for the repetitions. df: degrees of freedom."""
+    """One mean square. factors: factors of the effect; empty for the repetitions. df: degrees of freedom."""
 
     factors: tuple[str, ...]
     sum_of_squares: float
@@ -45,7 +46,8 @@ class MeanSquare:
 
 @dataclass(frozen=True, slots=True)
 class VarianceComponent:
-    """variance: in the squared unit of the values, not below zero; lower, upper: limits of its 95 % interval."""
+    """One component of variance. variance: in the squared unit of the values, not below zero; lower, upper: limits of its 95 %
+    interval."""
 
     name: str
     variance: float
@@ -62,8 +64,8 @@ GAUGE_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class GaugeStudy:
-    """components: repeatability, every factor and interaction, reproducibility, gauge (both together), and total. levels: factor → number
-    of levels; repetitions: in each cell; unused: number of values beyond those repetitions."""
+    """Result of a gauge study. components: repeatability, every factor and interaction, reproducibility, gauge (both together), and
+    total. levels: factor → number of levels; repetitions: number in each cell; unused: number of values beyond these repetitions."""
 
     anova: tuple[MeanSquare, ...]
     components: tuple[VarianceComponent, ...]
@@ -72,7 +74,7 @@ class GaugeStudy:
     unused: int
 
     def to_json(self, quantity: str, unit: str) -> JsonObject:
-        """See schemas/gauge.schema.json."""
+        """JSON data according to schemas/gauge.schema.json."""
         return {
             "planrunner_gauge": GAUGE_FORMAT,
             "quantity": quantity,
@@ -94,9 +96,9 @@ class GaugeStudy:
 def gauge_study(
     factors: Mapping[str, Sequence[str]], values: Sequence[float], item: str = "device", *, pooled: bool = False
 ) -> GaugeStudy:
-    """The study of n values. factors: name → label of each value (n); a factor with one level is left out. item: the factor that is
-    measured. In a cell with more values than the others the first ones count. pooled: interactions are counted as repeatability, as where
-    they are not significant. Raises `UnbalancedError`."""
+    """The study of n values. factors: name → label of each value (n); a factor with one level is left out. item: the factor of the
+    measured items. If a cell has more values than the others, only its first values count. pooled: whether interactions count as
+    repeatability, which is usual if they are not significant. Raises `UnbalancedError`."""
     used = {name: list(labels) for name, labels in factors.items() if len(set(labels)) > 1}
     levels = {name: sorted(set(labels)) for name, labels in used.items()}
     cells: dict[tuple[int, ...], list[float]] = {}
@@ -153,7 +155,8 @@ def _pooled(anova: Sequence[MeanSquare]) -> list[MeanSquare]:
 
 
 def _components(anova: Sequence[MeanSquare], levels: Mapping[str, int], r: int, item: str) -> list[VarianceComponent]:
-    """Each component is a linear combination of mean squares: solves the expectations from the highest interaction down."""
+    """The components of variance. Each is a linear combination of mean squares; the expectations are solved from the highest
+    interaction down."""
     squares = {one.factors: one for one in anova}
     combos: dict[tuple[str, ...], dict[tuple[str, ...], float]] = {(): {(): 1.0}}
     for factors in sorted((one for one in squares if one), key=len, reverse=True):
@@ -195,7 +198,7 @@ def _estimated(
 
 
 def _interval(terms: Sequence[tuple[float, float, int]], estimate: float) -> tuple[float, float]:
-    """Two-sided limits of Σ c·E(MS): the modified large-sample method. terms: (c, MS, degrees of freedom)."""
+    """Two-sided limits of Σ c·E(MS) by the modified large-sample method. terms: (c, MS, degrees of freedom)."""
     a = (1 - CONFIDENCE) / 2
     plus, minus = [t for t in terms if t[0] > 0], [t for t in terms if t[0] < 0]
     below = sum((_g(a, n) * c * ms) ** 2 for c, ms, n in plus) + sum((_h(a, n) * c * ms) ** 2 for c, ms, n in minus)
@@ -210,10 +213,10 @@ def _interval(terms: Sequence[tuple[float, float, int]], estimate: float) -> tup
 
 
 def _g(a: float, n: int) -> float:
-    """1 − 1/F(1 − a; n, ∞)."""
+    """The value 1 − 1/F(1 − a; n, ∞)."""
     return 1 - n / float(chi2.isf(a, n))
 
 
 def _h(a: float, n: int) -> float:
-    """1/F(a; n, ∞) − 1."""
+    """The value 1/F(a; n, ∞) − 1."""
     return n / float(chi2.ppf(a, n)) - 1

@@ -1,8 +1,9 @@
-"""The index over the run folders of an archive: which runs there are, with their coefficients and verdicts.
+"""The index over the run folders of an archive: its runs with their coefficients and verdicts.
 
-The run folders are the record; the index is a copy for quick answers. It can be made again from the folders at any time. Each run is
-replaced in one transaction, so that a reader sees every run as it was read once, also while the index is refreshed or rebuilt. Several
-processes may do that at the same time: each writes what it read, and a folder that changed meanwhile is read again by the next refresh.
+The run folders are the record; the index is a copy for quick answers. It can be made again from the folders at any time. Each run
+is replaced in one transaction, so that a reader sees every run in a consistent state, even while the index is refreshed or rebuilt.
+Several processes may do this at the same time: each writes the runs that it read, and the next refresh reads a folder that changed
+in the meantime again.
 """
 
 from __future__ import annotations
@@ -75,7 +76,8 @@ _SCHEMA = (
 
 @dataclass(frozen=True, slots=True)
 class Refreshed:
-    """read: runs that were read again; removed: runs that no longer exist; faults: folders that are not in the index."""
+    """Result of a refresh. read: runs that were read again; removed: runs that no longer exist; faults: folders that are not in the
+    index."""
 
     read: int
     removed: int
@@ -84,7 +86,7 @@ class Refreshed:
 
 @dataclass(frozen=True, slots=True)
 class DeviceSummary:
-    """runs: their number; last: when the newest was made."""
+    """Summary of a device. runs: number of its runs; last: time of its newest run."""
 
     device: str
     runs: int
@@ -94,8 +96,8 @@ class DeviceSummary:
 class Index:
     """An open index. Close it, or use it as a context manager.
 
-    All methods raise `InputError` if the database cannot be used: a server that stopped, a full disk, a lock that another process keeps.
-    What was written before stays, and the next refresh goes on from there.
+    All methods raise `InputError` if the database cannot be used, for example because a server stopped, a disk is full, or another
+    process keeps a lock. Data that were written before stay, and the next refresh continues.
     """
 
     def __init__(self, archive: Path, database: Database):
@@ -106,7 +108,7 @@ class Index:
 
     @classmethod
     def open(cls, archive: Path, index: str | None = None) -> Index:
-        """The index of an archive. index: a file or a URL, by default a file of this user. Raises `InputError`."""
+        """Opens the index of an archive. index: a file or a URL, by default a file of this user. Raises `InputError`."""
         if not archive.is_dir():
             hint = "give the folder that contains the runs, such as runs/"
             raise InputError.at(Mark(str(archive)), "index-no-archive", "there is no such folder", hint)
@@ -230,7 +232,7 @@ class Index:
                 )
 
     def _remove(self, folders: Sequence[str]) -> None:
-        """Within a transaction."""
+        """Removes a run within a transaction."""
         keys = [(self._name, folder) for folder in folders]
         for table in ("coefficients", "limits"):
             self._database.write_many(
@@ -304,7 +306,7 @@ class Index:
         return [DeviceSummary(str(device), cast(int, runs), str(last)) for device, runs, last in found]
 
     def quantities(self, device: str) -> list[str]:
-        """The coefficients that any run of a device has, `estimate.coefficient`."""
+        """The names `estimate.coefficient` of all coefficients in the runs of a device."""
         found = self._database.query(
             "SELECT DISTINCT quantity FROM runs JOIN coefficients c ON c.run_id = runs.id "
             "WHERE archive = ? AND device = ? ORDER BY quantity",
@@ -375,7 +377,7 @@ def _read(item: tuple[Path, str]) -> IndexedRun:
 
 
 def _pattern(text: str) -> tuple[str, str | None]:
-    """The text without escapes, and the pattern for LIKE if it has `*` or `?`. A backslash makes the next character plain."""
+    """The text without escapes, and the pattern for LIKE if it contains `*` or `?`. A backslash makes the next character literal."""
     plain, like, wild = [], [], False
     letters: Iterator[str] = iter(text)
     for letter in letters:
@@ -391,13 +393,13 @@ def _pattern(text: str) -> tuple[str, str | None]:
 
 
 def literal(text: str) -> str:
-    """A text for `RunFilter` that admits this text alone."""
+    """A text for `RunFilter` that matches only this text."""
     return "".join(f"\\{letter}" if letter in "*?\\" else letter for letter in text)
 
 
 def _moment(text: str) -> datetime:
-    """The moment in UTC. No run has a year outside `FIRST_YEAR` to `LAST_YEAR`: moments before and after are moved to just outside of them,
-    where sums with days stay within the calendar."""
+    """The moment in UTC. No run has a year outside `FIRST_YEAR` to `LAST_YEAR`, so earlier and later moments are moved to just
+    outside this range. Sums with days then stay within the calendar."""
     try:
         moment = datetime.fromisoformat(text)
         if not FIRST_YEAR <= moment.year <= LAST_YEAR:
@@ -415,7 +417,7 @@ _RUN_COLUMNS = len(_RUN.split(","))
 
 
 def _values(row: CoefficientRow | LimitRow | RecordedAs) -> SqlRow:
-    """nan becomes NULL, which SQLite would make of it anyway."""
+    """Values for the database. nan becomes NULL, as SQLite would convert it anyway."""
     found = []
     for item in fields(row):
         value = getattr(row, item.name)
@@ -425,8 +427,8 @@ def _values(row: CoefficientRow | LimitRow | RecordedAs) -> SqlRow:
 
 
 def _apart(row: _Row, parameters: Mapping[str, str]) -> _Row:
-    """A row of a run with its own values for parameters of the plan. Its history is not that of other values, so its quantity has another
-    name."""
+    """A row of a run that has its own values for parameters of the plan. Its history is separate from that of other values, so its
+    quantity has another name."""
     return replace(row, quantity=variant_name(row.quantity, parameters)) if parameters else row
 
 

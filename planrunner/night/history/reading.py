@@ -1,5 +1,5 @@
-"""Reads a run folder for the index. The folder may come from a stranger: it is opened as by all other commands, and what is wrong with it
-becomes a fault of that folder alone."""
+"""Reads a run folder for the index. The folder may come from another person: it is opened as by all other commands, and its faults
+concern this folder alone."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ _MOST_TEXT = 2000
 
 
 def fingerprint(entries: Mapping[str, Entry]) -> str:
-    """Changes whenever planrunner writes to a run folder. entries: of the folder. Empty if the last change is so recent that the next one
-    might not change it."""
+    """A value that changes whenever planrunner writes to a run folder. entries: of the folder. It is empty if the last change is so
+    recent that the next one might not change it."""
     known = [(name, entries[name]) for name in _READ if name in entries]
     if known and abs(time.time() - max(entry.modified for _, entry in known) / 1e9) < _SETTLED:
         return ""
@@ -54,7 +54,8 @@ def fingerprint(entries: Mapping[str, Entry]) -> str:
 
 
 def read_run(archive: Path, place: str) -> IndexedRun:
-    """A run folder of an archive. place: relative to it, with slashes. Never raises for what is wrong in the folder."""
+    """Reads a run folder of an archive. place: relative to it, with slashes. Never raises an exception because of faults in the
+    folder."""
     mark = ""
     found: Examined | None = None
     try:
@@ -78,7 +79,8 @@ def read_run(archive: Path, place: str) -> IndexedRun:
 
 
 def _recorded(found: Examined | None) -> RecordedAs | None:
-    """What a damaged run is. None if the chain of its journal is broken, or if run.json or the bench file is not as recorded there."""
+    """The identity of a damaged run. None if the chain of its journal is broken, or if run.json or the bench file differ from their
+    digests in the journal."""
     if found is None or found.state is None or not found.run or BENCH not in found.given:
         return None
     try:
@@ -173,7 +175,7 @@ def _circumstances(
 
 @lru_cache(maxsize=256)
 def _bench_facts(data: bytes) -> JsonObject:
-    """Of a bench file. Its drivers need not be installed, and it need not pass the present checks."""
+    """Facts from a bench file. Its drivers need not be installed, and it need not pass the present checks."""
     root = _parsed(data, BENCH)
     return {
         "name": _scalar(root, "name") or "unknown",
@@ -221,6 +223,6 @@ def _text(value: Json) -> str:
 
 
 def _short(text: str) -> str:
-    """A text of a file, without null characters, which databases refuse, and lone surrogates."""
+    """A text without null characters, which databases refuse, and without lone surrogates."""
     clean = text.replace("\0", "\N{REPLACEMENT CHARACTER}").encode("utf-8", "replace").decode("utf-8")
     return clean if len(clean) <= _MOST_TEXT else f"{clean[:_MOST_TEXT]}…"

@@ -18,7 +18,7 @@ IndexedVerdict = VerdictKind | Literal["not analysed"]
 
 
 class CircumstanceKind(Enum):
-    """What may have changed from one run to the next, and may therefore be the cause of a change of results."""
+    """Kinds of circumstances that may change from one run to the next and may cause a change of results."""
 
     BENCH = "bench"
     LABORATORY = "laboratory"
@@ -46,8 +46,8 @@ class Circumstance:
 @dataclass(frozen=True, slots=True)
 class RunRow:
     """A run in the index. folder: relative to the archive, with slashes. device: serial number of the device, empty if not stated.
-    analysis: number of the newest analysis, 0 without one; the verdict and the coefficients are of this analysis. warnings: number of
-    warnings of the run and of its estimates."""
+    analysis: number of the newest analysis, 0 without one; the verdict and the coefficients come from this analysis. warnings:
+    number of warnings of the run and of its estimates."""
 
     folder: str
     run: str
@@ -115,7 +115,7 @@ class LimitRow:
 
 @dataclass(frozen=True, slots=True)
 class RecordedAs:
-    """What a run was when it began: the name of its bench and its plan, and its device."""
+    """The identity of a run when it began: the names of its bench and its plan, and its device."""
 
     bench: str
     plan: str
@@ -124,7 +124,8 @@ class RecordedAs:
 
 @dataclass(frozen=True, slots=True)
 class FaultRow:
-    """A folder of the archive that is not in the index, with the reason. recorded: what the run is, if the damage left this unchanged."""
+    """A folder of the archive that is not in the index, with the reason. recorded: the identity of the run, if the damage has not
+    changed it."""
 
     folder: str
     message: str
@@ -133,8 +134,9 @@ class FaultRow:
 
 @dataclass(frozen=True, slots=True)
 class IndexedRun:
-    """A run folder as it was read: the run with its coefficients and limits, or the fault. fingerprint: of the folder; empty if it must be
-    read again the next time. recorded: of a run with a fault. parameters: values that were given for parameters of its plan."""
+    """A run folder as it was read: the run with its coefficients and limits, or the fault. fingerprint: fingerprint of the folder;
+    empty if it must be read again next time. recorded: identity of a run with a fault. parameters: values that were given for
+    parameters of its plan."""
 
     folder: str
     fingerprint: str
@@ -148,8 +150,8 @@ class IndexedRun:
 
 @dataclass(frozen=True, slots=True)
 class RunFilter:
-    """Which runs to list; an empty value admits all. Texts admit equal values and, with `*` and `?`, patterns. since, until: first and last
-    moment, ISO 8601 in UTC; until a day means its end."""
+    """A filter for runs; an empty value matches all. Texts match equal values and, with `*` and `?`, patterns. since, until: first
+    and last moment, ISO 8601 in UTC; if `until` is a day, it means the end of that day."""
 
     device: str = ""
     plan: str = ""
@@ -163,7 +165,7 @@ class RunFilter:
 
 @dataclass(frozen=True, slots=True)
 class HistoryPoint:
-    """A coefficient of one run of a device, with the limits that the plan of that run had."""
+    """A coefficient of one run of a device, with the limits in the plan of that run."""
 
     run: RunRow
     coefficient: CoefficientRow

@@ -24,9 +24,10 @@ DAY = 86400.0
 
 @dataclass(frozen=True)
 class Trend:
-    """points: the runs whose value can be used, the oldest first; values, standard_uncertainties: (n,), in `unit`, which is that of the
-    newest run. left_out: folders of runs with a value in another dimension, or without a value or a finite uncertainty. charts, drift:
-    None if there are too few values. tolerance: permissible deviation that the next calibration is computed with, None without one."""
+    """The history of a coefficient. points: the runs whose value can be used, the oldest first; values, standard_uncertainties:
+    (n,), in `unit`, which is the unit of the newest run. left_out: folders of runs without a usable value: in another dimension,
+    missing, or without a finite uncertainty. charts, drift: None if there are too few values. tolerance: permissible deviation for
+    computing the next calibration, None without one."""
 
     device: str
     quantity: str
@@ -44,14 +45,14 @@ class Trend:
 
     @property
     def next_calibration(self) -> datetime | None:
-        """When the next calibration is due; None without a drift line, or if it is later than `HORIZON` days after the last run."""
+        """The date of the next calibration; None without a drift line, or if it is later than `HORIZON` days after the last run."""
         if self.drift is None:
             return None
         left = days_left(self.drift, self.tolerance)
         return None if left >= HORIZON else moment(self.points[-1]) + timedelta(days=left)
 
     def to_json(self) -> JsonObject:
-        """See schemas/history.schema.json."""
+        """JSON data according to schemas/history.schema.json."""
         charts, drift, due = self.charts, self.drift, self.next_calibration
         return {
             "planrunner_history": HISTORY_FORMAT,
@@ -181,7 +182,7 @@ def _explained(one: ChangePoint, held: Sequence[Sequence[Circumstance]]) -> Chan
 
 
 def _in_unit(point: HistoryPoint, unit: str, first: float | None) -> tuple[float, float] | None:
-    """Value and uncertainty in a unit; a circular value is shifted by whole turns to be nearest to the first one."""
+    """Value and uncertainty in a unit. A circular value is shifted by whole turns so that it is nearest to the first value."""
     one = point.coefficient
     try:
         value, u, period = one.value, one.standard_uncertainty, one.period
