@@ -1,9 +1,7 @@
-"""Reading a run folder: plan and bench, valid segments, their one-pass statistics, and their samples in blocks.
+"""Reads a run folder: plan and bench, valid segments, their one-pass statistics, and their samples in blocks.
 
-Reading one file ahead: while the samples of a file are being used, the next file is read and its digest is checked in another thread.
-
-Reading and hashing release the interpreter's lock, so both happen at the same time. No more than one file waits, so that memory does not
-grow with the recording.
+While the samples of a file are used, the next file is read and its digest is checked in another thread. Reading and hashing release the
+interpreter's lock, so both happen at the same time. At most one file waits, so that memory does not grow with the recording.
 """
 
 from __future__ import annotations

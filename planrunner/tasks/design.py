@@ -31,9 +31,9 @@ def design(
     workers: Workers = ALONE,
     parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Study:
-    """The study for the plan and the options: a study of positions if an estimate uses segments at rest. workers: share the free search of
-    positions. parameters: values for parameters of the plan. Raises `InputError` with the plan's findings, and `EstimationError` if there
-    is nothing to design."""
+    """Makes the study for the plan and the options. It is a study of positions if an estimate uses segments at rest. workers: processes
+    that share the search over free orientations. parameters: values for parameters of the plan. Raises `InputError` with the plan's
+    findings, and `EstimationError` if there is nothing to design."""
     checked = check_plan(plan, bench=bench, parameters=parameters)
     if asked.segment is None and (asked.rates or has_rates_alone(checked, asked.estimate)):
         return rates_study.study(design_rates(checked, asked, bench), _subject(checked))

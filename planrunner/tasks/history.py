@@ -40,8 +40,8 @@ class RunList:
 
 @dataclass(frozen=True, slots=True)
 class Freshness:
-    """How an index is brought up to date before it is asked. refresh: new and changed runs are read; rebuild: all runs are. workers: they
-    read."""
+    """How an index is updated before it is queried. refresh: whether new and changed runs are read; rebuild: whether all runs are read.
+    workers: processes that read."""
 
     refresh: bool = True
     rebuild: bool = False

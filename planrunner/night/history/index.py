@@ -150,8 +150,8 @@ class Index:
     def refresh(
         self, *, rebuild: bool = False, notice: Announce | None = None, workers: Workers | None = None
     ) -> Refreshed:
-        """Reads the runs that are new or changed, and forgets those that no longer exist. rebuild: reads all runs again. notice: receives
-        the progress; workers: they read, by default as many processes of this machine as pay."""
+        """Reads the runs that are new or changed, and removes those that no longer exist. rebuild: whether to read all runs again.
+        notice: receives the progress; workers: processes that read, by default as many of this machine as the work justifies."""
         query = self._database.query
         rows = query("SELECT folder, fingerprint FROM runs WHERE archive = ?", (self._name,))
         known = {str(place): mark for place, mark in rows}
