@@ -8,29 +8,27 @@ import numpy as np
 
 from planrunner.estimators.derived import Derived
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
-from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn
+from planrunner.estimators.tables import Cell, FilledColumn, Plot, Role, Table, TableColumn, by_columns, known
 from planrunner.observation.observations import Observations
 from planrunner.uncertainty.decision import expanded_uncertainty
 
 
+def mean_and_residual(observations: Observations, fit: OutputsFit, output: int) -> list[FilledColumn]:
+    """Two columns of an output: its means and its residuals by segment."""
+    name, unit = observations.channels[output], observations.units[output]
+    return [
+        (TableColumn(f"{name} mean", Role.VALUE, unit), observations.mean[:, output]),
+        (TableColumn(f"{name} residual", Role.VALUE, unit), fit.fits[output].residuals[: len(observations.labels)]),
+    ]
+
+
 def residual_table(title: str, observed: str, observations: Observations, fit: OutputsFit) -> Table:
     """Means, residuals and each mean's uncertainty from its own segment. observed: name of a row, such as `position`."""
-    columns = [TableColumn(observed)]
-    for name, unit in zip(observations.channels, observations.units, strict=True):
-        columns += [TableColumn(f"{name} {what}", Role.VALUE, unit) for what in ("mean", "residual")]
-        columns.append(TableColumn(f"{name} u within segment", Role.STANDARD_UNCERTAINTY, unit))
-    rows = []
-    for n, label in enumerate(observations.labels):
-        row: list[Cell] = [label]
-        for k, one in enumerate(fit.fits):
-            own = observations.standard_error[n, k]
-            row += [
-                float(observations.mean[n, k]),
-                float(one.residuals[n]),
-                float(own) if np.isfinite(own) else None,
-            ]
-        rows.append(tuple(row))
-    return Table(title, tuple(columns), tuple(rows))
+    columns: list[FilledColumn] = [(TableColumn(observed), observations.labels)]
+    for k, (name, unit) in enumerate(zip(observations.channels, observations.units, strict=True)):
+        within = TableColumn(f"{name} u within segment", Role.STANDARD_UNCERTAINTY, unit)
+        columns += [*mean_and_residual(observations, fit, k), (within, known(observations.standard_error[:, k]))]
+    return by_columns(title, *columns)
 
 
 def drift_tables(fits: Sequence[OutputsFit], basis: str) -> tuple[Table, ...]:

@@ -39,7 +39,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.root_of_square import root_of
-from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn
+from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn, by_columns, known
 from planrunner.observation.observations import SIGNIFICANCE, recorded_times, variances_differ
 from planrunner.plan.kinds import CHANNEL, ListOf, MapOf, Record, Text, key
 from planrunner.plan.selection import matches
@@ -415,17 +415,13 @@ def _reported(one: Repeats, split: Variance) -> list[Coefficient]:
 
 
 def _values(one: Repeats, groups: Sequence[str]) -> Table:
-    columns = (
-        TableColumn("from"),
-        *((TableColumn("group"),) if groups else ()),
-        TableColumn(one.name, Role.VALUE, one.unit),
-        TableColumn("own u", Role.STANDARD_UNCERTAINTY, one.unit),
+    return by_columns(
+        f"Repeats of {one.name}",
+        (TableColumn("from"), one.labels),
+        *([(TableColumn("group"), [groups[number] for number in one.group])] if groups else []),
+        (TableColumn(one.name, Role.VALUE, one.unit), one.value),
+        (TableColumn("own u", Role.STANDARD_UNCERTAINTY, one.unit), known(one.own)),
     )
-    rows = []
-    for label, value, own, number in zip(one.labels, one.value, one.own, one.group, strict=True):
-        known = float(own) if np.isfinite(own) else None
-        rows.append((label, *([groups[number]] if groups else []), float(value), known))
-    return Table(f"Repeats of {one.name}", columns, tuple(rows))
 
 
 def _variances(one: Repeats, split: Variance) -> Table:

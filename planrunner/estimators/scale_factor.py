@@ -19,7 +19,7 @@ from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.declared_axes import AxisResponse, contradictions
 from planrunner.estimators.drift_order import planned_drift
-from planrunner.estimators.fit_tables import drift_tables, residual_plot
+from planrunner.estimators.fit_tables import drift_tables, mean_and_residual, residual_plot
 from planrunner.estimators.full_scale import beyond_full_scale, not_turned, shares_by_name
 from planrunner.estimators.interface import (
     Coefficient,
@@ -34,7 +34,7 @@ from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by
 from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_errors import common_rate, rate_errors
-from planrunner.estimators.tables import Cell, Role, Table, TableColumn
+from planrunner.estimators.tables import Role, Table, TableColumn, by_columns
 from planrunner.estimators.tilted.rate_lines import asymmetry, line_through, rate_and_output, slope_unit
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.drift import drift, drift_of, thermometer
@@ -348,13 +348,9 @@ def _metrics(
 
 
 def _table(observations: Observations, rates: Sequence[float], fit: OutputsFit, rate: Unit) -> Table:
-    columns = [TableColumn("segment"), TableColumn("rate", Role.NUMBER, rate.text)]
-    for name, its_unit in zip(observations.channels, observations.units, strict=True):
-        columns += [TableColumn(f"{name} {what}", Role.VALUE, its_unit) for what in ("mean", "residual")]
-    rows: list[tuple[Cell, ...]] = []
-    for n, label in enumerate(observations.labels):
-        values = [
-            v for k in range(len(fit.fits)) for v in (float(observations.mean[n, k]), float(fit.fits[k].residuals[n]))
-        ]
-        rows.append((label, rates[n], *values))
-    return Table("Means and residuals per rate", tuple(columns), tuple(rows))
+    return by_columns(
+        "Means and residuals per rate",
+        (TableColumn("segment"), observations.labels),
+        (TableColumn("rate", Role.NUMBER, rate.text), rates),
+        *(column for k in range(len(fit.fits)) for column in mean_and_residual(observations, fit, k)),
+    )

@@ -13,7 +13,7 @@ from dataclasses import replace
 from planrunner.archive.recording import Find, FindKind, RecordedSegment
 from planrunner.base.said import Inserted, Said, said
 from planrunner.estimators.interface import Estimate, EstimationError, UnfitDataError
-from planrunner.estimators.tables import Cell, Role, Table, TableColumn
+from planrunner.estimators.tables import Cell, Role, Table, TableColumn, by_columns
 from planrunner.observation.left_out import rows_of, without_bad
 
 NAMED = 3  # finds in a sentence
@@ -119,32 +119,20 @@ def _effect(
 
 
 def _table(found: Sequence[tuple[RecordedSegment, Find]], excluded: bool) -> Table:
-    columns = (
-        TableColumn("segment"),
-        TableColumn("channel"),
-        TableColumn("kind"),
-        TableColumn("time", Role.NUMBER, "s"),
-        TableColumn("duration", Role.NUMBER, "s"),
-        TableColumn("samples", Role.COUNT),
-        TableColumn("size", Role.VALUE),
-        TableColumn("unit"),
-        TableColumn("left out"),
+    listed = found[:LISTED]
+    finds = [one for _, one in listed]
+    return by_columns(
+        "Screening of the samples",
+        (TableColumn("segment"), [recorded.label for recorded, _ in listed]),
+        (TableColumn("channel"), [one.channel or "all" for one in finds]),
+        (TableColumn("kind"), [one.kind.value for one in finds]),
+        (TableColumn("time", Role.NUMBER, "s"), [one.time for one in finds]),
+        (TableColumn("duration", Role.NUMBER, "s"), [one.seconds for one in finds]),
+        (TableColumn("samples", Role.COUNT), [one.rows for one in finds]),
+        (TableColumn("size", Role.VALUE), [one.size for one in finds]),
+        (TableColumn("unit"), [recorded.units.get(one.channel, "") for recorded, one in listed]),
+        (TableColumn("left out"), ["yes" if one.bad and excluded else "no" for one in finds]),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (
-            recorded.label,
-            one.channel or "all",
-            one.kind.value,
-            one.time,
-            one.seconds,
-            one.rows,
-            one.size,
-            recorded.units.get(one.channel, ""),
-            "yes" if one.bad and excluded else "no",
-        )
-        for recorded, one in found[:LISTED]
-    ]
-    return Table("Screening of the samples", columns, tuple(rows))
 
 
 def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> Inserted:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import field
 from enum import StrEnum
 
+import numpy as np
+
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 
 
@@ -59,6 +63,21 @@ class Table:
     @property
     def headings(self) -> tuple[str, ...]:
         return tuple(column.heading for column in self.columns)
+
+
+FilledColumn = tuple[TableColumn, Iterable[Cell] | Array]
+"""A column with its cells, one for each row."""
+
+
+def by_columns(title: str, *columns: FilledColumn) -> Table:
+    """A table from its columns, each with its cells."""
+    cells = [values.tolist() if isinstance(values, np.ndarray) else values for _, values in columns]
+    return Table(title, tuple(column for column, _ in columns), tuple(zip(*cells, strict=True)))
+
+
+def known(values: Array) -> list[float | None]:
+    """Cells of values (n,), empty where a value is not finite."""
+    return [value if math.isfinite(value) else None for value in values.tolist()]
 
 
 @dataclass(frozen=True, slots=True)

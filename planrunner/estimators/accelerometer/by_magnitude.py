@@ -34,7 +34,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Quantities, Words
 from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
-from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn, by_columns
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.drift import DriftCourses, drift_of
 from planrunner.observation.flicker import flicker_errors, unstated_flicker
@@ -356,14 +356,11 @@ def _detection(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
 
 
 def _pose_table(poses: Observations, residuals: Array) -> Table:
-    columns = (
-        TableColumn("pose"),
-        *(TableColumn(title, Role.NUMBER, "s") for title in ("start", "end")),
-        *(TableColumn(title, Role.VALUE, "m/s^2") for title in ("x", "y", "z", "residual of |f|")),
+    readings = zip(("x", "y", "z", "residual of |f|"), (*(poses.mean * _factors(poses)).T, residuals), strict=True)
+    return by_columns(
+        "Poses and residuals",
+        (TableColumn("pose"), poses.labels),
+        (TableColumn("start", Role.NUMBER, "s"), poses.start),
+        (TableColumn("end", Role.NUMBER, "s"), poses.end),
+        *((TableColumn(title, Role.VALUE, "m/s^2"), values) for title, values in readings),
     )
-    readings = poses.mean * _factors(poses)
-    rows: list[tuple[Cell, ...]] = [
-        (label, float(poses.start[n]), float(poses.end[n]), *map(float, readings[n]), float(residuals[n]))
-        for n, label in enumerate(poses.labels)
-    ]
-    return Table("Poses and residuals", columns, tuple(rows))

@@ -20,13 +20,13 @@ from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.declared_axes import AxisResponse, contradictions
 from planrunner.estimators.derived import Reported, derived
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
-from planrunner.estimators.fit_tables import drift_tables, residual_plot
+from planrunner.estimators.fit_tables import drift_tables, mean_and_residual, residual_plot
 from planrunner.estimators.interface import EstimateRequest, EstimationError, UnfitDataError
 from planrunner.estimators.method import Quantities, Words
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.estimators.planned import matrix_at_rest
 from planrunner.estimators.resolution_influences import resolution_influences
-from planrunner.estimators.tables import Cell, Role, Table, TableColumn
+from planrunner.estimators.tables import Table, TableColumn, by_columns
 from planrunner.estimators.triad import RowFormula, scale_and_misalignments
 from planrunner.observation.correlated_errors import functionals_of
 from planrunner.observation.observations import Observations, observe
@@ -178,11 +178,8 @@ def _units(observations: Observations) -> list[Unit]:
 
 
 def _table(observations: Observations, fit: OutputsFit) -> Table:
-    columns = [TableColumn("position")]
-    for name, text in zip(observations.channels, observations.units, strict=True):
-        columns += [TableColumn(f"{name} {what}", Role.VALUE, text) for what in ("mean", "residual")]
-    rows: list[tuple[Cell, ...]] = []
-    for n, label in enumerate(observations.labels):
-        values = [v for k in range(3) for v in (float(observations.mean[n, k]), float(fit.fits[k].residuals[n]))]
-        rows.append((label, *values))
-    return Table("Residuals per position", tuple(columns), tuple(rows))
+    return by_columns(
+        "Residuals per position",
+        (TableColumn("position"), observations.labels),
+        *(column for k in range(3) for column in mean_and_residual(observations, fit, k)),
+    )

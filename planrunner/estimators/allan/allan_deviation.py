@@ -45,7 +45,7 @@ from planrunner.estimators.interface import (
     Unpredicted,
 )
 from planrunner.estimators.root_of_square import root_of
-from planrunner.estimators.tables import Plot, Role, Table, TableColumn
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn, by_columns
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Rest
@@ -384,28 +384,16 @@ def _judge(result: _Result, found: DescribedRange) -> float:
 
 
 def _table(name: str, unit: str, kind: str, rows: Sequence[Deviation], probability: float) -> Table:
-    columns = (
-        TableColumn("τ", Role.NUMBER, "s"),
-        TableColumn(f"{kind} deviation", Role.VALUE, unit),
-        TableColumn(f"lower {100 * probability:g} %", Role.VALUE, unit),
-        TableColumn(f"upper {100 * probability:g} %", Role.VALUE, unit),
-        TableColumn("degrees of freedom", Role.DEGREES_OF_FREEDOM),
-        TableColumn("noise"),
-        TableColumn("differences", Role.COUNT),
+    return by_columns(
+        f"{kind.capitalize()} deviation of {name}",
+        (TableColumn("τ", Role.NUMBER, "s"), [row.tau for row in rows]),
+        (TableColumn(f"{kind} deviation", Role.VALUE, unit), [row.value for row in rows]),
+        (TableColumn(f"lower {100 * probability:g} %", Role.VALUE, unit), [row.low for row in rows]),
+        (TableColumn(f"upper {100 * probability:g} %", Role.VALUE, unit), [row.high for row in rows]),
+        (TableColumn("degrees of freedom", Role.DEGREES_OF_FREEDOM), [row.freedom for row in rows]),
+        (TableColumn("noise"), [NAMES[row.alpha] + (" (carried)" if row.carried else "") for row in rows]),
+        (TableColumn("differences", Role.COUNT), [row.terms for row in rows]),
     )
-    cells = tuple(
-        (
-            row.tau,
-            row.value,
-            row.low,
-            row.high,
-            row.freedom,
-            NAMES[row.alpha] + (" (carried)" if row.carried else ""),
-            row.terms,
-        )
-        for row in rows
-    )
-    return Table(f"{kind.capitalize()} deviation of {name}", columns, cells)
 
 
 def _plot(result: _Result, found: DescribedRange) -> Plot:

@@ -57,7 +57,7 @@ from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by
 from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_errors import site_errors, table_errors
-from planrunner.estimators.tables import Role, Table, TableColumn
+from planrunner.estimators.tables import Role, Table, TableColumn, by_columns
 from planrunner.observation.correlated_errors import CorrelatedError, functionals_of
 from planrunner.observation.drift import DriftCourse, DriftCourses, drift_of
 from planrunner.observation.flicker import flicker_errors, unstated_flicker
@@ -577,27 +577,21 @@ def _disagreement(request: EstimateRequest[ErrorModelParameters], made: ModelQua
 
 def _common_table(made: ModelQuantities, basis: str) -> list[Table]:
     """Table of the value that each output alone gives for each common amplitude."""
-    u, _ = made.separate.spread(basis)
-    rows = [
-        (
-            amplitude.name,
-            made.common.outputs[place],
-            float(made.separate.values[place]),
-            float(u[place]),
-            amplitude.unit,
-        )
-        for amplitude, places in zip(made.common.amplitudes, made.common.members, strict=True)
-        if len(places) > 1
-        for place in places
-    ]
-    columns = (
-        TableColumn("coefficient"),
-        TableColumn("output"),
-        TableColumn("value from this output alone", Role.VALUE),
-        TableColumn("u", Role.STANDARD_UNCERTAINTY),
-        TableColumn("unit"),
+    common, separate = made.common, made.separate
+    members = zip(common.amplitudes, common.members, strict=True)
+    rows = [(amplitude, place) for amplitude, places in members if len(places) > 1 for place in places]
+    if not rows:
+        return []
+    at = [place for _, place in rows]
+    table = by_columns(
+        "Coefficients that outputs have in common",
+        (TableColumn("coefficient"), [amplitude.name for amplitude, _ in rows]),
+        (TableColumn("output"), [common.outputs[place] for place in at]),
+        (TableColumn("value from this output alone", Role.VALUE), separate.values[at]),
+        (TableColumn("u", Role.STANDARD_UNCERTAINTY), separate.spread(basis)[0][at]),
+        (TableColumn("unit"), [amplitude.unit for amplitude, _ in rows]),
     )
-    return [Table("Coefficients that outputs have in common", columns, tuple(rows))] if rows else []
+    return [table]
 
 
 def _as_added(outputs: Sequence[FittedOutput], common: CommonAmplitudes, found: Derived) -> dict[str, dict[str, str]]:

@@ -38,7 +38,7 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
 from planrunner.estimators.stated_errors import mean_poses
-from planrunner.estimators.tables import Cell, Role, Table, TableColumn
+from planrunner.estimators.tables import FilledColumn, Role, Table, TableColumn, by_columns
 from planrunner.observation.drift import drift, thermometer
 from planrunner.observation.flicker import drift_span
 from planrunner.observation.observations import Observations, observe, recorded_times
@@ -395,29 +395,27 @@ def matrices(one: Response) -> tuple[Table, ...]:
         return ()
     letter, per = _WORDS[one.kind]
     forces = one.places("accel") if one.kind == "gyro" else {}
-    bias = "bias" in one.model.names
-    columns = [TableColumn("output"), TableColumn("unit")]
-    columns += [TableColumn(f"{letter}_{axis}", Role.VALUE, f"per {per}") for axis in AXES]
-    columns += [TableColumn("b", Role.VALUE)] if bias else []
-    columns += [TableColumn(f"G {AXES[k]}", Role.VALUE, "per g") for k in forces]
-    rows = []
-    for axis in range(3):
-        row: list[Cell] = [AXES[axis], one.units[axis].text]
-        row += [float(one.values[axis, sensed[k]] * unit(per).factor) for k in range(3)]
-        row += [float(one.values[axis, one.model.names.index("bias")])] if bias else []
-        row += [float(one.values[axis, place] * unit("g").factor) for place in forces.values()]
-        rows.append(tuple(row))
-    found = [Table(f"Matrix S·M of the {one.kind} triad", tuple(columns), tuple(rows))]
+    columns: list[FilledColumn] = [
+        (TableColumn("output"), AXES),
+        (TableColumn("unit"), [own.text for own in one.units[:3]]),
+        *(
+            (TableColumn(f"{letter}_{axis}", Role.VALUE, f"per {per}"), one.values[:3, sensed[k]] * unit(per).factor)
+            for k, axis in enumerate(AXES)
+        ),
+    ]
+    if "bias" in one.model.names:
+        columns.append((TableColumn("b", Role.VALUE), one.values[:3, one.model.names.index("bias")]))
+    columns += [
+        (TableColumn(f"G {AXES[k]}", Role.VALUE, "per g"), one.values[:3, place] * unit("g").factor)
+        for k, place in forces.items()
+    ]
+    found = [by_columns(f"Matrix S·M of the {one.kind} triad", *columns)]
     if (inverse := inverse_matrix(one)) is not None:
-        units = [own.text for own in one.units]
-        outputs = (
-            TableColumn(f"output {axis}", Role.VALUE, f"{per} per {text}")
-            for axis, text in zip(AXES, units, strict=True)
-        )
-        cells: tuple[tuple[Cell, ...], ...] = tuple(
-            (axis, *map(float, row)) for axis, row in zip(AXES, inverse, strict=True)
-        )
-        found.append(Table(f"Inverse (S·M)⁻¹ of the {one.kind} triad", (TableColumn(letter), *outputs), cells))
+        outputs = [
+            (TableColumn(f"output {axis}", Role.VALUE, f"{per} per {own.text}"), values)
+            for axis, own, values in zip(AXES, one.units, inverse.T, strict=True)
+        ]
+        found.append(by_columns(f"Inverse (S·M)⁻¹ of the {one.kind} triad", (TableColumn(letter), AXES), *outputs))
     return tuple(found)
 
 

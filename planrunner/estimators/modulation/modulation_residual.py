@@ -29,7 +29,7 @@ from planrunner.estimators.modulation.fit import PeriodicPart, TooLittleError, p
 from planrunner.estimators.modulation.navigations import Navigation, compared, rotation
 from planrunner.estimators.modulation.prediction import errors_over_time, horizontal, periodic_amplitudes
 from planrunner.estimators.strapdown.navigation_errors import HOUR, NAUTICAL_MILE
-from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn
+from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn, by_columns
 from planrunner.plan.kinds import ListOf, QuantityOf, Record, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
@@ -240,23 +240,18 @@ def _periodic(
 
 
 def _figures(navigations: Sequence[Navigation]) -> Table:
-    rows = tuple(
-        (
-            item.name, "–" if item.cycle is None else f"{item.cycle.period:.1f} s", float(item.radial[-1]), float(item.radial.max()),
-            item.rms, float(np.sqrt(np.mean(item.course[3] ** 2 + item.course[4] ** 2))), item.cep_rate,
-        )
-        for item in navigations
-    )  # fmt: skip
-    columns = (
-        TableColumn("Navigation"),
-        TableColumn("Cycle"),
-        TableColumn("radial error at the end", Role.VALUE, "m"),
-        TableColumn("largest radial error", Role.VALUE, "m"),
-        TableColumn("rms radial error", Role.VALUE, "m"),
-        TableColumn("rms velocity", Role.VALUE, "m/s"),
-        TableColumn("CEP rate", Role.VALUE, "nmi/h"),
+    speeds = [float(np.sqrt(np.mean(item.course[3] ** 2 + item.course[4] ** 2))) for item in navigations]
+    cycles = ["–" if item.cycle is None else f"{item.cycle.period:.1f} s" for item in navigations]
+    return by_columns(
+        "Navigation errors with and without rotation",
+        (TableColumn("Navigation"), [item.name for item in navigations]),
+        (TableColumn("Cycle"), cycles),
+        (TableColumn("radial error at the end", Role.VALUE, "m"), [float(item.radial[-1]) for item in navigations]),
+        (TableColumn("largest radial error", Role.VALUE, "m"), [float(item.radial.max()) for item in navigations]),
+        (TableColumn("rms radial error", Role.VALUE, "m"), [item.rms for item in navigations]),
+        (TableColumn("rms velocity", Role.VALUE, "m/s"), speeds),
+        (TableColumn("CEP rate", Role.VALUE, "nmi/h"), [item.cep_rate for item in navigations]),
     )
-    return Table("Navigation errors with and without rotation", columns, rows)
 
 
 def _cycles(

@@ -13,7 +13,7 @@ from planrunner.estimators.rocking.influences import DEG_PER_HOUR, Runs, azimuth
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
 from planrunner.estimators.rocking.solution import RockingConditions, accelerometer_drift, drift_before_rocking
 from planrunner.estimators.rocking.statistics import AXES, Pairings, StateDrifts
-from planrunner.estimators.tables import Plot, Role, Table, TableColumn
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn, by_columns
 from planrunner.plan.units import STANDARD_GRAVITY
 
 CLAIMED = 0.70
@@ -28,29 +28,20 @@ _BY_METHOD = (
 
 
 def comparison(pairings: Sequence[Pairings]) -> Table:
-    rows = []
-    for pairs in pairings:
-        ours, theirs = pairs.deviations
-        rows.append(
-            (
-                AXES[pairs.axis],
-                len(pairs.accelerometers),
-                _figure(ours),
-                _figure(theirs),
-                f"{theirs / ours:.1f}" if ours > 0 and math.isfinite(theirs) else "",
-                float(pairs.smaller),
-            )
-        )
-    columns = (
-        TableColumn("axis"),
-        TableColumn("pairs", Role.COUNT),
-        TableColumn("standard deviation, accelerometers", Role.VALUE, "deg/h"),
-        TableColumn("standard deviation, gimbal angles", Role.VALUE, "deg/h"),
-        TableColumn("ratio", Role.VALUE),
-        TableColumn("share of pairings in which the accelerometers give the smaller drift", Role.SHARE),
-    )
-    return Table(
-        "Comparison of the two methods over random pairings of a static and a dynamic run", columns, tuple(rows)
+    ours, theirs = zip(*(pairs.deviations for pairs in pairings), strict=True)
+    ratios = [
+        f"{other / own:.1f}" if own > 0 and math.isfinite(other) else ""
+        for own, other in zip(ours, theirs, strict=True)
+    ]
+    smaller = [float(pairs.smaller) for pairs in pairings]
+    return by_columns(
+        "Comparison of the two methods over random pairings of a static and a dynamic run",
+        (TableColumn("axis"), [AXES[pairs.axis] for pairs in pairings]),
+        (TableColumn("pairs", Role.COUNT), [len(pairs.accelerometers) for pairs in pairings]),
+        (TableColumn("standard deviation, accelerometers", Role.VALUE, "deg/h"), map(_figure, ours)),
+        (TableColumn("standard deviation, gimbal angles", Role.VALUE, "deg/h"), map(_figure, theirs)),
+        (TableColumn("ratio", Role.VALUE), ratios),
+        (TableColumn("share of pairings in which the accelerometers give the smaller drift", Role.SHARE), smaller),
     )
 
 

@@ -24,7 +24,7 @@ from planrunner.estimators.strapdown.uncertainty import (
     Wander,
     influences,
 )
-from planrunner.estimators.tables import Plot, Role, Table, TableColumn
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn, by_columns
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import INPUTS, SIZE, ErrorEquations
 from planrunner.plan.schedule import Rest
@@ -114,46 +114,36 @@ def _table(points: Array, uncertainty: Array) -> Table:
     time = points[0]
     steps = [3600.0, 600.0, 60.0, 1.0]
     step = next((seconds for seconds in steps if time[-1] >= 3 * seconds), steps[-1])
-    rows = []
-    for moment in np.arange(1, int(time[-1] / step + 1e-6) + 1) * step:
-        k = int(np.argmin(np.abs(time - moment)))
-        east, north, velocity_east, velocity_north = points[1:, k].tolist()
-        rows.append(
-            (time[k] / HOUR, east, north, math.hypot(east, north), float(uncertainty[k]), velocity_east, velocity_north)
-        )
-    columns = (
-        TableColumn("time", Role.NUMBER, "h"),
-        TableColumn("east", Role.VALUE, "m"),
-        TableColumn("north", Role.VALUE, "m"),
-        TableColumn("radial error", Role.VALUE, "m"),
-        TableColumn("uncertainty of the radial error", Role.STANDARD_UNCERTAINTY, "m"),
-        TableColumn("east velocity", Role.VALUE, "m/s"),
-        TableColumn("north velocity", Role.VALUE, "m/s"),
+    moments = np.arange(1, int(time[-1] / step + 1e-6) + 1) * step
+    at = [int(np.argmin(np.abs(time - moment))) for moment in moments]
+    _, east, north, velocity_east, velocity_north = points[:, at]
+    return by_columns(
+        "Navigation errors over time",
+        (TableColumn("time", Role.NUMBER, "h"), time[at] / HOUR),
+        (TableColumn("east", Role.VALUE, "m"), east),
+        (TableColumn("north", Role.VALUE, "m"), north),
+        (TableColumn("radial error", Role.VALUE, "m"), np.hypot(east, north)),
+        (TableColumn("uncertainty of the radial error", Role.STANDARD_UNCERTAINTY, "m"), uncertainty[at]),
+        (TableColumn("east velocity", Role.VALUE, "m/s"), velocity_east),
+        (TableColumn("north velocity", Role.VALUE, "m/s"), velocity_north),
     )
-    return Table("Navigation errors over time", columns, tuple(tuple(map(float, row)) for row in rows))
 
 
 def _constants(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> tuple[Table, ...]:
     """Table of the constant errors that the alignment estimated, if the unit was turned during it."""
     if not found.aligned.turned:
         return ()
-    parameters = request.parameters
     alignment = found.aligned.alignment
+    scales = np.repeat([DEGREE * HOUR, 1e6 / STANDARD_GRAVITY], 3)
     uncertainties = np.sqrt(np.diag(alignment.covariance)[SIZE : SIZE + INPUTS])
-    scales = [(DEGREE * HOUR, "deg/h")] * 3 + [(1e6 / STANDARD_GRAVITY, "ug")] * 3
-    rows = tuple(
-        (name, float(value) * scale, float(u) * scale, text)
-        for name, value, u, (scale, text) in zip(
-            (*parameters.gyros, *parameters.accelerometers), alignment.constant, uncertainties, scales, strict=True
-        )
+    table = by_columns(
+        "Constant errors found in alignment",
+        (TableColumn("sensor"), (*request.parameters.gyros, *request.parameters.accelerometers)),
+        (TableColumn("error", Role.VALUE), alignment.constant * scales),
+        (TableColumn("standard uncertainty", Role.STANDARD_UNCERTAINTY), uncertainties * scales),
+        (TableColumn("unit"), ["deg/h"] * 3 + ["ug"] * 3),
     )
-    columns = (
-        TableColumn("sensor"),
-        TableColumn("error", Role.VALUE),
-        TableColumn("standard uncertainty", Role.STANDARD_UNCERTAINTY),
-        TableColumn("unit"),
-    )
-    return (Table("Constant errors found in alignment", columns, rows),)
+    return (table,)
 
 
 def _plots(points: Array) -> tuple[Plot, ...]:

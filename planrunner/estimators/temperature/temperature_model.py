@@ -29,7 +29,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Method, Quantities, Words, by_expectation
 from planrunner.estimators.open_flicker import no_flicker_declared
-from planrunner.estimators.tables import Plot, Role, Table, TableColumn
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn, by_columns, known
 from planrunner.estimators.temperature.branches import Difference, difference_of
 from planrunner.estimators.temperature.curve import CurveFit, OverTemperature, curve, fit_curve, groups_of
 from planrunner.estimators.temperature.parameters import TemperatureModelParameters, remarks
@@ -441,60 +441,37 @@ def _tables(one: Modelled) -> list[Table]:
     name, text, points, fit = one.points.name, one.points.unit, one.points, one.fit
     found = []
     if fit.errors:
-        titles = (
-            TableColumn("order", Role.COUNT),
-            TableColumn("held-out mean square", Role.VALUE, f"({text})²"),
-            TableColumn("u of the mean square", Role.STANDARD_UNCERTAINTY, f"({text})²"),
-            TableColumn("root mean square", Role.VALUE, text),
-            TableColumn(""),
-        )
-        rows = tuple(
+        held = by_columns(
+            f"Held-out error of {name}",
+            (TableColumn("order", Role.COUNT), [item.order for item in fit.errors]),
+            (TableColumn("held-out mean square", Role.VALUE, f"({text})²"), [float(item.error) for item in fit.errors]),
             (
-                item.order,
-                float(item.error),
-                float(item.standard_error),
-                float(item.error**0.5),
-                "chosen" if item.order == fit.curve.order else "",
-            )
-            for item in fit.errors
+                TableColumn("u of the mean square", Role.STANDARD_UNCERTAINTY, f"({text})²"),
+                [float(item.standard_error) for item in fit.errors],
+            ),
+            (TableColumn("root mean square", Role.VALUE, text), [float(item.error**0.5) for item in fit.errors]),
+            (TableColumn(""), ["chosen" if item.order == fit.curve.order else "" for item in fit.errors]),
         )
-        found.append(Table(f"Held-out error of {name}", titles, rows))
-    fitted = _fitted(one)
-    columns = (
-        TableColumn("from"),
-        TableColumn("temperature", Role.NUMBER, "degC"),
-        TableColumn("sense"),
-        TableColumn(name, Role.VALUE, text),
-        TableColumn("u", Role.STANDARD_UNCERTAINTY, text),
-        TableColumn("residual", Role.VALUE, text),
+        found.append(held)
+    measured = by_columns(
+        f"{name} over temperature",
+        (TableColumn("from"), points.labels),
+        (TableColumn("temperature", Role.NUMBER, "degC"), points.temperature),
+        (TableColumn("sense"), [_SENSES[sense] for sense in points.direction.tolist()]),
+        (TableColumn(name, Role.VALUE, text), points.value),
+        (TableColumn("u", Role.STANDARD_UNCERTAINTY, text), known(points.uncertainty)),
+        (TableColumn("residual", Role.VALUE, text), points.value - _fitted(one)),
     )
-    rows_ = zip(
-        points.labels,
-        points.temperature,
-        points.direction.tolist(),
-        points.value,
-        points.uncertainty,
-        points.value - fitted,
-        strict=True,
-    )
-    cells = tuple(
-        (label, float(t), _SENSES[sense], float(y), float(u) if np.isfinite(u) else None, float(r))
-        for label, t, sense, y, u, r in rows_
-    )
-    found.append(Table(f"{name} over temperature", columns, cells))
     grid = np.linspace(points.temperature.min(), points.temperature.max(), _SHOWN)
     values, u, freedom = fit.predict(grid)
-    wide = _expanded(u, freedom).tolist()
-    heads = (
-        TableColumn("temperature", Role.NUMBER, "degC"),
-        TableColumn("curve", Role.VALUE, text),
-        TableColumn("u", Role.STANDARD_UNCERTAINTY, text),
-        TableColumn("U 95 %", Role.EXPANDED_UNCERTAINTY, text),
+    curve = by_columns(
+        f"Curve of {name}",
+        (TableColumn("temperature", Role.NUMBER, "degC"), grid),
+        (TableColumn("curve", Role.VALUE, text), values),
+        (TableColumn("u", Role.STANDARD_UNCERTAINTY, text), u),
+        (TableColumn("U 95 %", Role.EXPANDED_UNCERTAINTY, text), _expanded(u, freedom)),
     )
-    found.append(
-        Table(f"Curve of {name}", heads, tuple(zip(grid.tolist(), values.tolist(), u.tolist(), wide, strict=True)))
-    )
-    return [*found, *_loop_table(one)]
+    return [*found, measured, curve, *_loop_table(one)]
 
 
 def _loop_table(one: Modelled) -> list[Table]:
@@ -502,21 +479,18 @@ def _loop_table(one: Modelled) -> list[Table]:
     loop = None if one.difference is None else one.loop(np.linspace(*one.ends, _SHOWN))
     if loop is None:
         return []
-    name, text = one.points.name, one.points.unit
-    columns = (
-        TableColumn("temperature", Role.NUMBER, "degC"),
-        TableColumn("rising", Role.VALUE, text),
-        TableColumn("falling", Role.VALUE, text),
-        TableColumn("difference", Role.VALUE, text),
-        TableColumn("u", Role.STANDARD_UNCERTAINTY, text),
-        TableColumn("U 95 %", Role.EXPANDED_UNCERTAINTY, text),
-        TableColumn("degrees of freedom", Role.DEGREES_OF_FREEDOM),
+    text, middle, half = one.points.unit, one.fit.predict(loop.celsius)[0], loop.width / 2
+    table = by_columns(
+        f"Hysteresis of {one.points.name}",
+        (TableColumn("temperature", Role.NUMBER, "degC"), loop.celsius),
+        (TableColumn("rising", Role.VALUE, text), middle + half),
+        (TableColumn("falling", Role.VALUE, text), middle - half),
+        (TableColumn("difference", Role.VALUE, text), loop.width),
+        (TableColumn("u", Role.STANDARD_UNCERTAINTY, text), loop.uncertainty),
+        (TableColumn("U 95 %", Role.EXPANDED_UNCERTAINTY, text), _expanded(loop.uncertainty, loop.freedom)),
+        (TableColumn("degrees of freedom", Role.DEGREES_OF_FREEDOM), loop.freedom),
     )
-    middle, half = one.fit.predict(loop.celsius)[0], loop.width / 2
-    wide = _expanded(loop.uncertainty, loop.freedom)
-    parts = (loop.celsius, middle + half, middle - half, loop.width, loop.uncertainty, wide, loop.freedom)
-    rows = tuple(zip(*(part.tolist() for part in parts), strict=True))
-    return [Table(f"Hysteresis of {name}", columns, rows)]
+    return [table]
 
 
 def _fitted(one: Modelled) -> Array:

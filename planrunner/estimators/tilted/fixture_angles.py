@@ -34,7 +34,7 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
 from planrunner.estimators.planned import planned_blocks
-from planrunner.estimators.tables import Cell, Role, Table, TableColumn
+from planrunner.estimators.tables import Role, Table, TableColumn, by_columns
 from planrunner.estimators.tilted.fixture_gains import (
     FITTED,
     STATED,
@@ -248,24 +248,14 @@ def _remarks(model: GainModel, azimuth: str) -> list[Remark]:
 
 
 def _table(axes: MountedAxes, found: Sequence[Coefficient]) -> Table:
-    rows: list[tuple[Cell, ...]] = []
-    for k, angle in enumerate(one for one in found if one.name in {f"angle_{name}" for name in axes.names}):
-        off = (angle.value * _DEGREE - axes.angles[k]) / _ARCSEC
-        stated = f"{math.degrees(axes.angles[k]):.6g} deg"
-        rows.append(
-            (
-                axes.names[k],
-                stated,
-                f"{angle.value:.6f} deg",
-                float(off),
-                angle.standard_uncertainty * _DEGREE / _ARCSEC,
-            )
-        )
-    columns = (
-        TableColumn("axis"),
-        TableColumn("angle stated"),
-        TableColumn("angle found"),
-        TableColumn("found minus stated", Role.VALUE, "arcsec"),
-        TableColumn("u(angle), from the data only", Role.STANDARD_UNCERTAINTY, "arcsec"),
+    angles = [one for one in found if one.name in {f"angle_{name}" for name in axes.names}]
+    off = [float((one.value * _DEGREE - own) / _ARCSEC) for one, own in zip(angles, axes.angles, strict=False)]
+    uncertainties = [one.standard_uncertainty * _DEGREE / _ARCSEC for one in angles]
+    return by_columns(
+        "Angles of the fixture, found and stated",
+        (TableColumn("axis"), axes.names[: len(angles)]),
+        (TableColumn("angle stated"), [f"{math.degrees(own):.6g} deg" for own in axes.angles[: len(angles)]]),
+        (TableColumn("angle found"), [f"{one.value:.6f} deg" for one in angles]),
+        (TableColumn("found minus stated", Role.VALUE, "arcsec"), off),
+        (TableColumn("u(angle), from the data only", Role.STANDARD_UNCERTAINTY, "arcsec"), uncertainties),
     )
-    return Table("Angles of the fixture, found and stated", columns, tuple(rows))

@@ -13,7 +13,7 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
-from planrunner.estimators.tables import Cell, Role, Table, TableColumn
+from planrunner.estimators.tables import Role, Table, TableColumn, by_columns
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.plan.schedule import Segment
 
@@ -36,30 +36,22 @@ def comparison_table(axes: MountedAxes, noise: Array, angle: Array) -> Table:
     In a separate mounting, the axis may be tilted by `angle` about either of two directions: 1 − cos δ has the mean angle² and the standard
     deviation angle².
     """
-    rows: list[tuple[Cell, ...]] = []
-    for k, name in enumerate(axes.names):
-        cosine, tangent = abs(np.cos(axes.angles[k])), abs(np.tan(axes.angles[k]))
-        tilted, alone = tangent * angle[k], np.sqrt(2) * angle[k] ** 2
-        cells = (
-            noise[k],
-            tilted,
-            np.hypot(noise[k], tilted),
-            noise[k] * cosine,
-            alone,
-            np.hypot(noise[k] * cosine, alone),
-        )
-        rows.append((name, f"{np.degrees(axes.angles[k]):.4f}", *(float(cell * 1e6) for cell in cells)))
-    columns = (
-        TableColumn("axis"),
-        TableColumn("angle", Role.NUMBER, "deg"),
-        TableColumn("tilted: noise", Role.VALUE, "ppm"),
-        TableColumn("tilted: angle", Role.VALUE, "ppm"),
-        TableColumn("tilted: both", Role.VALUE, "ppm"),
-        TableColumn("one per axis: noise", Role.VALUE, "ppm"),
-        TableColumn("one per axis: tilt", Role.VALUE, "ppm"),
-        TableColumn("one per axis: both", Role.VALUE, "ppm"),
+    cosine, tangent = np.abs(np.cos(axes.angles)), np.abs(np.tan(axes.angles))
+    tilted, alone = tangent * angle, np.sqrt(2) * angle**2
+    shown = {
+        "tilted: noise": noise,
+        "tilted: angle": tilted,
+        "tilted: both": np.hypot(noise, tilted),
+        "one per axis: noise": noise * cosine,
+        "one per axis: tilt": alone,
+        "one per axis: both": np.hypot(noise * cosine, alone),
+    }
+    return by_columns(
+        "Standard uncertainty of K in one tilted mounting, and in one mounting per axis",
+        (TableColumn("axis"), axes.names),
+        (TableColumn("angle", Role.NUMBER, "deg"), [f"{np.degrees(one):.4f}" for one in axes.angles]),
+        *((TableColumn(title, Role.VALUE, "ppm"), 1e6 * values) for title, values in shown.items()),
     )
-    return Table("Standard uncertainty of K in one tilted mounting, and in one mounting per axis", columns, tuple(rows))
 
 
 def time_note(seconds: float, mountings: int, remounting: float) -> Said:

@@ -10,7 +10,7 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
 from planrunner.estimators.method import Words
-from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn
+from planrunner.estimators.tables import Cell, Plot, Role, Table, TableColumn, by_columns
 from planrunner.estimators.tilted.evaluation import ASYMMETRY, F0, NONLINEARITY, RESPONSE, Group, K
 from planrunner.estimators.tilted.influences import Situation
 from planrunner.estimators.tilted.mounting_comparison import comparison_table, scheduled_seconds, time_note
@@ -64,32 +64,31 @@ def _per_axis(situation: Situation, units: Units, spread: Array) -> Table:
     found, axes = situation.found, situation.conditions.axes
     slope, factor = slope_unit(*units[0])
     own = units[0][1].text
-    columns = (
-        TableColumn("axis"),
-        TableColumn("temperature"),
-        TableColumn("K", Role.VALUE, slope),
-        TableColumn("K'", Role.VALUE, slope),
-        TableColumn("u(K), data alone", Role.STANDARD_UNCERTAINTY, slope),
-        TableColumn("F0", Role.VALUE, own),
-        TableColumn("nonlinearity", Role.VALUE, "ppm"),
-        TableColumn("asymmetry", Role.VALUE, "ppm"),
-        TableColumn("repeatability", Role.VALUE, "ppm"),
-        TableColumn("zero drift", Role.VALUE, own),
-        TableColumn("repeats", Role.COUNT),
+    along = axes.directions @ _along(situation)
+    rows = [(axis, k, group) for axis in range(len(axes.names)) for k, group in enumerate(situation.groups)]
+
+    def mean(quantity: int) -> Array:
+        return np.array([found.means[k, axis, quantity] for axis, k, _ in rows])
+
+    cosine = np.array([along[axis] for axis, _, _ in rows])
+    repeatability = np.array([found.repeatability[k, axis] for axis, k, _ in rows])
+    return by_columns(
+        "Scale factor of each axis at each temperature",
+        (TableColumn("axis"), [axes.names[axis] for axis, _, _ in rows]),
+        (TableColumn("temperature"), [_celsius(group) for _, _, group in rows]),
+        (TableColumn("K", Role.VALUE, slope), mean(K) * factor),
+        (TableColumn("K'", Role.VALUE, slope), mean(K) * factor * cosine),
+        (
+            TableColumn("u(K), data alone", Role.STANDARD_UNCERTAINTY, slope),
+            [float(spread[k, axis] * factor) for axis, k, _ in rows],
+        ),
+        (TableColumn("F0", Role.VALUE, own), mean(F0)),
+        (TableColumn("nonlinearity", Role.VALUE, "ppm"), mean(NONLINEARITY) * 1e6),
+        (TableColumn("asymmetry", Role.VALUE, "ppm"), mean(ASYMMETRY) * 1e6),
+        (TableColumn("repeatability", Role.VALUE, "ppm"), repeatability * 1e6),
+        (TableColumn("zero drift", Role.VALUE, own), [float(group.drift[:, axis].mean()) for axis, _, group in rows]),
+        (TableColumn("repeats", Role.COUNT), [len(group.names) for _, _, group in rows]),
     )
-    rows: list[tuple[Cell, ...]] = []
-    for axis, name in enumerate(axes.names):
-        cosine = float(axes.directions[axis] @ _along(situation))
-        for k, group in enumerate(situation.groups):
-            mean = found.means[k, axis]
-            value = float(mean[K] * factor)
-            figures = (float(mean[F0]), *(float(mean[q] * 1e6) for q in (NONLINEARITY, ASYMMETRY)))
-            repeatability = float(found.repeatability[k, axis] * 1e6)
-            drift = float(group.drift[:, axis].mean())
-            own_spread = float(spread[k, axis] * factor)
-            shown = (value, value * cosine, own_spread, *figures)
-            rows.append((name, _celsius(group), *shown, repeatability, drift, len(group.names)))
-    return Table("Scale factor of each axis at each temperature", columns, tuple(rows))
 
 
 def _per_repeat(situation: Situation) -> Table:
