@@ -235,7 +235,7 @@ class SymmetricKind:
 
 
 class Limit(Record):
-    """A requirement on one quantity; its verdict decides the exit code."""
+    """A requirement on one quantity. If it is not met, the exit code is 1."""
 
     quantity: str = key(
         Text(
@@ -251,7 +251,7 @@ class Limit(Record):
     at_most: Quantity | None = optional(QuantityOf(None), "Upper limit.", 1.01)
     rule: Literal["simple", "guarded"] = key(
         Choice(("simple", "guarded")),
-        "Decision rule (JCGM 106): simple requires the value to be within the limit; guarded requires it to be within the limit "
+        "Decision rule (JCGM 106): with simple, the value must be within the limit. With guarded, it must be within the limit "
         "by at least the guard band.",
         "guarded",
         default="guarded",
@@ -265,8 +265,8 @@ class Limit(Record):
     )
     prior: Quantity | None = optional(
         QuantityOf(None, uncertain=True),
-        "Prior distribution of the quantity among the tested items, as mean ± standard deviation; gives the global "
-        "risks of the rule.",
+        "Prior distribution of the quantity among the tested items, as mean ± standard deviation. From it, the global "
+        "risks of the rule are computed.",
         "0.1 deg/h ± 0.2 deg/h",
     )
 
@@ -327,7 +327,7 @@ class Plan(Record):
     )
     record: dict[str, RunItem] = key(
         MapOf(RunItemKind(), pattern=NAME),
-        "Run information to be given with --set or --info, kept in the run folder.",
+        "Run information that you give with --set or --info. The run folder contains it.",
         {"device_serial": "required", "operator": "optional"},
         default_factory=dict,
     )

@@ -164,7 +164,7 @@ def _quantity_words(dimension: str | None) -> str:
 
 _OWN: dict[type, str] = {
     OrientationKind: "an orientation",
-    selection.SelectionKind: "one label or pattern, a list of labels or patterns, or spans found in the data",
+    selection.SelectionKind: "one label or pattern, a list of labels or patterns, or intervals found in the data",
     model.SegmentKind: "a segment",
     model.RunItemKind: "`required` or `optional`",
     model.SymmetricKind: "± and a number with its unit",

@@ -38,7 +38,7 @@ class Ramp(Record):
 
     ramp_to: Quantity = key(
         QuantityOf("temperature", elsewhere=TEMPERATURE_UNCERTAINTY),
-        "Set this temperature when recording begins.",
+        "Temperature that the chamber is set to when recording begins.",
         "60 degC",
     )
 
@@ -65,7 +65,7 @@ class State(Record):
     )
     rate: Quantity | None = optional(
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY),
-        "Constant rate about the up direction; short for motion: {rate: …}.",
+        "Constant rate about the up direction. It has the same meaning as motion: {rate: …}.",
         "10 deg/s",
         traits=StateTraits(
             swept=True, directed=True, decisive=True, replaces="motion", sweep_example="±300, ±150 deg/s"
@@ -135,7 +135,7 @@ class State(Record):
     )
     watch: WatchSpec | None = optional(
         WATCH,
-        "Limits on what the instruments read while the segment records.",
+        "Limits on the readings of the instruments while the segment records.",
         {"position_error": "5 arcsec", "lost_frames": "0.1 %", "retakes": 2},
     )
     on_break: str | None = optional(
@@ -183,13 +183,13 @@ class SegmentSpec(State):
     )
     for_each: Sweep | None = optional(
         ForEachKind(State),
-        "Repeat for every value. Several keys give all combinations of their values; the first key changes slowest.",
+        "Repeat for every value. Several keys give all combinations of their values. The first key changes slowest.",
         {"rate": "±300, ±150 deg/s"},
     )
     order: str = key(
         Choice(("as_written", "reversed", "serpentine", "shuffled")),
-        "Order of the sweep: serpentine runs through the values of the inner keys forwards and backwards in turn; shuffled is a random "
-        "order, drawn with the seed 'shuffle_seed'.",
+        "Order of the sweep. With serpentine, every second pass through the values of an inner key runs backwards. shuffled is a "
+        "random order, drawn with the seed 'shuffle_seed'.",
         "as_written",
         default="as_written",
     )

@@ -18,10 +18,10 @@ _PATTERNS = ListOf(_PATTERN, single=True, minimum=1, maximum=100)
 
 
 class Detection(Record):
-    """Spans that are found in the data instead of being commanded, for hand-held recordings."""
+    """Intervals at rest that are detected in the data, for hand-held recordings."""
 
-    detect: str = key(Choice(("still",)), "What to detect: spans in which the sensor does not move.", "still")
-    within: tuple[str, ...] = key(_PATTERNS, "Labels of the segments to look in.", "tumble", default=("*",))
+    detect: str = key(Choice(("still",)), "What to detect: intervals in which the sensor does not move.", "still")
+    within: tuple[str, ...] = key(_PATTERNS, "Labels of the segments to search.", "tumble", default=("*",))
     channels: tuple[str, ...] = key(
         ListOf(Text("", "a channel's name"), minimum=1),
         "Channels that must be still.",
@@ -29,14 +29,14 @@ class Detection(Record):
         default=("accel_x", "accel_y", "accel_z"),
     )
     window: Quantity = key(
-        QuantityOf("time", "positive"), "Length of the window in which the standard deviation is taken.", "0.5 s"
+        QuantityOf("time", "positive"), "Length of the window in which the standard deviation is computed.", "0.5 s"
     )
     threshold: Quantity = key(
         QuantityOf("acceleration", "positive"),
-        "A span is still if the standard deviation of every channel is below this value.",
+        "An interval is still if the standard deviation of every channel is below this value.",
         "0.05 m/s^2",
     )
-    at_least: Quantity = key(QuantityOf("time", "positive"), "Shortest span that counts.", "1 s")
+    at_least: Quantity = key(QuantityOf("time", "positive"), "Shortest interval that counts.", "1 s")
 
 
 class SelectionKind:

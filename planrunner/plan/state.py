@@ -71,14 +71,14 @@ class WatchSpec(Tolerated):
     )
     doubts: str = key(
         Choice(("limit", "note")),
-        "How samples that the instrument marks as doubtful (status bits) are treated: `limit` counts them as an exceeded limit, "
-        "`note` only notes them.",
+        "Treatment of samples that the instrument marks as doubtful (status bits): with `limit`, they count as an exceeded limit; "
+        "with `note`, they are only noted.",
         "note",
         default="limit",
     )
     retakes: int = key(
         Number(0, 10, integer=True),
-        "How many times a segment that exceeds a limit is recorded again before the run stops; the data of each rejected "
+        "How many times a segment is recorded again if it exceeds a limit. Then the run stops. The data of each rejected "
         "attempt are kept, with the reason.",
         2,
         default=0,
@@ -131,7 +131,7 @@ class RecordedSpec(Record):
 
     angle: str | None = optional(
         CHANNEL,
-        "Encoder of the axis about which the sensor turns; it reads zero in the orientation of the segment.",
+        "Encoder of the axis about which the sensor turns. It must read zero in the orientation of the segment.",
         "table_angle",
     )
     attitude: tuple[str, ...] = key(

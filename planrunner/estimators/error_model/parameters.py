@@ -63,12 +63,12 @@ class ErrorModelParameters(Record):
     )
     supply_channel: str | None = optional(
         CHANNEL,
-        "The voltage that supplies the sensor, of which the mean over a segment is used; by default `supply_voltage` of the segment.",
+        "Channel of the supply voltage. Its mean over a segment is used; by default `supply_voltage` of the segment.",
         "supply_voltage",
     )
     pressure_channel: str | None = optional(
         CHANNEL,
-        "The ambient pressure, of which the mean over a segment is used; by default `ambient_pressure` of the segment.",
+        "Channel of the ambient pressure. Its mean over a segment is used; by default `ambient_pressure` of the segment.",
         "ambient_pressure",
     )
     angle_channel: str | None = optional(

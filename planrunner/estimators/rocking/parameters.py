@@ -45,7 +45,7 @@ class RockingDriftParameters(Record):
 
     release: Quantity = key(
         QuantityOf("time", "positive"),
-        "t0, time from the beginning of the record to the first window; by this time the element must have "
+        "t0, time from the beginning of the record to the first window. Before this time, the element must have "
         "left the dead zone of the levelling loop.",
         "60 s",
         default=parse_quantity("60 s"),
@@ -58,8 +58,8 @@ class RockingDriftParameters(Record):
     )
     second_window: Quantity | None = optional(
         QuantityOf("time", "positive"),
-        "t1, time from the beginning of the record to the second window; by default the second window ends "
-        "with the shortest record.",
+        "t1, time from the beginning of the record to the second window. By default, the second window ends "
+        "at the end of the shortest record.",
         "590 s",
     )
     released_before: Quantity | None = optional(
@@ -114,7 +114,7 @@ class RockingDriftParameters(Record):
     )
     smallest_drift: Quantity = key(
         QuantityOf("angular rate", "positive"),
-        "Drift to be resolved; `check` reports in what time this drift changes the reading of an accelerometer by one count.",
+        "Smallest drift to resolve. `check` reports the time in which this drift changes the reading of an accelerometer by one count.",
         "0.003 deg/h",
         default=parse_quantity("0.003 deg/h"),
     )

@@ -97,7 +97,7 @@ class StrapdownNavigationParameters(Record):
     )
     gravity: str = key(
         Choice(("site", "wgs84")),
-        "Gravity: the site's value, which is varied with latitude and height in the same way as normal gravity, or normal gravity itself.",
+        "Gravity: `site` is the value of the site, varied with latitude and height like normal gravity; `wgs84` is normal gravity.",
         "wgs84",
         default="site",
     )

@@ -53,14 +53,14 @@ class TemperatureModelParameters(Record):
     highest_order: int = key(Number(1, 12, integer=True), "Highest order to try.", 4, default=4)
     folds: int = key(
         Number(0, 100, integer=True),
-        "Number of contiguous temperature ranges, each of which is held out in turn; with 0, each temperature is held out in turn.",
+        "Number of ranges into which the temperatures are divided. Each range is left out in turn; with 0, each temperature.",
         5,
         default=0,
     )
     rule: str = key(
         Choice(RULES),
-        "one_standard_error: the simplest curve within one standard error of the smallest held-out error; "
-        "smallest_error: the curve with the smallest held-out error.",
+        "Which curve is selected by its prediction errors for the values that were left out. one_standard_error: the simplest "
+        "curve whose error is within one standard error of the smallest. smallest_error: the curve with the smallest error.",
         "smallest_error",
         default="one_standard_error",
     )
