@@ -44,8 +44,10 @@ WORKERS_WITHIN = 30.0
 _AHEAD = 4
 """Tasks on the cluster for each thread of a worker."""
 _LEAST_AHEAD = 16
-_TASK_LASTS = 0.25
-"""Seconds that a task of several items should take: handing over a task takes milliseconds."""
+_TASK_LASTS = 1.0
+"""Seconds that a task of several items should take: handing over a task takes the command and the scheduler some milliseconds."""
+_SHARES_LEFT = 2
+"""Tasks for each thread of a worker into which the items that are left are divided at least, so that no worker waits long for the last."""
 _MOST_OF_A_TASK = 512
 _ONE_AT_A_TIME = Lock()
 _COMPARED = ("numpy", "scipy", "numba", "pyarrow")
@@ -110,12 +112,9 @@ def computed_on_cluster(
         size = 1
         while done < len(items):
             while sent < len(items) and len(waiting) < ahead:
-                size = max(
-                    1, min(size, math.ceil((len(items) - sent) / ahead))
-                )  # the last tasks are shared by all workers too
-                some = tuple(items[sent : sent + size])
+                some = tuple(items[sent : sent + _shared(size, len(items) - sent, threads)])
                 waiting.append(client.submit(_compute, packed, terms, some, _paths(some), pure=False))
-                sent += size
+                sent += len(some)
             answer = _answer_of(waiting.popleft(), address)
             _require_fit(answer, terms, address)
             for result in answer.results:
@@ -126,6 +125,11 @@ def computed_on_cluster(
             if answer.error is not None:
                 raise answer.error
             size = _size(answer)
+
+
+def _shared(size: int, left: int, threads: int) -> int:
+    """Items of the next task: at most `size`, and so few that the items that are left make several tasks for each thread."""
+    return min(size, math.ceil(left / (_SHARES_LEFT * max(1, threads))))
 
 
 def _size(answer: _Answer) -> int:

@@ -29,7 +29,7 @@ title: Six positions
 bench: virtual_imu_nominal
 sensor: {kind: imu, outputs: [gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]}
 record: {device_serial: optional, item_identification: optional}
-defaults: {settle: 2 s, dwell: 10 s}
+defaults: {settle: 2 s, dwell: 2 min}
 segments:
   - for_each:
       orientation:
@@ -40,8 +40,19 @@ segments:
         E: {x: north, y: west, z: up}
         F: {x: north, y: east, z: down}
 """
+NIGHT = """\
+planrunner_suite: 1
+title: Night
+benches: {one: {bench: ./bench-1.yaml}, two: {bench: ./tilted.yaml}}
+devices:
+  "17": {benches: two, set: {device_serial: "17"}, seed: 101}
+  "18": {benches: two, set: {device_serial: "18"}, seed: 102}
+  "19": {benches: one, set: {item_identification: "19"}, seed: 103}
+plans: {six: {plan: six.yaml, devices: ["17", "18", "19"]}}
+diagnosis: {}
+"""
 NOW = datetime.now(UTC)
-TILT, SINCE, NIGHTS = 40.0, 2, 5
+TILT, SINCE, NIGHTS = 4.0, 2, 5
 """Arc seconds about east; the first night of the tilt; number of nights."""
 
 
@@ -49,7 +60,7 @@ def night_of(number: int) -> datetime:
     return NOW - timedelta(days=NIGHTS - number)
 
 
-def archive_of(folder: Path, monkeypatch: pytest.MonkeyPatch, tilt: float) -> Path:
+def archive_of(folder: Path, monkeypatch: pytest.MonkeyPatch, tilt: float, nights: int = NIGHTS) -> Path:
     """Devices 17 and 18 on bench-2 and device 19, which has an identification instead of a serial number, on bench-1, once in each
     night."""
     monkeypatch.setenv(INDEX, str(folder / "index.sqlite"))
@@ -60,7 +71,7 @@ def archive_of(folder: Path, monkeypatch: pytest.MonkeyPatch, tilt: float) -> Pa
             BENCH.replace("name: virtual_imu_nominal", f"name: {bench}"), encoding="utf-8"
         )
     seed = 0
-    for night in range(NIGHTS):
+    for night in range(nights):
         for minute, (device, bench) in enumerate((("17", "bench-2"), ("18", "bench-2"), ("19", "bench-1"))):
             seed += 1
             made = night_of(night) + timedelta(minutes=minute)
@@ -76,6 +87,7 @@ def archive_of(folder: Path, monkeypatch: pytest.MonkeyPatch, tilt: float) -> Pa
             words += ["--set", f"{item}={device}", "--runs", str(archive)]
             if bench == "bench-2" and night >= SINCE and tilt:
                 words += ["--with", f"table_tilt=about_east:{tilt} arcsec"]
+                words += ["--write-bench", str(folder / "tilted.yaml")]
             assert main(words) == 0
     monkeypatch.undo()
     monkeypatch.setenv(INDEX, str(folder / "index.sqlite"))
@@ -97,15 +109,30 @@ def diagnosed(archive: Path) -> JsonObject:
 
 @pytest.mark.slow
 def test_a_bench_that_tilts_is_named_with_size_and_night(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = diagnosed(archive_of(tmp_path, monkeypatch, TILT))
+    """The last night is one of `planrunner night`. Its diagnosis finds the tilt of 4 arcsec that began two nights before.
+    Its summary and the site say so."""
+    archive = archive_of(tmp_path, monkeypatch, TILT, NIGHTS - 1)
+    monkeypatch.setenv(KEPT, str(tmp_path / "kept"))
+    monkeypatch.chdir(tmp_path)
+    Path("night.yaml").write_text(NIGHT, encoding="utf-8")
+    assert main(["night", "night.yaml", "--flushed", "--quiet", "--runs", str(archive)]) == 0
+    (folder,) = (archive / "nights").glob("2*")
+    record = json.loads((folder / "night.json").read_bytes())
+    (found,) = record["fleet"]
+    assert found["runs"] == 3 * NIGHTS and record["remarks"] == []
     (change,) = found["changes"]
     assert (change["effect"], change["name"], change["kind"]) == ("table_tilt", "about_east", "step")
     assert change["sources"] == [["bench", "bench-2"]]
-    assert abs(change["size"] - TILT) < 1.3 * change["expanded_uncertainty"] < 10
+    assert abs(change["size"] - TILT) < 1.3 * change["expanded_uncertainty"] < 2
     after, until = (datetime.fromisoformat(change[key]) for key in ("after", "until"))
     assert after < night_of(SINCE) <= until <= night_of(SINCE) + timedelta(minutes=5)
     assert night_of(SINCE - 1) <= after
-    assert any(text.startswith("bench bench-2: table_tilt about_east changed by ") for text in found["statements"])
+    (said,) = [
+        text for text in found["statements"] if text.startswith("bench bench-2: table_tilt about_east changed by ")
+    ]
+    assert said.replace("<", "&lt;") in (folder / "summary.md").read_text("utf-8")
+    assert main(["site", str(archive), "site", "--quiet"]) == 0
+    assert json.dumps(said) in Path("site/data.js").read_text("ascii")  # the wall
 
 
 @pytest.mark.slow
