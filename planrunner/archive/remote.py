@@ -279,7 +279,7 @@ def _stripped(path: str) -> str:
 
 def _require_plain(name: str, url: str) -> None:
     if name in ("", ".", "..") or any(letter in name for letter in '/\\\0:*?"<>|') or not name.isprintable():
-        raise _refused(url, f"an entry has the name {name[:80]!r}, which is not that of a file of a run")
+        raise _refused(url, f"an entry has the name {name[:80]!r}, which is not the name of a file of a run")
 
 
 def _refused(url: str, what: str) -> InputError:
@@ -401,7 +401,7 @@ def _written(files: AbstractFileSystem, path: str, data: bytes, archive: str) ->
         except FileExistsError:  # somebody was first
             new = False
     if digest(files.cat_file(path)) != digest(data):
-        message = f"{path}: it exists with another content, and is not replaced"
+        message = f"{path}: it exists with different content, and is not replaced"
         if new:
             message = f"{path}: what was read back differs from what was written"
         raise InputError.at(Mark(archive), "remote-differs", message, "compare both runs with `planrunner verify`")

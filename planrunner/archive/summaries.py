@@ -81,6 +81,9 @@ def summarised(
 
 def _no_samples(where: str, label: str, channels: Sequence[str]) -> Iterator[Block]:
     """Raises `InputError`, because there are no samples to read."""
-    message = f"'{label}' is a row of a table, with the mean, the standard deviation and the number of its samples; this needs the samples"
+    message = (
+        f"'{label}' is a row of a table, with the mean, the standard deviation and the number of its samples; "
+        "this operation needs the samples"
+    )
     hint = "use a recording of samples, or an estimator that works with the means of segments"
     raise InputError.at(Mark(where), "recording-summary", message, hint)

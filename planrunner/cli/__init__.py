@@ -46,7 +46,7 @@ COMMANDS = {
     "runs": "list the runs of an archive, by device, plan, bench, verdict or date",
     "history": "show a coefficient of a device over time, with control charts, changes, drift and the next calibration",
     "compare": "compare the coefficients of several runs",
-    "gauge": "repeatability and reproducibility of a coefficient over devices, operators and benches",
+    "gauge": "show the repeatability and reproducibility of a coefficient over devices, operators and benches",
     "verify": "verify that run folders are as they were written, and report what was changed",
     "archive": "copy sealed runs to or from an archive on object storage",
     "approve": "approve a plan for benches with your key, withdraw approvals, or list them",

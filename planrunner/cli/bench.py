@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    listing = actions.add_parser("list", help="the shipped benches and the installed drivers")
+    listing = actions.add_parser("list", help="list the shipped benches and the installed drivers")
     listing.add_argument("--json", action="store_true", help="print them as JSON")
     pinging = actions.add_parser("ping", help="ask every instrument of a bench for its identification; nothing moves")
     pinging.add_argument("bench", help="bench file, or the name of a shipped bench")
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     pinging.add_argument("--json", action="store_true", help="print the answers as JSON")
     standard = actions.add_parser(
         "check-standard",
-        help="whether the check standard of a bench is in control, according to the runs of an archive",
+        help="show whether the check standard of a bench is in control, according to the runs of an archive",
     )
     standard.add_argument("bench", help="bench file, or the name of a shipped bench")
     standard.add_argument(

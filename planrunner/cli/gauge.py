@@ -1,4 +1,4 @@
-"""`planrunner gauge`: shows repeatability and reproducibility of a coefficient over devices, operators and benches."""
+"""`planrunner gauge`: shows the repeatability and reproducibility of a coefficient over devices, operators and benches."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=os.environ.get("GITHUB_ACTIONS") == "true",
         help="print annotations for GitHub Actions (default: if the environment variable GITHUB_ACTIONS is true)",
     )
-    parser.add_argument("--quiet", action="store_true", help="no line for each test")
+    parser.add_argument("--quiet", action="store_true", help="print no line for each test")
     parser.add_argument("--json", action="store_true", help="print the record of the night as JSON")
     add_workers(parser, "processes that share the checks of the plans (default: as many as make the checks faster)")
     add_at(parser)

@@ -137,7 +137,7 @@ def _lines(name: str, verification: Verification) -> Iterator[str]:
     if dated:
         valid = all(one.standing == "valid" for one in dated)
         times = sorted(one.time for one in dated)
-        standing = "valid" if valid else "NOT VERIFIED: by the certificate in the bench file of the run only"
+        standing = "valid" if valid else "NOT VERIFIED: checked only with the certificate in the bench file of the run"
         yield (f"    {len(dated)} time stamps, {times[0]} to {times[-1]}: {standing}")
     for approval in verification.approvals:
         known = approval.judged.key

@@ -58,7 +58,7 @@ def drift_tables(fits: Sequence[OutputsFit], basis: str) -> tuple[Table, ...]:
         TableColumn("unit of the amplitude"),
         TableColumn("range during the test", Role.VALUE),
         TableColumn("unit"),
-        TableColumn("all drifts explain of the scatter", Role.VALUE, "%"),
+        TableColumn("share of the scatter that all drifts explain", Role.VALUE, "%"),
     )
     return (Table("Drifts fitted together with the coefficients", columns, tuple(rows)),)
 

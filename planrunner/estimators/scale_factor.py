@@ -243,7 +243,7 @@ def _found(
     for k, name in enumerate(observations.channels):
         words = (
             said("{output}: offset at zero rate", output=name),
-            said("{output}: scale factor against the table's rate", output=name),
+            said("{output}: scale factor relative to the table's rate", output=name),
         )
         for j, (letter, its_unit) in enumerate((("F0", units[k][1].text), ("K", slopes[k][0]))):
             at = 2 * k + j

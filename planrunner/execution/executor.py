@@ -161,7 +161,8 @@ class _Execution:
             before, now = known.get(name, {}).get("serial"), identities[name].get("serial")
             if before is not None and now != before:
                 raise InstrumentError(
-                    f"'{name}' had serial {before} when the run began and has {now} now: put it back, or start a new run"
+                    f"'{name}' had serial {before} when the run began and has {now} now: "
+                    f"connect the original instrument again, or start a new run"
                 )
         self.channels = {} if self.streaming is None else dict(self.streaming.channels())
         self.live.announce(self.channels)

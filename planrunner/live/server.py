@@ -241,7 +241,9 @@ class _Handler(BaseHTTPRequestHandler):
     def _post(self) -> None:
         self._authorised()
         if self.headers.get("Origin") is None:
-            raise RefusedRequestError(http.HTTPStatus.FORBIDDEN, "an action comes from the live page, with its Origin")
+            raise RefusedRequestError(
+                http.HTTPStatus.FORBIDDEN, "an action is accepted only from the live page, with its Origin"
+            )
         body = self._body()
         monitor = self.server.monitor
         actions: Mapping[str, tuple[tuple[str, ...], Callable[..., None]]] = {
@@ -274,7 +276,9 @@ class _Handler(BaseHTTPRequestHandler):
         except ValueError:
             raise RefusedRequestError(http.HTTPStatus.LENGTH_REQUIRED, "the length of the body is missing") from None
         if not 0 <= length <= MOST_BODY:
-            raise RefusedRequestError(http.HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the body may have {MOST_BODY} bytes")
+            raise RefusedRequestError(
+                http.HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the body may have at most {MOST_BODY} bytes"
+            )
         try:
             body: Json = json.loads(self.rfile.read(length))
         except (ValueError, RecursionError):

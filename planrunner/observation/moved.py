@@ -62,7 +62,9 @@ def recorded_course(
         usable[[0, -1]] = False
     if motion.angle:
         if attitude is None:
-            message = "the orientation at angle zero is unknown, so the angle does not show what the sensor feels"
+            message = (
+                "the orientation at angle zero is unknown, so the input of the sensor cannot be computed from the angle"
+            )
             raise ObservationError(message, "state the `orientation` of the segment, or give `rates`")
         angle = np.unwrap(shown[motion.angle])
         rate = slope(time, angle)

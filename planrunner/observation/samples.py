@@ -159,7 +159,7 @@ def _moved_part(
     there."""
     own = [channel.name for channel in channels if channel.name in motion.channels]
     if own:
-        message = f"'{own[0]}' shows the motion of segment '{item.label}' and cannot be judged by it"
+        message = f"'{own[0]}' shows the motion of segment '{item.label}', so it cannot be compared with this motion"
         raise ObservationError(message, "leave it out of the outputs, or give the motion by other channels")
     extra = [*motion.channels, *monitors.channels]
     rows = rows_of(item, channels, extra, size, motion.angle or None)

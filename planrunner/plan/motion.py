@@ -92,7 +92,7 @@ def _moved(motion: model.MotionSpec, recorded: model.RecordedSpec, sign: float, 
             log.error("meaning-motion", motion.at(key), message, "remove it")
             return None
     if recorded.angle and recorded.forces:
-        message = "specific force measured beside an encoder does not follow from its angle"
+        message = "`forces` cannot be given with `angle`: the angle of an encoder does not determine the specific force"
         hint = "leave `forces` out, or give the rotation by `rates` or `attitude`"
         log.error("meaning-recorded-motion", recorded.at("forces"), message, hint)
         return None
@@ -188,7 +188,7 @@ def _check_move(
             f"move {number} ({text}) does not end at its position: it ends at {_degrees(there)} deg, but {move.end} is at {angle:g} "
             "deg"
         )
-        log.error("meaning-cycle-landing", mark, message, f"to land on {move.end}, turn {_turns(positions, move)}")
+        log.error("meaning-cycle-landing", mark, message, f"to end at {move.end}, turn {_turns(positions, move)}")
 
 
 def _check_cycle(moves: list[Move], net: float, motion: model.MotionSpec, log: Findings) -> None:

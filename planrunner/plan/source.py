@@ -161,7 +161,7 @@ def refused_input(refused: RefusedFileError, name: str) -> InputError:
         case "special" | "link":
             return InputError.at(mark, "file-special", message, hint)
         case "size":
-            return InputError.at(mark, "file-size", message, "keep data apart from the plan")
+            return InputError.at(mark, "file-size", message, "store data separately from the plan")
         case "unreadable":
             return InputError.at(mark, "file-unreadable", message, hint)
 

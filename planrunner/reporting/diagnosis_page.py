@@ -283,9 +283,7 @@ def unknown_words(found: Data) -> str:
         return ""
     share = "" if form["share"] is None else f" and makes up {_percent(form['share'])} of the energy of the gap"
     where = f"in {listed(form['channels'])}"
-    return (
-        f"What is not in the catalogue looks like “{form['pattern']}” {where}. It changes with {form['factor']}{share}."
-    )
+    return f"The cause outside the catalogue looks like “{form['pattern']}” {where}. It changes with {form['factor']}{share}."
 
 
 def _unknown_form(found: Data) -> Table:
@@ -310,7 +308,7 @@ def _unknown_form(found: Data) -> Table:
         column for name in names for column in (*alike(Role.VALUE, name), *alike(Role.STANDARD_UNCERTAINTY, "u"))
     ]
     return Table(
-        "Form of what is not in the catalogue", (*alike(Role.LABEL, form["factor"] or "level"), *columns), rows
+        "Form of the cause outside the catalogue", (*alike(Role.LABEL, form["factor"] or "level"), *columns), rows
     )
 
 

@@ -65,7 +65,7 @@ def notes(compared: Compared) -> list[str]:
     ]
     for change in found.rounded:
         lines.append(
-            f"{'.'.join(change.place)}: {change.shown[0]} and {change.shown[1]} are equal to the digits written."
+            f"{'.'.join(change.place)}: {change.shown[0]} and {change.shown[1]} are equal within the written digits."
         )
     if compared.unforeseen and not found.empty:
         lines.append(f"Consequences are not shown: {compared.unforeseen}.")
@@ -196,7 +196,7 @@ def _consequences(follows: Consequences) -> Iterator[Table]:
         ("Before", "After", "Limit of the bench"),
     )
     yield _findings("New findings", follows.new)
-    yield _findings("Findings that are gone", follows.gone)
+    yield _findings("Findings that no longer occur", follows.gone)
 
 
 def _terms(item: Undetermined) -> tuple[str, str, str]:

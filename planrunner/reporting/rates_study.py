@@ -111,7 +111,7 @@ def notes(found: FoundRates) -> tuple[str, ...]:
     if len(planned.variance) and len(best.variance):
         said.append(
             "Compared with the planned rates, the worst variance of a predicted output over the rates is "
-            f"{best.variance.max() / planned.variance.max():.3g} times as large, the mean "
+            f"{best.variance.max() / planned.variance.max():.3g} times as large, and the mean is "
             f"{best.variance.mean() / planned.variance.mean():.3g} times."
         )
     stay = [name for name, (before, now) in _pairs(found).items() if _alike(before, now)]

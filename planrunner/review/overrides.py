@@ -95,7 +95,7 @@ def objection(
         return "it is for another bench, or for this bench before a change"
     if one.what.device != what.device:
         return f"it is for the check standard {one.what.device}"
-    return "" if one.what.why == what.why else f"its reason is another one: {one.what.why}"
+    return "" if one.what.why == what.why else f"it states a different reason: {one.what.why}"
 
 
 def kept_objection(

@@ -119,7 +119,7 @@ def _verified(found: Examined, name: StampName, authority: StampAuthority | None
         token = found.folder.folder(FOLDER).read(name.file, MOST_BYTES)
         stamped = stamped_digest(token)
         if name.own is not None and digest(token)[:DIGITS] != name.own:
-            why = "the file was changed, or has another name than it was written with"
+            why = "the file was changed or renamed"
         else:
             code, why = _subject_fault(found, name, stamped)
         if not why and authority is None:
@@ -161,7 +161,7 @@ def _time_fault(found: Examined, name: StampName, moment: datetime) -> tuple[str
     if name.events is None and found.seal is not None:
         stated = found.seal["sealed"]
     if stated is not None and datetime.fromisoformat(stated) > moment + CLOCKS_DIFFER:
-        return "run-back-dated", f"it was made on {moment.isoformat()}, but stamps what is dated {stated}"
+        return "run-back-dated", f"it was made on {moment.isoformat()}, but the stamped data are dated {stated}"
     return "", ""
 
 

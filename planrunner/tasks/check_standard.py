@@ -151,9 +151,7 @@ def check_in_control(bench: Bench, state: ControlState, log: Findings) -> None:
         return
     if state.left_out:
         names = ", ".join(fault.folder for fault in state.left_out)
-        message = (
-            f"the state of the check standard {rule.device} does not take into account what cannot be read: {names}"
-        )
+        message = f"the state of the check standard {rule.device} does not include folders that cannot be read: {names}"
         log.warning(CODE, rule.at("unreadable"), message, _restore(state.left_out))
     if state.in_control:
         return
@@ -173,7 +171,7 @@ def check_in_control(bench: Bench, state: ControlState, log: Findings) -> None:
 
 def _restore(damaged: Sequence[FaultRow]) -> str:
     named = " ".join(fault.folder for fault in damaged[:3])
-    return f"restore {named} from a backup (`planrunner verify` shows what was changed), or move it out of the archive if it is no run"
+    return f"restore {named} from a backup (`planrunner verify` shows what was changed), or move it out of the archive if it is not a run"
 
 
 def check_before_run(bench: Bench, plan_name: str, archive: Path, log: Findings) -> None:
@@ -248,7 +246,7 @@ def admit_again(
         override = own if signature is not None or bench.approvals is None else override
     if override is not None and signature is None and bench_file is None and rule is not None and bench.approvals:
         _require_named(bench, rule, override)
-        message = "an override for this bench is signed, and is beside the file of the bench, not in the run folder"
+        message = "the signed override for this bench is next to the bench file, not in the run folder"
         hint = "name the file of the bench with --bench"
         raise InputError.at(rule.at("may_override"), "bench-check-override", message, hint)
     return admit(bench, str(run.run["plan"]), run.run["info"], run.path.absolute().parent, override, notice, signature)

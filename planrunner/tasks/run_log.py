@@ -276,7 +276,7 @@ def _contradiction(history: _History, run: LoggedRun) -> str:
         if events > run.events:
             return f"the log counts {events} events, its journal has {run.events}"
         if run.heads.get(events) != head:
-            return f"its first {events} events are others"
+            return f"its first {events} events differ from those in the log"
     return ""
 
 
@@ -408,7 +408,7 @@ def check_proof(proof: Json, path: Path, head: TreeHead | None, seal: str | None
             return f"the log of {stated.size} entries begins with the {first.size} entries of the first head"
         entry = LogEntry.from_json(proof["entry"])
         if entry is None:
-            raise ProofError("its entry is none of a log")
+            raise ProofError("its entry is not an entry of a log")
         require_inclusion(leaf_hash(entry.line), entry.seq - 1, stated.size, hashes, root)
     except ProofError as error:
         raise IntegrityError(f"{path}: the proof does not hold: {error}", "log-proof") from None

@@ -55,7 +55,7 @@ def test_channels_and_units() -> None:
     refused("channel 'accel_x' is in V", stop(more_units={"accel_x": "V"}), run())
     refused("channel 'gyro_x' is in deg/h", stop(), run(), accelerometers=("gyro_x", "gyro_y", "gyro_z"))
     swapped = ("gyro_y", "gyro_z", "gyro_x")
-    refused("the gyros see", stop(), run(), gyros=swapped)
+    refused("the gyros measure", stop(), run(), gyros=swapped)
     milli = dict.fromkeys(("accel_x", "accel_y", "accel_z"), "mg")
     refused("mean specific force is 0.0098", stop(more_units=milli), run())
 
@@ -114,7 +114,7 @@ def changed_reference(item, speed):
 
 def test_a_unit_that_is_not_at_rest() -> None:
     turning = recorded("align", samples(300, angle=np.linspace(0, 0.05, 3001), noise=1e-3), 0.0)
-    refused("the gyros see", turning, run())
+    refused("the gyros measure", turning, run())
     data = samples(300, noise=1e-3)
     data["accel_x"] = data["accel_x"] + 0.03 * np.sin(2 * np.pi * np.arange(3000) / RATE / 60)
     refused("the unit moved during alignment", recorded("align", data, 0.0), run())

@@ -153,7 +153,7 @@ def test_a_unit_that_swings_all_the_time_is_not_at_rest(tmp_path: Path, capsys: 
 @pytest.mark.parametrize(
     ("write", "said"),
     [
-        (lambda path: path.write_bytes(bytes(range(256)) * 9), "holds bytes that are no text"),
+        (lambda path: path.write_bytes(bytes(range(256)) * 9), "is not a text file"),
         (lambda path: path.write_text("a;b\nx;y\n"), "has no lines of numbers"),
         (
             lambda path: path.write_text("t,u\n" + "\n".join(f"{k},{k}" for k in range(50))),

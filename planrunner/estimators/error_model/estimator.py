@@ -637,8 +637,8 @@ def _of_samples(one: FittedOutput) -> list[Said]:
     for effect in within.at_bound:
         found.append(
             said(
-                "{output}: the shape of {effect} is at a bound of the catalogue ({value:.4g}), so that its "
-                "interval is not reliable: leave the effect out, or record segments that show it.",
+                "{output}: the shape of {effect} is at a bound of the catalogue ({value:.4g}), so its interval is not reliable: "
+                "leave the effect out, or record segments that show it.",
                 output=one.model.name,
                 effect=effect,
                 value=within.shapes[effect],
@@ -657,7 +657,7 @@ def _of_samples(one: FittedOutput) -> list[Said]:
     if within.uneven > within.coloured:
         found.append(
             said(
-                "{output}: the effects that single segments show vary up to {ratio:.3g} times as much (variance) as the noise explains: "
+                "{output}: the amplitudes that single segments give vary up to {ratio:.3g} times as much (variance) as the noise explains: "
                 "the channels that show the motion have errors that differ from segment to segment, or the model is incomplete. The "
                 "uncertainties of effects within segments are increased accordingly.",
                 output=one.model.name,

@@ -97,7 +97,7 @@ def calibration(fitted: Sequence[Response], lower_triangular: bool) -> ImuResult
     ]
     arcmin = unit("arcmin").factor
     turns = [
-        said("Rotation of the triad's own frame against the fixture's about {axis}", axis=name)
+        said("Rotation of the triad's own frame relative to the fixture's frame about {axis}", axis=name)
         for name in AXES
         if reference
     ]

@@ -97,7 +97,7 @@ def curve_plots(curves: Sequence[StateCurves]) -> list[Plot]:
             f"Drift angle about {AXES[axis]} (state: {state.name})"
             + (f", mean of {state.quadruples} quadruples" if state.quadruples > 1 else ""),
             "time since the record began, s",
-            "angle against inertial space, arcsec",
+            "angle relative to inertial space, arcsec",
             tuple(state.time.tolist()),
             {
                 name: tuple((angles[:, place] / ARCSEC).tolist())

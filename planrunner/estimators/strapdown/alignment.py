@@ -269,7 +269,7 @@ def _check_at_rest(label: str, mean: Array, site: Site) -> None:
         found, earth = _rates(mean, site)
         shown = np.degrees([*found, *earth]) * 3600
         raise UnfitDataError(
-            f"segment '{label}': the gyros see {shown[0]:.4g} deg/h horizontally and {shown[1]:.4g} deg/h up, but the "
+            f"segment '{label}': the gyros measure {shown[0]:.4g} deg/h horizontally and {shown[1]:.4g} deg/h up, but the "
             "Earth turns with "
             f"{shown[2]:.4g} and {shown[3]:.4g}: check that the unit is at rest, the gyros' units and order and the "
             "latitude; gyros with "

@@ -75,8 +75,8 @@ def guessed_format(path: Path, name: str) -> Format | None:
         keys = _text_keys(start.decode("utf-16", "ignore").lstrip("\ufeff"), "utf-16")
     elif b"\0" in start:
         raise InstrumentError(
-            f"{name} holds bytes that are no text, and its ending is none of {', '.join(ENDINGS)}: describe its records in a bench file, "
-            "as docs/recording-formats.md shows, or rename it to the ending of its format"
+            f"{name} is not a text file, and its extension is none of {', '.join(ENDINGS)}: describe its records in a bench file, "
+            "as docs/recording-formats.md shows, or rename it with the extension of its format"
         )
     else:
         try:

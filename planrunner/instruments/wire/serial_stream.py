@@ -135,7 +135,7 @@ class SerialStream:
         try:
             self._port.close()
         except Exception as error:  # a port that was pulled out cannot be closed and need not be
-            self._failure = self._failure or f"{self._name} is gone ({error})"
+            self._failure = self._failure or f"{self._name} is no longer available ({error})"
 
     def _read(self) -> None:
         try:
@@ -149,6 +149,6 @@ class SerialStream:
         except Exception as error:  # unplugged: pyserial raises SerialException, OSError or TypeError
             if not self._closing.is_set():
                 self._failure = (
-                    f"{self._name} is gone ({error}): check whether it was unplugged or switched off; reconnect it, "
+                    f"{self._name} is no longer available ({error}): check whether it was unplugged or switched off; reconnect it, "
                     "then resume the run"
                 )

@@ -457,7 +457,7 @@ def test_an_override_on_a_bench_with_a_key_ring_counts_only_signed(
     assert found.record is not None and found.record["override"]["signature"] == json.loads(signed.read_bytes())
     assert "anna let this run begin: levelled" in str(found.findings[0])
     given = Override("anna", "another reason")
-    with pytest.raises(InputError, match="its reason is another one: levelled"):
+    with pytest.raises(InputError, match="it states a different reason: levelled"):
         admitted()
     given = Override("anna", "levelled")
     kept = file.read_text("utf-8")
