@@ -1,5 +1,20 @@
 """Generates the list of effects, `docs/effects.md`, from the catalogue.
 
+`python -m planrunner.error_model.reference docs` writes it. A test checks that the file is up to date.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from planrunner.base import plugins
+from planrunner.error_model.effects.about import Actor, about
+from planrunner.error_model.effects.interface import Effect, NoHypothesis
+
+_BEGINNING = """\
+# Effects: who acts, and what to do
+
 `python -m planrunner.error_model.reference docs` writes this page from the classes of the effects. `planrunner diagnose` names effects
 of this list, and states who acts and what to do. It replaces the words in italics by the values that it found. `planrunner simulate
 --with EFFECT` adds an effect to a simulation, and the estimator [`error_model`](error-models.md) fits its parameters.
