@@ -30,6 +30,7 @@ from planrunner.error_model.effects.interface import (
     PerOrientation,
     Shaped,
     Variant,
+    effect_named,
     is_whole,
     triad_of,
 )
@@ -94,7 +95,7 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
     if name not in plugins.names(plugins.EFFECTS):
         hint = closest(name, plugins.names(plugins.EFFECTS))
         raise InputError.at(mark, "effect-unknown", f"no effect '{name}' is installed", hint)
-    effect = plugins.load(plugins.EFFECTS, name)()
+    effect = effect_named(name)
     known = {parameter.name: parameter for parameter in parameters(effect, observed)}
     further = {parameter.name: parameter for parameter in _optional(effect, known, observed, stated)}
     if not known:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from planrunner.base import plugins
 from planrunner.error_model.effects.about import Actor, about
-from planrunner.error_model.effects.interface import Effect, NoHypothesis
+from planrunner.error_model.effects.interface import Effect, NoHypothesis, effect_named
 
 _BEGINNING = """\
 # Effects: who acts, and what to do
@@ -33,7 +33,7 @@ ACTORS = {
 
 def reference() -> str:
     """The text of the page."""
-    effects: list[Effect] = [plugins.load(plugins.EFFECTS, name)() for name in plugins.names(plugins.EFFECTS)]
+    effects = [effect_named(name) for name in plugins.names(plugins.EFFECTS)]
     parts = [_BEGINNING]
     for actor, words in ACTORS.items():
         rows = [_row(effect) for effect in effects if about(effect).actor is actor]

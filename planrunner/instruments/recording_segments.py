@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,9 @@ from planrunner.instruments.recording_file import RecordingFile
 from planrunner.plan.selection import closest_label
 from planrunner.plan.source import read_text
 from planrunner.plan.span import Span
+
+Row = Mapping[str, str | None]
+"""Column → cell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,38 +46,50 @@ def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], sca
 
     Raises `InstrumentError` with the line of the fault.
     """
-    try:
-        text = read_text(path, name)
-    except InputError as error:
-        raise InstrumentError(f"{name}: {error.findings[0].message}") from None
-    reader = csv.DictReader(text.splitlines(), strict=True)
-    try:
-        missing = [column for column in columns if column not in (reader.fieldnames or ())]
-        if missing:
-            hint = closest(missing[0], [field for field in reader.fieldnames or () if field])
-            raise InstrumentError(f"{name} has no column '{missing[0]}'; {hint}")
-        spans: dict[str, Span] = {}
-        lines: dict[str, int] = {}
-        for row in reader:
-            label, span = _row(row, columns, f"{name}, line {reader.line_num}", scale, trim)
-            if label in spans:
-                raise InstrumentError(f"{name}, line {reader.line_num}: the label '{label}' appears twice")
-            spans[label], lines[label] = span, reader.line_num
-    except csv.Error as error:
-        raise InstrumentError(f"{name}, line {reader.line_num}: not readable as CSV: {error}") from None
+    spans: dict[str, Span] = {}
+    lines: dict[str, int] = {}
+    for label, line, row in labelled_rows(path, name, columns):
+        spans[label], lines[label] = _span(label, row, columns[1:], f"{name}, line {line}", scale, trim), line
     if not spans:
         raise InstrumentError(f"{name} contains no segments")
     return SegmentTable(name, spans, lines)
 
 
-def _row(
-    row: Mapping[str, str | None], columns: tuple[str, str, str], where: str, scale: float, trim: float
-) -> tuple[str, Span]:
-    label = (row[columns[0]] or "").strip()
-    if not label:
-        raise InstrumentError(f"{where}: the label is empty")
+def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tuple[str, int, Row]]:
+    """The rows of a CSV table: label, line and cells of each. columns: those that the table must have, that of the labels first. name: of
+    the file, for messages.
+
+    Raises `InstrumentError` with the line of the fault; a label may not be empty or appear twice.
+    """
+    try:
+        text = read_text(path, name)
+    except InputError as error:
+        raise InstrumentError(f"{name}: {error.findings[0].message}") from None
+    reader = csv.DictReader(text.splitlines(), strict=True)
+    seen: set[str] = set()
+    try:
+        present = reader.fieldnames or ()
+        for column in columns:
+            if column not in present:
+                raise InstrumentError(
+                    f"{name} has no column '{column}'; {closest(column, [one for one in present if one])}"
+                )
+        for row in reader:
+            where, label = f"{name}, line {reader.line_num}", (row[columns[0]] or "").strip()
+            if not label:
+                raise InstrumentError(f"{where}: the label is empty")
+            if label in seen:
+                raise InstrumentError(f"{where}: the label '{label}' appears twice")
+            seen.add(label)
+            yield label, reader.line_num, row
+    except csv.Error as error:
+        raise InstrumentError(f"{name}, line {reader.line_num}: not readable as CSV: {error}") from None
+
+
+def _span(label: str, row: Row, columns: Sequence[str], where: str, scale: float, trim: float) -> Span:
+    """The stretch of a row. columns: of start and end."""
     times = []
-    for column in columns[1:]:
+    for column in columns:
         try:
             times.append(float(row[column] or "") * scale)
         except ValueError:
@@ -87,7 +102,7 @@ def _row(
     if end <= start:
         message = f"the segment '{label}' lasts {times[1] - times[0]:g} s, and nothing remains after {trim:g} s are trimmed from both ends"
         raise InstrumentError(f"{where}: {message}")
-    return label, Span(start, end)
+    return Span(start, end)
 
 
 def stretches(file: RecordingFile, pause: float, name: str = "", notice: Announce | None = None) -> tuple[Span, ...]:

@@ -6,7 +6,6 @@ samples are refused. The samples of a segment count as independent: the standard
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -15,12 +14,12 @@ import numpy as np
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
-from planrunner.base.findings import Findings, InputError, Mark, closest
+from planrunner.base.findings import Findings, Mark
 from planrunner.instruments.interfaces import Block, Clock, InstrumentError, PlaysBack, SummaryChannels, UnservedError
 from planrunner.instruments.recording_keys import SECONDS, RecordingParameters, RowColumns
+from planrunner.instruments.recording_segments import Row, labelled_rows
 from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import closest_label
-from planrunner.plan.source import read_text
 
 _DURATION = "seconds"
 
@@ -134,32 +133,18 @@ class SummaryPlayer(PlaysBack):
 def read_rows(path: Path, parameters: RecordingParameters, columns: RowColumns) -> dict[str, SummaryRow]:
     """Reads the rows of a table by label. Raises `InstrumentError` with the line of the fault."""
     name = parameters.file
-    try:
-        text = read_text(path, name)
-    except InputError as error:
-        raise InstrumentError(f"{name}: {error.findings[0].message}") from None
-    reader = csv.DictReader(text.splitlines(), strict=True)
     rows: dict[str, SummaryRow] = {}
     begin = 0.0
-    try:
-        _check_columns(reader.fieldnames or (), parameters, columns)
-        for cells in reader:
-            where = f"{name}, line {reader.line_num}"
-            label = (cells[columns.label] or "").strip()
-            if not label:
-                raise InstrumentError(f"{where}: the label is empty")
-            if label in rows:
-                raise InstrumentError(f"{where}: the label '{label}' appears twice")
-            rows[label] = _row_of(cells, where, reader.line_num, begin, parameters, columns)
-            begin = rows[label].start + rows[label].count / parameters.sample_rate.value
-    except csv.Error as error:
-        raise InstrumentError(f"{name}, line {reader.line_num}: not readable as CSV: {error}") from None
+    for label, line, cells in labelled_rows(path, name, _columns(parameters, columns)):
+        rows[label] = _row_of(cells, f"{name}, line {line}", line, begin, parameters, columns)
+        begin = rows[label].start + rows[label].count / parameters.sample_rate.value
     if not rows:
         raise InstrumentError(f"{name} contains no rows")
     return rows
 
 
-def _check_columns(present: Sequence[str], parameters: RecordingParameters, columns: RowColumns) -> None:
+def _columns(parameters: RecordingParameters, columns: RowColumns) -> list[str]:
+    """The columns that the table must have, that of the labels first. Raises `InstrumentError`."""
     wanted = [columns.label, columns.count, *([] if columns.start is None else [columns.start])]
     for name, channel in parameters.channels.items():
         stated = [key for key in (channel.standard_deviation, channel.standard_error) if key is not None]
@@ -169,15 +154,11 @@ def _check_columns(present: Sequence[str], parameters: RecordingParameters, colu
                 "`standard_error` (of the mean) in the bench file"
             )
         wanted += [channel.column, *stated]
-    for column in wanted:
-        if column not in present:
-            raise InstrumentError(
-                f"{parameters.file} has no column '{column}'; {closest(column, [one for one in present if one])}"
-            )
+    return wanted
 
 
 def _row_of(
-    cells: Mapping[str, str | None],
+    cells: Row,
     where: str,
     line: int,
     begin: float,
@@ -203,7 +184,7 @@ def _row_of(
     return SummaryRow(line, start, int(count), means, deviations)
 
 
-def _number(cells: Mapping[str, str | None], column: str, where: str) -> float:
+def _number(cells: Row, column: str, where: str) -> float:
     text = (cells[column] or "").strip()
     try:
         value = float(text)

@@ -31,7 +31,6 @@ from planrunner.tasks.simulate import additions_to, with_effects
 
 if TYPE_CHECKING:
     from planrunner.error_model.added import Addition
-    from planrunner.error_model.effects.interface import Effect
     from planrunner.error_model.observed import Observed
     from planrunner.execution.stopping import StopRequest
     from planrunner.gap.answer.comparison import GapComparison
@@ -205,13 +204,13 @@ def close(
 
 def _merged(entered: Stated, further: Stated) -> Stated | None:
     """Combines effects. If a linear effect is named again, its amplitudes are added. None if a nonlinear effect is named again."""
-    from planrunner.error_model.effects.interface import HasShape
+    from planrunner.error_model.effects.interface import HasShape, effect_named
 
     merged = dict(entered)
     for name, values in further:
         if name not in merged:
             merged[name] = values
-        elif isinstance(_loaded(name), HasShape) or _on_noise(name):
+        elif isinstance(effect_named(name), HasShape) or _on_noise(name):
             return None
         else:
             merged[name] = {key: _sum(merged[name].get(key), text) for key, text in values.items()}
@@ -256,15 +255,10 @@ def _plus(made: Diagnosed, fitted: Array, additions: Sequence[Addition]) -> Arra
     return added(replace(made.diagnosis.grounds.weighing.declared, fitted=fitted), fitted, additions, 0)
 
 
-def _loaded(name: str) -> Effect:
-    made: Effect = plugins.load(plugins.EFFECTS, name)()
-    return made
-
-
 def _on_noise(name: str) -> bool:
-    from planrunner.error_model.effects.interface import ActsOnNoise
+    from planrunner.error_model.effects.interface import ActsOnNoise, effect_named
 
-    effect = _loaded(name)
+    effect = effect_named(name)
     return isinstance(effect, ActsOnNoise) and effect.noise != "line"
 
 
@@ -282,13 +276,13 @@ def _base(recorded: Recorded, simulation: str | None) -> Sound:
 
 def _absent(nominal: Sequence[str], stated: Stated) -> Stated:
     """Removals of the effects that every simulated world contains but the nominal simulation of the diagnosis lacks."""
-    from planrunner.error_model.effects.interface import InEveryWorld
+    from planrunner.error_model.effects.interface import InEveryWorld, effect_named
 
     known = {*nominal, *(name for name, _ in stated)}
     return [
         (name, {"": "0"})
         for name in plugins.names(plugins.EFFECTS)
-        if name not in known and isinstance(_loaded(name), InEveryWorld)
+        if name not in known and isinstance(effect_named(name), InEveryWorld)
     ]
 
 

@@ -41,7 +41,6 @@ from planrunner.tasks.run import sound_run
 
 if TYPE_CHECKING:
     from planrunner.bench.grades import Sense
-    from planrunner.error_model.effects.interface import Effect
     from planrunner.error_model.observed import Observed
     from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
     from planrunner.gap.hypotheses.declarations import WrongDeclaration
@@ -80,10 +79,11 @@ class Diagnosed:
 
     def advice(self) -> list[Advice]:
         """The remedy for each effect of the verdict."""
+        from planrunner.error_model.effects.interface import effect_named
         from planrunner.reporting.advice import advice
 
         fitted = self.diagnosis.parameters
-        return [advice(_loaded(name), fitted) for name in self.diagnosis.verdict.effects if name != "unknown"]
+        return [advice(effect_named(name), fitted) for name in self.diagnosis.verdict.effects if name != "unknown"]
 
     def to_json(self) -> JsonObject:
         """The diagnosis according to `schemas/diagnosis.schema.json`."""
@@ -102,8 +102,9 @@ class Diagnosed:
 def _declaration(wrong: WrongDeclaration) -> JsonObject:
     """JSON data according to `declarations` of `schemas/diagnosis.schema.json`."""
     from planrunner.error_model.effects.about import about
+    from planrunner.error_model.effects.interface import effect_named
 
-    told = about(_loaded(wrong.effect))
+    told = about(effect_named(wrong.effect))
     return {
         "effect": wrong.effect,
         "name": told.name,
@@ -113,11 +114,6 @@ def _declaration(wrong: WrongDeclaration) -> JsonObject:
         "parameters": dict(wrong.parameters),
         "alternative": wrong.alternative,
     }
-
-
-def _loaded(name: str) -> Effect:
-    made: Effect = plugins.load(plugins.EFFECTS, name)()
-    return made
 
 
 def diagnose_recorded(
@@ -361,8 +357,9 @@ def corrected_observation(
 def _warned(wrong: WrongDeclaration) -> tuple[str, str]:
     """Message and hint on a wrong declaration."""
     from planrunner.error_model.effects.about import about
+    from planrunner.error_model.effects.interface import effect_named
 
-    told = about(_loaded(wrong.effect))
+    told = about(effect_named(wrong.effect))
     also = f" (or {wrong.alternative})" if wrong.alternative else ""
     hint = f"{told.advice(wrong.where, None)} The diagnosis continues with the corrected declaration"
     return f"{told.name}: {wrong.message}{also}", hint

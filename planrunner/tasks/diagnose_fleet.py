@@ -19,7 +19,6 @@ from planrunner.archive import seal as seals
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.storage import digest
-from planrunner.base import plugins
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
 from planrunner.base.guarded_folder import NotOrdinaryError
@@ -560,11 +559,12 @@ def _fitted(
     """The amplitudes of the nominal terms and of effects in a run that has already been diagnosed."""
     from threadpoolctl import threadpool_limits
 
+    from planrunner.error_model.effects.interface import effect_named
     from planrunner.gap.hypotheses.candidates import Weighing
 
     with threadpool_limits(limits=1, user_api="blas"):
         observed, _ = observe(recorded_run(run), nominal)
-        loaded = [(plugins.load(plugins.EFFECTS, name)(), shape) for name, shape in effects]
+        loaded = [(effect_named(name), shape) for name, shape in effects]
         return amplitudes(Weighing(observed, nominal), nominal, loaded)
 
 
@@ -617,13 +617,13 @@ def _named(verdicts: Sequence[RunVerdict]) -> tuple[str, ...]:
 
 def _with_amplitudes(names: Sequence[str]) -> tuple[tuple[str, ...], dict[str, str]]:
     """The effects that have amplitudes, and the others with the reason why they are not attributed."""
-    from planrunner.error_model.effects.interface import ActsOnNoise
+    from planrunner.error_model.effects.interface import ActsOnNoise, effect_named
 
     kept, left = [], {}
     for name in names:
         if name == "unknown":
             continue
-        if isinstance(plugins.load(plugins.EFFECTS, name)(), ActsOnNoise):
+        if isinstance(effect_named(name), ActsOnNoise):
             left[name] = "it acts on the noise and has no amplitude"
         else:
             kept.append(name)

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import yaml
 
-from planrunner.base import plugins
 from planrunner.base.findings import InputError, Mark
-from planrunner.error_model.effects.interface import Follows, FollowsSurroundings, PerOrientation
+from planrunner.error_model.effects.interface import Follows, FollowsSurroundings, PerOrientation, effect_named
 from planrunner.error_model.observed import orientation_key
 from planrunner.plan import source
 from planrunner.plan.rewriting import appended
@@ -43,7 +42,7 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
     if observed.along is not None:
         message = "the orientations are unknown, so no columns of effects are known"
         raise InputError.at(where, "gap-estimate", message, "use accelerometer_multi_position with gravity_magnitude")
-    effects = {name: _loaded(name) for name in (*made.diagnosis.grounds.nominal, *named)}
+    effects = {name: effect_named(name) for name in (*made.diagnosis.grounds.nominal, *named)}
     outputs = _outputs(observed, effects)
     if not any(name in own for own in outputs.values() for name in named):
         why = "; ".join(f"{name}: {_why_not(effects[name], observed)}" for name in named)
@@ -115,7 +114,7 @@ def as_planned(stated: Stated, observed: Observed, segments: Sequence[Segment]) 
     planned = list(dict.fromkeys(orientation_key(np.array(s.attitude)) for s in segments if s.attitude is not None))
     return [
         (name, {_renumbered(key, seen, planned): text for key, text in values.items()})
-        if isinstance(_loaded(name), PerOrientation)
+        if isinstance(effect_named(name), PerOrientation)
         else (name, values)
         for name, values in stated
     ]
@@ -126,11 +125,6 @@ def _renumbered(name: str, seen: Sequence[tuple[float, ...]], planned: Sequence[
     word, number, axis = name.split("_")
     place = seen[int(number) - 1]
     return name if place not in planned else f"{word}_{planned.index(place) + 1}_{axis}"
-
-
-def _loaded(name: str) -> Effect:
-    made: Effect = plugins.load(plugins.EFFECTS, name)()
-    return made
 
 
 def _why_not(effect: Effect, observed: Observed) -> str:

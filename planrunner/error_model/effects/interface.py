@@ -31,6 +31,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base import plugins
 from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed, TemperatureCourse
 
@@ -91,6 +92,12 @@ class Explained(Effect, Protocol):
     """An effect that states which segments determine it."""
 
     shown_by: str
+
+
+def effect_named(name: str) -> Effect:
+    """The installed effect with this name. Raises `InputError` if there is none."""
+    made: Effect = plugins.load(plugins.EFFECTS, name)()
+    return made
 
 
 def shown_by(effect: Effect) -> str:

@@ -8,12 +8,17 @@ from typing import TypeVar
 
 import numpy as np
 
-from planrunner.base import plugins
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.base.said import Said, said
-from planrunner.error_model.effects.interface import ChangesWithinSegments, Effect, ExplainsTurning, shown_by
+from planrunner.error_model.effects.interface import (
+    ChangesWithinSegments,
+    Effect,
+    ExplainsTurning,
+    effect_named,
+    shown_by,
+)
 from planrunner.error_model.observed import axis_of
 from planrunner.error_model.sample_columns import ErrorsAtSamples
 from planrunner.error_model.segment_columns import (
@@ -212,8 +217,7 @@ def _errors(
     chosen = []
     for effect, parts in whole.items():
         if effect not in loaded:
-            made: Effect = plugins.load(plugins.EFFECTS, effect)()
-            loaded[effect] = made
+            loaded[effect] = effect_named(effect)
         if why := estimable(loaded[effect]):
             raise EstimationError(f"'{effect}' cannot be estimated here: {why}", "leave it out of `outputs`", key)
         chosen.append(EffectPart(loaded[effect], () if "" in parts else tuple(sorted(parts))))
