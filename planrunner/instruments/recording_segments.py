@@ -21,7 +21,7 @@ from planrunner.plan.selection import closest_label
 from planrunner.plan.source import read_text
 from planrunner.plan.span import Span
 
-Row = Mapping[str, str | None]
+LabelledRow = Mapping[str, str | None]
 """Column → cell."""
 
 
@@ -55,7 +55,7 @@ def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], sca
     return SegmentTable(name, spans, lines)
 
 
-def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tuple[str, int, Row]]:
+def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tuple[str, int, LabelledRow]]:
     """The rows of a CSV table: label, line and cells of each. columns: those that the table must have, that of the labels first. name: of
     the file, for messages.
 
@@ -86,7 +86,7 @@ def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tup
         raise InstrumentError(f"{name}, line {reader.line_num}: not readable as CSV: {error}") from None
 
 
-def _span(label: str, row: Row, columns: Sequence[str], where: str, scale: float, trim: float) -> Span:
+def _span(label: str, row: LabelledRow, columns: Sequence[str], where: str, scale: float, trim: float) -> Span:
     """The stretch of a row. columns: of start and end."""
     times = []
     for column in columns:

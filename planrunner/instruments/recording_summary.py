@@ -17,7 +17,7 @@ from planrunner.base.documents import Json
 from planrunner.base.findings import Findings, Mark
 from planrunner.instruments.interfaces import Block, Clock, InstrumentError, PlaysBack, SummaryChannels, UnservedError
 from planrunner.instruments.recording_keys import SECONDS, RecordingParameters, RowColumns
-from planrunner.instruments.recording_segments import Row, labelled_rows
+from planrunner.instruments.recording_segments import LabelledRow, labelled_rows
 from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import closest_label
 
@@ -158,7 +158,7 @@ def _columns(parameters: RecordingParameters, columns: RowColumns) -> list[str]:
 
 
 def _row_of(
-    cells: Row,
+    cells: LabelledRow,
     where: str,
     line: int,
     begin: float,
@@ -184,7 +184,7 @@ def _row_of(
     return SummaryRow(line, start, int(count), means, deviations)
 
 
-def _number(cells: Row, column: str, where: str) -> float:
+def _number(cells: LabelledRow, column: str, where: str) -> float:
     text = (cells[column] or "").strip()
     try:
         value = float(text)
