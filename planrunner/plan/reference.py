@@ -136,10 +136,10 @@ def type_words(kind: Kind) -> str:
             return f"{_quantity_words(kind.dimension)}{sign}"
         case ListOf():
             item = type_words(kind.item)
-            return f"one value or a list, each value: {item}" if kind.single else f"a list, each item: {item}"
+            return f"{item}, or a list of such values" if kind.single else f"a list; each item is {item}"
         case MapOf():
-            names = f" ({', '.join(kind.names)})" if kind.names else ""
-            return f"names{names}, each with {type_words(kind.item)}"
+            names = f"one of {', '.join(kind.names)}" if kind.names else "a name"
+            return f"a mapping; each key is {names}, each value is {type_words(kind.item)}"
         case WordOr():
             return " or ".join([*(f"`{word}`" for word in kind.words), type_words(kind.other)])
         case ByShape():
@@ -147,7 +147,7 @@ def type_words(kind: Kind) -> str:
                 type_words(part) for part in (kind.scalar, kind.mapping, kind.sequence) if part is not None
             )
         case ForEachKind():
-            return f"any of {', '.join(kind.keys)}, each with its values"
+            return f"a mapping of one or more of these keys to their values: {', '.join(kind.keys)}"
         case RecordOf() | Plugged():
             return _RECORDS.get(kind.record, "a mapping of keys")
     for own, words in _OWN.items():
