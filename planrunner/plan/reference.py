@@ -147,7 +147,7 @@ def type_words(kind: Kind) -> str:
                 type_words(part) for part in (kind.scalar, kind.mapping, kind.sequence) if part is not None
             )
         case ForEachKind():
-            return f"a mapping of one or more of these keys to their values: {', '.join(kind.keys)}"
+            return f"a mapping with any of these keys, each with its values: {', '.join(kind.keys)}"
         case RecordOf() | Plugged():
             return _RECORDS.get(kind.record, "a mapping of keys")
     for own, words in _OWN.items():

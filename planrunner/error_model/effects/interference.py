@@ -22,8 +22,8 @@ _LINE = 60.0  # Hz, of an electric supply, in a simulation that states no freque
 def _about(triad: str) -> About:
     return About(
         f"{triad} output contains interference of one frequency",
-        f"A sine of one frequency, from the electric supply or a vibration, is added to the outputs of the {triad}s. A frequency above "
-        "half of the sampling rate appears at a lower, aliased frequency.",
+        f"A sine, from the electric supply or a vibration, is added to the outputs of the {triad}s, and appears at a lower, aliased "
+        "frequency if it is above half of the sampling rate.",
         Actor.BENCH,
         "Look for a supply, a motor or a resonance of this frequency, or of a multiple of the sampling rate plus or minus this frequency; "
         "shield the cables, or filter the output before it is sampled: {found}.",
