@@ -36,7 +36,7 @@ import importlib.util, json, sys
 name = "planrunner.plan.segments"
 spec = importlib.util.find_spec(name)
 source = spec.loader.get_source(name)
-place = "    mode: str | None = key("
+place = "    mode: str | None = optional("
 assert source.count(place) == 1
 module = importlib.util.module_from_spec(spec)
 sys.modules[name] = module
