@@ -109,6 +109,23 @@ def test_no_module_lies_loose_beside_the_rooms() -> None:
     }
 
 
+@pytest.mark.parametrize(
+    ("path", "more"),
+    [("dwell", "the file of each instrument, the file of the estimator"), ("diagnosis", "the effects")],
+)
+def test_the_files_of_a_path_exist_and_are_counted(path: str, more: str) -> None:
+    section = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").split(f"## The path of a {path}\n")[1]
+    section = section.split("\n## ")[0]
+    stated = re.search(r"these (\d+) files", section)
+    folder, listed = "", set()
+    for named, file in re.findall(r"`([\w/]+/)`|`([\w/]+\.py)`", section.split("\n1. ", 1)[1]):
+        folder = named or folder
+        if file:
+            listed.add(file if "/" in file else f"{folder}{file}")
+    assert [file for file in sorted(listed) if not (PACKAGE / file).is_file()] == []
+    assert stated is not None and int(stated[1]) == len(listed) + len(more.split(", "))
+
+
 @pytest.mark.parametrize("room", rooms())
 def test_imports_point_down_the_list(room: str) -> None:
     below = set(rooms()[rooms().index(room) :])
