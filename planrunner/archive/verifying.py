@@ -129,7 +129,7 @@ class Examined:
 
     @property
     def basis(self) -> Basis:
-        """The data that a new analysis is made from."""
+        """The data from which a new analysis is made."""
         assert self.scan is not None
         return Basis(self.scan.count, self.scan.head, self.seal_digest)
 
@@ -450,7 +450,9 @@ def _check_samples(found: Examined, recorded: RecordedEntries, samples: SampleCh
         if entry is None:
             found.error("run-file-missing", f"{path}: the samples cannot be read: No such file or directory")
         elif entry.kind != "file":
-            found.error("run-changed", f"{path}: it is {entry.what}, but a file with a single name is expected here")
+            found.error(
+                "run-changed", f"{path}: it is {entry.what}, but a regular file with only one name is expected here"
+            )
         elif samples == "contents" and entry.size == part.bytes:
             with _collecting(found):
                 check_part(found.folder, part)
@@ -498,7 +500,7 @@ def _check_names(found: Examined, standing: RecordedEntries) -> None:
         if name in FILES:
             if entry.kind != "file" and name in (LOCK, pausing.NAME, live.NAME, live.ANSWER, ORIGIN, WATCHDOG):
                 found.error(
-                    "run-changed", f"{path}: it is {entry.what}, but a file with a single name is expected here"
+                    "run-changed", f"{path}: it is {entry.what}, but a regular file with only one name is expected here"
                 )
         elif name in (SIGNATURES, STAMPS) and entry.kind == "folder":
             continue

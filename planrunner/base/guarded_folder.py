@@ -289,6 +289,6 @@ def _what(status: os.stat_result) -> str:
 def _require(path: Path, status: os.stat_result, limit: int | None) -> None:
     what = _what(status)
     if what != "a file":
-        raise NotOrdinaryError(path, f"it is {what}, but a file with a single name is expected here")
+        raise NotOrdinaryError(path, f"it is {what}, but a regular file with only one name is expected here")
     if limit is not None and status.st_size > limit:
         raise NotOrdinaryError(path, f"it has {status.st_size} bytes; at most {limit} are allowed")

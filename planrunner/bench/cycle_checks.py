@@ -106,8 +106,8 @@ def _check_schuler(cycle: RotationCycle, dwell: float, site: Site, mark: Mark, l
         return
     minutes = 2 * math.pi / schuler_rate(site) / 60
     message = (
-        f"a cycle of {cycle.period / 60:.1f} min drives the Schuler oscillation of {minutes:.1f} min: within this dwell a constant "
-        f"horizontal gyro drift builds up {drive:.2g} times the oscillation that it would cause without rotation"
+        f"a cycle of {cycle.period / 60:.1f} min drives the Schuler oscillation of {minutes:.1f} min: within this dwell, a "
+        f"constant horizontal gyro drift makes the oscillation {drive:.2g} times as large as without rotation"
     )
     log.warning(
         "physics-cycle-schuler",

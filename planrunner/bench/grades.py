@@ -50,7 +50,7 @@ class Grade:
     usual: tuple[str, ...]
 
     def limits(self) -> Mapping[str, Quantity]:
-        """Term of the nominal model → its upper limit."""
+        """Maps each term of the nominal model to its upper limit."""
         read = {name: parse_symmetric(text) for name, text in zip(SENSES, self.usual, strict=True)}
         return {name: limit for name, limit in read.items() if limit is not None}
 

@@ -408,7 +408,7 @@ def parse_bench(root: source.Mapping) -> tuple[Bench | None, Findings]:
 
 @cache
 def shipped_benches() -> Mapping[str, Path]:
-    """Name → file of the shipped benches."""
+    """Maps the names of the shipped benches to their files."""
     return {path.stem: path for path in sorted((shipped("plans") / "benches").glob("*.yaml"))}
 
 

@@ -22,7 +22,7 @@ def other_than_reached(first: bytes, second: bytes, shown: tuple[str, str]) -> l
 
 
 def addresses(bench: Bench) -> dict[str, str]:
-    """Real instrument → its connection, for instruments with an address."""
+    """Maps each real instrument that has an address to its connection."""
     found = {}
     for name in real_instruments(bench):
         driver, parameters = driver_of(bench.instruments[name]), bench.instruments[name].parameters

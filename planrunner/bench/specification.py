@@ -36,7 +36,7 @@ class Specification(Record):
     )
 
     def limits(self) -> Mapping[str, Quantity]:
-        """Term of the nominal model → its upper limit, by its own key or by the grade."""
+        """Maps each term of the nominal model to its upper limit, by its own key or by the grade."""
         usual = {name: limit for grade in GRADES if grade.name == self.grade for name, limit in grade.limits().items()}
         stated = {
             "gyro_bias": self.gyro_bias,

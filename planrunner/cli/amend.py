@@ -1,4 +1,4 @@
-"""`planrunner amend`: another evaluation of a run as a new analysis, with who, when and why; the old analysis stays."""
+"""`planrunner amend`: evaluates a run again as a new analysis, with who, when and why; the old analysis stays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`planrunner approve`: sign a plan for benches after showing what is approved; withdraw approvals; list them."""
+"""`planrunner approve`: signs a plan for benches after showing what is approved; withdraws approvals; lists them."""
 
 from __future__ import annotations
 

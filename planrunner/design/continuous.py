@@ -22,9 +22,10 @@ NEGLIGIBLE = 1e-8  # shares below this are dropped from a solution
 
 @dataclass(frozen=True, slots=True)
 class Continuous:
-    """shares: (N,), adding up to 1. matrix: (p, p), M per observation. excess: the largest value of the derivative over its mean,
-    minus one; 1e-6 means that no design is better by more than one part in a million. value: |M| (D) or tr(W·M⁻¹). mean: mean of
-    the derivative; p (D) or the value itself, less if some information does not depend on the shares."""
+    """Optimal shares of the candidates, without whole numbers of observations. shares: (N,), adding up to 1. matrix: (p, p), M per
+    observation. excess: the largest value of the derivative over its mean, minus one; 1e-6 means that no design is better by more
+    than one part in a million. value: |M| (D) or tr(W·M⁻¹). mean: mean of the derivative; p (D) or the value itself, less if some
+    information does not depend on the shares."""
 
     shares: Array
     matrix: Array

@@ -72,7 +72,8 @@ class StudiedCycle:
 
 
 def same_order(planned: RotationCycle, cable: Cable = Cable()) -> FoundCycle:
-    """Searches the planned stops with turns in either sense, each at most half a turn or the longest planned turn.
+    """Searches cycles through the planned stops in the planned order. Turns have either sense; each is at most half a turn, or at
+    most the longest planned turn.
 
     Raises `CycleError` if the stops themselves are not balanced, which no turn can correct, and if there are too many choices.
     """

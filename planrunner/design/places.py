@@ -24,7 +24,8 @@ from planrunner.plan.selection import select
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """mark: (line, column) of the orientation in the plan. segments: the segments at rest there, in order."""
+    """The place of an orientation in a plan. mark: (line, column) of the orientation in the plan. segments: the segments at rest
+    there, in order."""
 
     mark: tuple[int, int]
     segments: tuple[Segment, ...]
@@ -111,8 +112,8 @@ def sight(
     spins: Sequence[Segment] = (),
     output: str | None = None,
 ) -> Sight:
-    """Response of an estimate at the places, in addition to spins that stay. output: name of the output, if the outputs differ.
-    Raises `EstimationError`."""
+    """Computes the response of an estimate at the places, in addition to the spins that stay unchanged. output: name of the output,
+    if the outputs differ. Raises `EstimationError`."""
     at_rest = tuple(place.segments[0] for place in found)
     design = _design(name, spec, (*at_rest, *spins), site, sensor, uses, setup)
     if design is None or not design.blocks:

@@ -87,8 +87,9 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True)
 class FoundPositions:
-    """sets: those of `planned`, `cardinal` and `free` that exist; best, bounds: by domain (free, cardinal). dwells: s, of the chosen set,
-    empty if they were not optimised; dwell_gain: efficiency of equal dwells relative to them. text: the plan with the chosen set."""
+    """Result of a design of positions. sets: those of `planned`, `cardinal` and `free` that exist; best, bounds: by domain (free,
+    cardinal). dwells: s, of the chosen set, empty if they were not optimised; dwell_gain: efficiency of equal dwells relative to
+    them. text: the plan with the chosen set."""
 
     sight: Sight
     places: tuple[Place, ...]
@@ -108,7 +109,8 @@ class FoundPositions:
 
 @dataclass(frozen=True, slots=True)
 class RateSet:
-    """rates: (n,), rad/s, magnitudes, largest first; dwells: (n,), s. loss: −ln|M| or tr M⁻¹ of the scaled terms.
+    """A set of rates with their dwells. rates: (n,), rad/s, magnitudes, largest first; dwells: (n,), s. loss: −ln|M| or tr M⁻¹ of
+    the scaled terms.
 
     efficiency: relative to the best rates found, for the same number of observations; per_hour: relative to the best use of the
     same time. variance: of a predicted output over the study's `course`, in units of the variance of one observation at the largest
@@ -127,8 +129,8 @@ class RateSet:
 
 @dataclass(frozen=True, slots=True)
 class FoundRates:
-    """sets: `planned` and `best`. course: rates [rad/s] at which variances are given. excess: remaining distance from the certified
-    bound. text: the plan with the best rates."""
+    """Result of a design of rates. sets: `planned` and `best`. course: rates [rad/s] at which variances are given. excess:
+    remaining distance from the certified bound. text: the plan with the best rates."""
 
     estimate: str
     output: str
@@ -143,8 +145,8 @@ class FoundRates:
 
 @dataclass(frozen=True, slots=True)
 class FoundCycles:
-    """cycles: `planned` and, if found, `same order` and `free order`. searches, reasons: the searches, or the reasons against them, by the
-    same names. text: the plan with the chosen cycle, empty if it was not found."""
+    """Result of a design of rotation cycles. cycles: `planned` and, if found, `same order` and `free order`. searches, reasons: the
+    searches, or the reasons against them, by the same names. text: the plan with the chosen cycle, empty if it was not found."""
 
     segment: Segment
     axis: TableAxis

@@ -353,7 +353,7 @@ class Observed:
 
     @cached_property
     def omega(self) -> Array:
-        """Nominal angular rate against inertial space in sensor axes, (N, 3), rad/s."""
+        """Nominal angular rate relative to inertial space in sensor axes, (N, 3), rad/s."""
         if self.felt is not None:
             return self.felt[0]
         return self._by_course(self.earth_rate + self.rate[:, None] * self.table_axis, lambda course: course.omega)
@@ -410,7 +410,7 @@ class Observed:
 
     @cached_property
     def overvoltage(self) -> Array:
-        """Supply voltage above the nominal one of the sensor, (N,), V."""
+        """Supply voltage above the nominal supply of the sensor, (N,), V."""
         return np.zeros(len(self.time)) if self.excess_voltage is None else self.excess_voltage
 
     @cached_property

@@ -294,7 +294,8 @@ class ErrorsAtSegments:
 def amplitudes_of(
     part: EffectPart, output: OutputErrors, observed: Observed, columns: Sequence[Column]
 ) -> tuple[list[Amplitude], list[Array], tuple[str, ...]]:
-    """The amplitudes of an effect in an output, their columns (N,), and the names of all that it has there. columns: of the effect."""
+    """The amplitudes of an effect in an output, their columns (N,), and the names of all amplitudes that the effect has there.
+    columns: of the effect."""
     here = [column for column in columns if output.channel in column.parts]
     several = len(here) > 1 or isinstance(part.effect, ShapedOverSegments | ChangesWithinSegments)
     amplitudes, rows = [], []

@@ -25,7 +25,8 @@ _FEW = 4  # degrees of freedom: with fewer, scatter and drift are hard to distin
 
 @dataclass(frozen=True, slots=True)
 class BasisComparison:
-    """F = residual variance over within-segment variance of one output; probability: that noise alone gives an F at least this large."""
+    """Comparison of the residuals of one output with its noise. F: residual variance divided by within-segment variance;
+    probability: that noise alone gives an F at least this large."""
 
     output: str
     ratio: float
@@ -48,8 +49,8 @@ def compare(fit: OutputsFit) -> tuple[BasisComparison, ...]:
 
 
 def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
-    """Raises `EstimationError` if the plan requests a basis for which its segments are insufficient, and `UnfitDataError` if its samples
-    are."""
+    """Raises `EstimationError` if the plan requests a basis for which there are too few segments, and `UnfitDataError` if the
+    samples are insufficient for it."""
     if fit.available(basis):
         return
     if basis == "residual":
@@ -61,8 +62,8 @@ def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
 
 
 def planned_basis(request: DesignRequest[object], blocks: Sequence[DesignBlock], basis: str) -> tuple[Remark, ...]:
-    """The same check for planned segments: an error if there are only as many as coefficients, or if they are too short to determine
-    their noise. Fewer segments than coefficients are reported as an error of rank."""
+    """Makes the same check for planned segments. Raises an error if there are only as many segments as coefficients, or if the
+    segments are too short to determine their noise. Fewer segments than coefficients are reported as an error of rank."""
     for block in blocks:
         n, p = block.matrix.shape
         if basis == "residual" and n == p:
@@ -134,7 +135,7 @@ class FitNote:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What a report says about the chosen basis."""
+    """Notes and warnings of a report about the chosen basis."""
 
     notes: tuple[FitNote, ...]
     warnings: tuple[Said, ...]
@@ -229,7 +230,7 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
 
 @dataclass(frozen=True, slots=True)
 class DriftWords:
-    """What a report says about a drift."""
+    """Notes and warnings of a report about a drift."""
 
     notes: tuple[Said, ...] = ()
     warnings: tuple[Said, ...] = ()

@@ -62,8 +62,8 @@ def contradictions(rows: Sequence[AxisResponse]) -> list[Said]:
 
 
 def against_nominal(factors: Iterable[tuple[str, float, float]]) -> list[Said]:
-    """Warnings about scale factors, each a name, the value found and the nominal value in the bench file (not zero), whose sign or size is
-    not the nominal one."""
+    """Warnings about scale factors whose sign or size is not the nominal one. Each factor is given as its name, the value found,
+    and the nominal value in the bench file, which is not zero."""
     found = []
     for name, value, nominal in factors:
         ratio = value / nominal

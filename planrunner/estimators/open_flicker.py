@@ -1,4 +1,5 @@
-"""The warning about flicker that neither the bench file nor the data limit enough for the intervals of an estimate."""
+"""Warns about flicker noise that is limited neither by the bench file nor by the data, so that the intervals of an estimate may be
+too narrow."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ SUFFICIENT = 0.90
 
 @dataclass(frozen=True, slots=True)
 class OpenFlicker:
-    """bound: of B, in `unit`. coefficient: name of the one whose interval is the most affected; widening: factor by which its interval
-    would have to be wider with B at the bound."""
+    """Flicker of a channel that may be larger than an estimate assumes. bound: of B, in `unit`. coefficient: name of the one whose
+    interval is the most affected; widening: factor by which its interval would have to be wider with B at the bound."""
 
     channel: str
     unit: str

@@ -140,7 +140,7 @@ class ScatterQuantities(Quantities):
 
 
 class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
-    """The plug-in."""
+    """The estimator `repeatability`."""
 
     name = "repeatability"
     summary = "Scatter of coefficients or means between repeats, and between days or switch-ons"

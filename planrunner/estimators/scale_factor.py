@@ -97,7 +97,7 @@ class LineQuantities(Quantities):
 
 
 class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
-    """The plug-in."""
+    """The estimator `scale_factor`."""
 
     name = "scale_factor"
     summary = "Scale factor, bias, nonlinearity and asymmetry from recordings at known rates"

@@ -188,7 +188,7 @@ def rate_part(rate: float) -> str:
 
 
 def pair_parts(table: TableModel) -> tuple[str, ...]:
-    """Names of the errors of the right angles between neighbouring axes of a table."""
+    """Names of the orthogonality errors between neighbouring axes of a table."""
     return tuple(f"{one.name} and {other.name}" for one, other in zip(table.axes, table.axes[1:], strict=False))
 
 

@@ -37,7 +37,7 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TableColumn:
-    """unit: of all cells, shown beside the title; empty if there is none, or if the unit differs between rows."""
+    """A column of a table. unit: of all cells, shown beside the title; empty if there is none, or if the unit differs between rows."""
 
     title: str
     role: Role = Role.LABEL

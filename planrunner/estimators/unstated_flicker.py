@@ -105,13 +105,13 @@ def _spread(flicker: Array) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnstatedFlicker:
-    """Flicker of a channel about whose size the bench file says nothing. influence: of B = 1, in the unit of the channel, on the
-    coefficients of an estimate. evidence: None if the noise of the channel is not known."""
+    """Flicker of a channel for which the bench file states no bias instability. influence: of B = 1, in the unit of the channel, on
+    the coefficients of an estimate. evidence: None if the noise of the channel is not known."""
 
     channel: str
     influence: Influence
     evidence: FlickerEvidence | None
 
     def through(self, gradient: Array) -> UnstatedFlicker:
-        """As it acts on q quantities computed from the coefficients. gradient: (q, m), ∂quantity/∂coefficient."""
+        """The influence on q quantities computed from the coefficients. gradient: (q, m), ∂quantity/∂coefficient."""
         return UnstatedFlicker(self.channel, self.influence.through(gradient), self.evidence)

@@ -13,7 +13,8 @@ from planrunner.plan.schedule import Schedule, Segment
 
 @dataclass(frozen=True, slots=True)
 class SegmentBegun:
-    """fraction: completed fraction of the planned time of the run, 0 to 1. time_left: s of real time, None if it is not yet known."""
+    """A segment begins. fraction: completed fraction of the planned time of the run, 0 to 1. time_left: s of real time, None if it
+    is not yet known."""
 
     index: int
     label: str

@@ -1,4 +1,4 @@
-"""Models of instruments that are known without connecting, used by check, schedule, design and estimators.
+"""Models of instruments, known without a connection, which are used by check, schedule, design and estimators.
 
 SI units with radians throughout, except the outputs of a sensor, whose units are always named.
 """

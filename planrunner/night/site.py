@@ -61,7 +61,7 @@ REPORTS = (".html", ".md")
 
 @dataclass(frozen=True, slots=True)
 class BuiltSite:
-    """page: the file to open. runs, devices: number of runs and of devices."""
+    """A site that was written. page: the file to open. runs, devices: number of runs and of devices."""
 
     page: Path
     runs: int

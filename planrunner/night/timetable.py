@@ -59,7 +59,7 @@ class BenchHours:
 
 @dataclass(frozen=True, slots=True)
 class NightHours:
-    """begins, closes: of the night; closes is inf without window and budget."""
+    """The hours of a night, as instants. begins, closes: of the night; closes is inf without window and budget."""
 
     begins: float
     closes: float

@@ -1,4 +1,4 @@
-"""Supply voltage and ambient pressure at each sample, from recorded channels or from the plan, above their reference values."""
+"""Supply voltage and ambient pressure at each sample, from recorded channels or from the plan, relative to their reference values."""
 
 from __future__ import annotations
 

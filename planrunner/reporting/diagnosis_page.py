@@ -44,8 +44,8 @@ Data = Mapping[str, Json]
 
 @dataclass(frozen=True)
 class DiagnosisContext:
-    """title: of the plan; diagnosis: plain data; facts: about the diagnosed recording; remarks: warnings about the recording; next_plan:
-    text of the proposed plan, or empty. origin: source of the samples."""
+    """Input of the page of a diagnosis. title: of the plan; diagnosis: plain data; facts: about the diagnosed recording; remarks:
+    warnings about the recording; next_plan: text of the proposed plan, or empty. origin: source of the samples."""
 
     title: str
     diagnosis: Data

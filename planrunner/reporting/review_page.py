@@ -40,7 +40,7 @@ class DigestedFile:
 
 @dataclass(frozen=True, slots=True)
 class ReviewContext:
-    """report: as for a report of the analysis; events: unusual events, as (UTC time, kind, text)."""
+    """Input of the review page. report: as for a report of the analysis; events: unusual events, as (UTC time, kind, text)."""
 
     report: ReportContext
     deviations: tuple[RunDeviation, ...]

@@ -62,8 +62,8 @@ class RunsFreely(Protocol):
 
 @dataclass(slots=True)
 class LiveWorld:
-    """table, chamber: the virtual instruments that know the truth, or None. recorders: functions that are called with the time
-    before the world changes."""
+    """The virtual instruments with a running clock. table, chamber: the virtual instruments that know the truth, or None.
+    recorders: functions that are called with the time before the world changes."""
 
     world: World
     clock: Clock

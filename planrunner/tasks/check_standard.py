@@ -68,7 +68,7 @@ def sign_override(bench: Bench, override: Override, until: date, signer: Signer)
     if refused := objection(StatedOverride(envelope, what, now), ring, override.by, what, datetime.now().astimezone()):
         message = f"the override would not count: {refused}"
         raise InputError.at(
-            Mark(str(place)), "bench-check-override", message, "use a key of this person, and a later day"
+            Mark(str(place)), "bench-check-override", message, "sign with a key of this person, and choose a later day"
         )
     try:
         Storage().write_whole(GuardedFolder.open(place.parent), place.name, envelope.to_bytes())

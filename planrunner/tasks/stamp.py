@@ -1,4 +1,4 @@
-"""Time stamps of runs: the stamper of a bench, and the stamp of a seal, now or later."""
+"""Time stamps of runs: makes the stamper of a bench, and stamps a seal when it is written or afterwards."""
 
 from __future__ import annotations
 

@@ -37,8 +37,9 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Propagated:
-    """intervals: one for each coefficient. draws: number of draws. stabilised: whether the results stabilised before the largest number of
-    draws was reached. spread: (m,), twice the standard deviation of the ends of the intervals, the larger of the two ends."""
+    """Result of a propagation of distributions. intervals: one for each coefficient. draws: number of draws. stabilised: whether
+    the results stabilised before the largest number of draws was reached. spread: (m,), twice the standard deviation of the ends of
+    the intervals, the larger of the two ends."""
 
     intervals: tuple[Interval, ...]
     draws: int
@@ -48,7 +49,8 @@ class Propagated:
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """Validation by clause 8 for one coefficient. low, high: distance of the ends of value ± U from those of Monte Carlo; tolerance: δ."""
+    """Validation by clause 8 for one coefficient. low, high: distances of the ends of value ± U from the ends of the Monte Carlo
+    interval; tolerance: δ of clause 8."""
 
     low: float
     high: float

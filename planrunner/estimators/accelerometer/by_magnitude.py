@@ -301,7 +301,8 @@ def _factors(poses: Observations) -> Array:
 
 
 def _factors_of(units: Mapping[str, str]) -> Array:
-    """units: by channel. Raises `EstimationError` for a channel that is not an acceleration."""
+    """Factors that convert the channels to SI. units: by channel. Raises `EstimationError` for a channel that is not an
+    acceleration."""
     for name, text in units.items():
         if unit(text).dimension != DIMENSIONS["acceleration"]:
             raise EstimationError(f"channel '{name}' is recorded in {text}, which is not a unit of acceleration")

@@ -55,7 +55,7 @@ class AxesQuantities(Quantities):
 
 
 def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> AxesQuantities:
-    """Bias, scale factor and misalignments of three axes. Raises `EstimationError`."""
+    """Computes bias, scale factor and misalignments of three axes. Raises `EstimationError`."""
     parameters = request.parameters
     basis = parameters.uncertainty
     observations = observe(request.segments, parameters.outputs, request.sensor)

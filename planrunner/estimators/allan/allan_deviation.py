@@ -131,7 +131,7 @@ class AllanDeviation:
         return Design((), notes=tuple(notes), remarks=remarks)
 
     def foresee(self, request: DesignRequest[AllanDeviationParameters]) -> Foresight:
-        """Prediction from the declared noise and the planned record; samples are not simulated. Raises
+        """Predicts the coefficients from the declared noise and the planned record; samples are not simulated. Raises
         `EstimationError` for scale factors that do not fit their outputs."""
         parameters = request.parameters
         names = parameters.outputs or tuple(output.name for output in request.sensor.outputs)
@@ -144,7 +144,7 @@ class AllanDeviation:
         return Foresight(tuple(predicted), tuple(unpredicted))
 
     def estimate(self, request: EstimateRequest[AllanDeviationParameters]) -> Estimate:
-        """Deviations and coefficients from the samples. Raises `EstimationError`."""
+        """Computes deviations and coefficients from the samples. Raises `EstimationError`."""
         parameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")

@@ -34,7 +34,8 @@ _GRID = 600  # terms of a sum over lags
 
 
 def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None) -> int | None:
-    """α of the averages over `factor` samples, from the phase runs; None if there are fewer than `LEAST_POINTS`.
+    """The noise exponent α of averages over `factor` samples, from the phase runs; None if there are fewer than `LEAST_POINTS`
+    averages.
 
     before: α at the next shorter averaging time. It is kept unless the α of the averages differs from it by more than half a step and
     by more than two of its standard deviations, because thirty averages alone mistake white noise for a neighbouring type one time in

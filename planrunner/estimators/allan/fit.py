@@ -243,7 +243,8 @@ def _not_too_sure(
 
 
 def expected_covariance(factors: Integers, squares: Array, lengths: Integers, terms: Sequence[str] = TERMS) -> Array:
-    """The covariance (4, 4) of the squares that `fit_noise` would find for the given noise. It is used before anything is recorded."""
+    """The expected covariance (4, 4) of the squares that `fit_noise` would find for the given noise. It is used before anything is
+    recorded."""
     chosen = [TERMS.index(name) for name in TERMS if name in terms]
     covariance = _sound(covariance_for(factors, lengths)(squares))
     white = np.linalg.solve(np.linalg.cholesky(covariance), model_matrix(factors)[:, chosen])

@@ -40,8 +40,7 @@ class CommonAmplitudes:
         return np.array(rows).reshape(-1, len(self.outputs))
 
     def joining(self, covariance: Array) -> Array:
-        """The matrix (q, p) that computes the reported amplitudes from the separate ones. covariance: C (p, p), of the separate ones.
-        covariance: C, (p, p), of the separate ones."""
+        """The matrix (q, p) that computes the reported amplitudes from the separate ones. covariance: C (p, p), of the separate ones."""
         picked = np.eye(len(self.outputs))[[places[0] for places in self.members]]
         R = self.contrasts
         if not len(R):

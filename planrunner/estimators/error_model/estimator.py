@@ -93,7 +93,7 @@ class ModelQuantities(Quantities):
 
 
 class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
-    """The plug-in."""
+    """The estimator `error_model`."""
 
     name = "error_model"
     summary = (

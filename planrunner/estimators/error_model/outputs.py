@@ -128,7 +128,7 @@ class ModelledOutput:
         }
 
     def response(self, fitted: Array) -> Array:
-        """Coefficients (1 + p,) of own input and columns, from fitted ones (p,)."""
+        """Response of the output to its own input and to each column, (1 + p,), from fitted coefficients (p,)."""
         if self.within is not None:
             own = {(one.effect.id, one.name): n for n, one in enumerate(self.columns.amplitudes)}
             fitted = np.array([fitted[own[key]] if key in own else 0.0 for key in self.followed])
@@ -137,8 +137,7 @@ class ModelledOutput:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Together:
-    """A group of outputs that use the same segments. rows: indices of these segments among those of the estimate. rows: places of these
-    among those of the estimate."""
+    """A group of outputs that use the same segments. rows: indices of these segments among those of the estimate."""
 
     model: ErrorsAtSegments
     segments: tuple[Segment, ...]

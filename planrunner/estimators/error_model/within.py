@@ -79,9 +79,8 @@ class Shape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contrasts:
-    """Contribution of the samples within segments, in the output's unit. matrix: (r, p) and values: (r,), of the linear model; sigma:
-    (r,), standard deviations; flicker: (r, r), root of the covariance for flicker with B = 1. matrix: (r, p); values: (r,), of the
-    linear model; sigma: (r,); flicker: (r, r), root of their covariance for flicker with B = 1."""
+    """Contribution of the samples within segments, in the output's unit. matrix: (r, p) and values: (r,), of the linear model;
+    sigma: (r,), standard deviations; flicker: (r, r), root of the covariance for flicker with B = 1."""
 
     matrix: Array
     values: Array

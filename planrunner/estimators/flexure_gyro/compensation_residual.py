@@ -73,7 +73,7 @@ class CompensationResidualParameters(Record):
 
 
 class CompensationResidual:
-    """The plug-in."""
+    """The estimator `compensation_residual`."""
 
     summary = "Residuals in verification positions after compensation with each of two or more sets of coefficients"
     Parameters = CompensationResidualParameters

@@ -84,7 +84,7 @@ class StaticQuantities(Quantities):
 
 
 class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
-    """The plug-in."""
+    """The estimator `flexure_gyro_static`."""
 
     name = "flexure_gyro_static"
     summary = "Static coefficients of a two-axis flexure gyro from positions at rest"

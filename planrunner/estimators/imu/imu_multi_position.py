@@ -113,7 +113,7 @@ class Triad:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuQuantities(Quantities):
-    """frame: the responses in the reported frame; found: the reported quantities."""
+    """Quantities of a multi-position test of an IMU. frame: the responses in the reported frame; found: the reported quantities."""
 
     triads: tuple[Triad, ...]
     frame: Framed
@@ -121,7 +121,7 @@ class ImuQuantities(Quantities):
 
 
 class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
-    """The plug-in."""
+    """The estimator `imu_multi_position`."""
 
     name = "imu_multi_position"
     summary = "Bias, scale factor, misalignment and g-sensitivity of IMU triads from positions and rates"

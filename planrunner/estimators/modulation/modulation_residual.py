@@ -64,7 +64,7 @@ class ModulationResidualParameters(Record):
 
 
 class ModulationResidual:
-    """The plug-in."""
+    """The estimator `modulation_residual`."""
 
     summary = "Navigation errors with and without rotation of the sensor: suppression, CEP rates, residual modulation"
     Parameters = ModulationResidualParameters

@@ -67,7 +67,7 @@ UNIT = "deg/h"
 
 
 class RockingDrift:
-    """The plug-in."""
+    """The estimator `rocking_drift`."""
 
     summary = (
         "Drift of a platform while its base rocks, determined from gravity as measured by its accelerometers, "

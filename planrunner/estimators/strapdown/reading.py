@@ -36,8 +36,8 @@ _RATE_TOLERANCE = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Increments:
-    """values: (6, n), rad and m/s on body x, y, z. interval: (n,), s, the time that each increment covers; time: (n,), s, the end of
-    this time. reference: SI values of reference channels, by channel, (n,)."""
+    """Integrated rates and specific forces of a recording. values: (6, n), rad and m/s on body x, y, z. interval: (n,), s, the time
+    that each increment covers; time: (n,), s, the end of this time. reference: SI values of reference channels, by channel, (n,)."""
 
     time: Array
     interval: Array

@@ -12,7 +12,7 @@ from planrunner.estimators.strapdown.navigating import StrapdownNavigationParame
 
 
 class StrapdownNavigation:
-    """The plug-in."""
+    """The estimator `strapdown_navigation`."""
 
     summary = "Inertial navigation by strapdown mechanisation: attitude, velocity and position errors, CEP rate"
     Parameters = StrapdownNavigationParameters

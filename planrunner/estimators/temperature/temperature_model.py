@@ -97,7 +97,8 @@ class Modelled:
 
     @property
     def beside(self) -> Array:
-        """Columns (n, q) of the points that are fitted with the curve: those of the difference, then those of the drift."""
+        """Columns (n, q) of the points that are fitted together with the curve: first those of the difference, then those of the
+        drift."""
         return _beside(self.points, self.difference, self.drift)
 
     @property
@@ -124,7 +125,7 @@ class Curves(Quantities):
 
 
 class TemperatureModel(Method[TemperatureModelParameters, Curves]):
-    """The plug-in."""
+    """The estimator `temperature_model`."""
 
     name = "temperature_model"
     summary = "Coefficients or outputs as functions of temperature: a polynomial or a spline, whose order is chosen by cross-validation"

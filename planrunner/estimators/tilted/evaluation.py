@@ -161,8 +161,8 @@ def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign
 
 
 def columns_of_repeats(groups: Sequence[Group], conditions: TiltedConditions, axis: int) -> Array:
-    """The linear model of one output's means, (N, 3·R) for R repeats: each has a zero, an offset at the rates and a scale factor of its
-    own, as `fit_lines` determines them."""
+    """The linear model of the means of one output, (N, 3·R) for R repeats. Each repeat has its own zero, offset at the rates, and
+    scale factor, as `fit_lines` determines them."""
     columns = []
     for group in groups:
         inputs = conditions.inputs(group)[..., axis]

@@ -184,8 +184,8 @@ def _flicker(situation: Situation, flicker: Sequence[CorrelatedError], basis: st
 def unstated_influences(
     situation: Situation, silent: Sequence[CorrelatedError], basis: str
 ) -> Iterator[tuple[CorrelatedError, Influence]]:
-    """Flicker of unknown size as it acts on `TiltedResults.vector`. On the basis `repeats`, this is only the part that is common to all
-    repeats: their scatter shows the rest."""
+    """Influences of flicker of unknown size on `TiltedResults.vector`. On the basis `repeats`, this is only the part that is common
+    to all repeats, because the scatter of the repeats shows the remainder."""
     for error in silent:
         if basis == "repeats":
             pairs = zip(situation.groups, situation.answers, strict=True)

@@ -75,8 +75,9 @@ from planrunner.uncertainty.influences import Influence
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TiltedQuantities(Quantities):
-    """kept: labels of the segments of complete series; units: of the rate and of each output. within: scatter from the noise within the
-    segments alone; acting: influences on `TiltedResults.vector`; doubts: warnings about omitted series and zeros that drift too much."""
+    """Quantities of a scale-factor test in a tilted fixture. kept: labels of the segments of complete series; units: of the rate
+    and of each output. within: scatter from the noise within the segments alone; acting: influences on `TiltedResults.vector`;
+    doubts: warnings about omitted series and zeros that drift too much."""
 
     situation: Situation
     kept: tuple[str, ...]
@@ -91,7 +92,7 @@ class TiltedQuantities(Quantities):
 
 
 class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
-    """The plug-in."""
+    """The estimator `scale_factor_tilted`."""
 
     name = "scale_factor_tilted"
     summary = "Scale factors of several axes in one tilted mounting, over rates, repeats and temperatures"

@@ -55,8 +55,8 @@ class NoiseOfMeans:
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """covariance: (g, 5·m, 5·m), of the means of each group, which are independent of each other. degrees_of_freedom: (g, 5·m). pooled:
-    (5·m,), whether one variance is used at all temperatures."""
+    """Scatter of the means of the groups. covariance: (g, 5·m, 5·m), of the means of each group, which are independent of each
+    other. degrees_of_freedom: (g, 5·m). pooled: (5·m,), whether one variance is used at all temperatures."""
 
     covariance: Array
     degrees_of_freedom: Array

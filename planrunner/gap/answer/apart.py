@@ -25,8 +25,9 @@ _STEP = 1e-3  # of the resolution 1/T of the recording, for the derivative with 
 
 @dataclass(frozen=True)
 class Apart:
-    """log_bayes: of the effects that were found. parameters: theirs. lines: those of them that are tones. removed: (N, K), SI, what they
-    add to the samples; None if nothing was found. outside: the patterns outside the basis, None if they change by the removal."""
+    """Effects that were found outside the coefficients. log_bayes: log BF of these effects. parameters: the parameters of these
+    effects. lines: the effects among them that are tones. removed: (N, K), SI, contribution of the effects to the samples; None if
+    nothing was found. outside: the patterns outside the basis, None if they change by the removal."""
 
     log_bayes: Mapping[str, float] = field(default_factory=dict)
     parameters: Mapping[str, list[ParameterEstimate]] = field(default_factory=dict)
@@ -36,7 +37,7 @@ class Apart:
 
 
 def found_apart(weighing: Weighing, effects: Sequence[Effect]) -> Apart:
-    """The effects of this kind that act. A line has a name if it is a cause of its own, and not a part of the noise (`open_set`)."""
+    """The effects of this kind that act. A line has a name if it is a separate cause and not a part of the noise (`open_set`)."""
     seen, observed = outside(weighing), weighing.observed
     log_bayes, parameters, lines = {}, {}, list[Line]()
     removed = np.zeros_like(observed.values)
@@ -65,7 +66,8 @@ def found_apart(weighing: Weighing, effects: Sequence[Effect]) -> Apart:
 
 
 def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[float, float, Sequence[Column], Array]:
-    """Frequency and its standard uncertainty, Hz; the columns of the effect there; their amplitudes and standard uncertainties (P, 2), SI.
+    """Fits one line. Returns its frequency and standard uncertainty, Hz; the columns of the effect at this frequency; and their
+    amplitudes and standard uncertainties (P, 2), SI.
 
     frequency: where the search begins, within the resolution of the recording. Gauss–Newton in the frequency, which all channels share;
     basis vectors of the segments are projected out of every column, because the samples are those that the basis leaves."""

@@ -53,9 +53,10 @@ class ChannelClosure:
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """before, after: size of the held-out gap in standard deviations of the noise, root mean square over coefficients. shrinks_by:
-    relative reduction, 1 for a closed gap. interval_90: interval of that reduction. resolvable: False if the data do not determine it;
-    the numbers are then NaN. channels: those whose data determine it."""
+    """Result of the check on held-out data: how much of the gap the effects explain. before, after: size of the held-out gap in
+    standard deviations of the noise, root mean square over coefficients. shrinks_by: relative reduction, 1 for a closed gap.
+    interval_90: interval of that reduction. resolvable: False if the data do not determine it; the numbers are then NaN. channels:
+    those whose data determine it."""
 
     before: float
     after: float

@@ -53,7 +53,7 @@ class GapComparison:
 
     @property
     def before_sigma(self) -> float:
-        """The value of all channels together, as root mean square."""
+        """The value `before_sigma` of all channels together, as root mean square."""
         return float(np.sqrt(np.mean([one.before_sigma**2 for one in self.channels.values()])))
 
     @property

@@ -51,8 +51,8 @@ _ABSORBED_SHARE = 0.05  # remaining share of a signature's energy below which an
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisOptions:
-    """nominal: terms that the nominal simulation fits, from `candidates.FULL`; effects: candidates, by default all that are
-    installed. given: effects that are known to act. They are fitted, and the remaining gap is diagnosed."""
+    """Options of a diagnosis. nominal: terms that the nominal simulation fits, from `candidates.FULL`; effects: candidates, by
+    default all that are installed. given: effects that are known to act. They are fitted, and the remaining gap is diagnosed."""
 
     nominal: tuple[str, ...] = FULL
     effects: tuple[str, ...] | None = None
@@ -72,11 +72,11 @@ class Grounds:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """gap: by channel, in its unit. noise: of every channel. posterior: of all hypotheses. absorbed: effect → share of its energy
-    that remains after the nominal parameters. unknown: form of a gap that the catalogue does not contain, if the verdict is
-    unknown. rest: the part that the named effects do not explain; None if no effect is named, or if a random walk is among the
-    named effects. pictures: data for plots. given: parameters of the effects that are known to act, fitted together with the named
-    ones."""
+    """Result of a diagnosis. gap: size of the gap of each channel, in its unit. noise: the noise of every channel. posterior:
+    probabilities of all hypotheses. absorbed: effect → share of its energy that remains after the nominal parameters. unknown: form
+    of a gap that the catalogue does not contain, if the verdict is unknown. rest: the part that the named effects do not explain;
+    None if no effect is named, or if a random walk is among the named effects. pictures: data for plots. given: parameters of the
+    effects that are known to act, fitted together with the named ones."""
 
     gap: Mapping[str, Mapping[str, Json]]
     noise: tuple[NoiseFound, ...]

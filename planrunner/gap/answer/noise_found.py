@@ -33,7 +33,7 @@ class NoiseFound:
 
 
 def noise_found(weighing: Weighing, lines: Sequence[Line]) -> tuple[NoiseFound, ...]:
-    """The noise of every channel. lines: tones in the recording, at most one a channel."""
+    """The noise of every channel. lines: tones in the recording, at most one per channel."""
     declared, noise = weighing.declared, weighing.noise
     by_channel = {line.channel: line for line in lines}
     found = []

@@ -71,9 +71,9 @@ def without_unknown(name: str) -> str:
 
 @dataclass(frozen=True)
 class _NoiseOnly:
-    """Effects on the noise. walk: a random walk of the gyros, or ''; others: effect by what the noise of a triad, gyro or accel, is;
-    levels: log densities. apart: log BF of the effects that the recording shows outside the coefficients, such as a line; each acts or
-    does not, whatever the others do."""
+    """Effects on the noise. walk: a random walk of the gyros, or ''; others: maps each state of the noise of a triad, gyro or accel, to
+    its effect; levels: log densities. apart: log BF of the effects that the recording shows outside the coefficients, such as a line;
+    each of them is present or absent independently of the others."""
 
     walk: str
     others: Mapping[tuple[str, Level], str]
@@ -87,8 +87,8 @@ class _NoiseOnly:
 
     @property
     def states(self) -> dict[tuple[str, ...], float]:
-        """Log density of the white noise without and with other effects on it, at most one of each triad, and of the effects `apart`; only
-        where it is possible."""
+        """Log density of the measured white noise without and with other effects on it, at most one for each triad, and of the effects
+        `apart`; only for possible combinations."""
         found: dict[tuple[str, ...], float] = {}
         for (gyro, accel), value in self.levels.items():
             acting = [(kind, level) for kind, level in (("gyro", gyro), ("accel", accel)) if level != "declared"]
@@ -102,8 +102,8 @@ class _NoiseOnly:
 def posterior(
     weighing: Weighing, effects: Sequence[Effect], candidates: Sequence[Candidate], apart: Apart | None = None
 ) -> Posterior:
-    """Weigh all hypotheses. effects: all that are installed; candidates: those of them with signatures, weighed; apart: effects that were
-    found outside the coefficients."""
+    """Evaluates all hypotheses. effects: all installed effects; candidates: the effects with signatures, already evaluated; apart:
+    effects that were found outside the coefficients."""
     apart = apart or Apart()
     nothing = np.zeros(len(weighing.base))
     on_noise = [effect for effect in effects if isinstance(effect, ActsOnNoise)]

@@ -58,8 +58,9 @@ class Member:
 
 @dataclass(frozen=True)
 class EffectSet:
-    """members: in the order of the columns. weighed: all columns together. log_bayes: (G,). evidence: log evidence without a random
-    walk of the gyros; walking: log evidence with a random walk, −∞ if it was not evaluated."""
+    """A set of effects that act together. members: the effects, in the order of the columns. weighed: the result for all columns
+    together. log_bayes: (G,), log BF. evidence: log evidence without a random walk of the gyros; walking: log evidence with a
+    random walk, −∞ if it was not evaluated."""
 
     members: tuple[Member, ...]
     weighed: Weighed = field(repr=False)
@@ -72,7 +73,7 @@ class EffectSet:
         return key_of(member.id for member in self.members)
 
     def columns(self, name: str) -> slice:
-        """The columns of one of its effects."""
+        """The columns of one effect of the set."""
         at = [member.id for member in self.members].index(name)
         ends = np.cumsum([len(member.form.variant.columns) for member in self.members])
         return slice(int(ends[at]) - len(self.members[at].form.variant.columns), int(ends[at]))
@@ -80,7 +81,8 @@ class EffectSet:
 
 @dataclass(frozen=True)
 class Sets:
-    """quick: log evidence of pairs that were evaluated only at the declared noise. full: the sets evaluated in full, by key."""
+    """The evaluated sets of effects. quick: log evidence of pairs that were evaluated only at the declared noise. full: the sets
+    evaluated in full, by key."""
 
     quick: dict[str, float]
     full: dict[str, EffectSet] = field(repr=False)

@@ -33,9 +33,9 @@ class FormPoint:
 
 @dataclass(frozen=True)
 class UnknownForm:
-    """pattern: in words. factor: the factor that the gap follows. channels, units: channels that show the gap, and their units.
-    share: of the energy of the gap in all channels; None for noise and tones, which are outside the analysed frequencies. points:
-    offsets for a pattern of offsets; empty for other patterns."""
+    """The form of an unknown cause. pattern: description in words. factor: the factor that the gap follows. channels, units:
+    channels that show the gap, and their units. share: of the energy of the gap in all channels; None for noise and tones, which
+    are outside the analysed frequencies. points: offsets for a pattern of offsets; empty for other patterns."""
 
     pattern: str
     factor: Factor

@@ -51,7 +51,8 @@ def _most(log_evidence: Mapping[str, float], among: Collection[str], least: floa
 
 
 def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float]:
-    """Hypotheses with their probability relative to `best`, without hypotheses that explain clearly more than it."""
+    """Hypotheses with their probability relative to `best`. Hypotheses that explain clearly more of the gap than `best` are left
+    out."""
     away = {name: value - log_evidence[best] for name, value in log_evidence.items()}
     return {name: math.exp(min(value, 0.0)) for name, value in away.items() if value <= TWO_NAMES}
 
@@ -64,10 +65,10 @@ SOMETHING_ELSE = 0.90  # the probability at and above which "unknown" is reporte
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """kind: none, effect, pair, several, unknown or indistinguishable. effects: the most probable ones. members: effects that
-    cannot be distinguished from them, including themselves; sets as 'a+b'. residue: an effect, or "unknown", that may be only form
-    residue of the named effect; it may also be one of the named effects. something_else: whether something that the catalogue does
-    not contain acts beside the named effects."""
+    """The verdict of a diagnosis. kind: none, effect, pair, several, unknown or indistinguishable. effects: the most probable ones.
+    members: effects that cannot be distinguished from them, including themselves; sets as 'a+b'. residue: an effect, or "unknown",
+    that may be only form residue of the named effect; it may also be one of the named effects. something_else: whether something
+    that the catalogue does not contain acts beside the named effects."""
 
     kind: str
     effects: tuple[str, ...] = ()

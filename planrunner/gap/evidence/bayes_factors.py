@@ -50,7 +50,7 @@ def by_energy(gram: Array, score: Array, trace: float | None = None) -> Array:
 
 
 def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array:
-    """The same log BF from eigenvalues (…, p) of the Gram matrix and squared scores (…, p) along its eigenvectors."""
+    """The log BF as in `gaussian`, from eigenvalues (…, p) of the Gram matrix and squared scores (…, p) along its eigenvectors."""
     if trace is None:
         trace = float(values.reshape(-1, values.shape[-1])[0].sum())
     s2 = ENERGIES[:, None] / max(trace, 1e-300)
@@ -132,8 +132,8 @@ def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
 
 
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:
-    """The log BF of two effects together: columns 0 … first − 1 and the rest. Each has a separate s² on the grid `energies` and at
-    least the strength `WEAKEST`."""
+    """The log BF of two effects together: the first effect has the columns 0 … first − 1, the second the remaining columns. Each
+    has a separate s² on the grid `energies` and at least the strength `WEAKEST`."""
     widths = (first, len(score) - first)
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
     each = _at_scales(gram, score, widths, np.column_stack([one.ravel(), two.ravel()]))

@@ -1,4 +1,4 @@
-"""Slow noise between segments: exact covariances of segment means, and spectra for the rest within a segment.
+"""Slow noise between segments: exact covariances of segment means, and spectra for the remainder within a segment.
 
 Flicker is a sum of Ornstein–Uhlenbeck processes one octave apart (Keshner, "1/f noise", Proc. IEEE 70, 1982); a random walk has the
 covariance q²·min(t, t'). Both are averaged over the segments in closed form.
@@ -71,10 +71,10 @@ class SlowMeans:
 
 
 def flicker_spectrum(frequency: Array) -> Array:
-    """One-sided spectral density of that flicker noise at frequencies [Hz] above zero, 1/Hz."""
+    """One-sided spectral density of the noise of `flicker` at frequencies [Hz] above zero, 1/Hz."""
     return np.asarray(1 / (2 * math.log(2)) / frequency)
 
 
 def random_walk_spectrum(frequency: Array) -> Array:
-    """One-sided spectral density of that random walk at frequencies [Hz] above zero."""
+    """One-sided spectral density of the noise of `random_walk` at frequencies [Hz] above zero."""
     return np.asarray(2 / (2 * np.pi * frequency) ** 2)

@@ -1,5 +1,5 @@
-"""The recording in the form used by a diagnosis: a few exact coefficients per segment and channel, and the energy of the rest by frequency
-band.
+"""The recording in the form used by a diagnosis: a few exact coefficients per segment and channel, and the energy of the remainder
+by frequency band.
 
 The coefficients of a segment belong to an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the
 mean) and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking).
@@ -190,8 +190,8 @@ def _roots(observed: Observed) -> Array | None:
 
 
 def band_edges(half: float) -> Array:
-    """Edges (B + 1,), Hz, of the bands up to `half` the sampling rate: octaves, the upper ones divided into four; the lowest holds the
-    rest."""
+    """Edges (B + 1,), Hz, of the bands up to `half` the sampling rate: octaves, the upper ones divided into four; the lowest band
+    contains all lower frequencies."""
     octaves = 2.0 ** -np.arange(OCTAVES, -1, -1)
     fine = [np.linspace(low, 2 * low, 5)[1:] for low in octaves[-FINE - 1 : -1]]
     return half * np.concatenate([[0.0], octaves[: OCTAVES - FINE + 1], *fine])

@@ -51,7 +51,7 @@ class Setting:
 
 
 def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, kind: str) -> tuple[Setting, ...]:
-    """The settings of a triad: random walks for gyros only, factors of the flicker if it is declared."""
+    """The settings of a triad: random walks for gyros only, and factors of the flicker if flicker is declared."""
     members = observed.of_kind(kind)
     if not members:
         return (Setting(0.0, 0.0, 1.0),)

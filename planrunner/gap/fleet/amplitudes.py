@@ -38,7 +38,7 @@ class AmplitudeKey:
 
 @dataclass(frozen=True, slots=True)
 class AmplitudeEstimate:
-    """value, standard_uncertainty: in the unit of the key."""
+    """The estimated amplitude of an effect in one run. value, standard_uncertainty: in the unit of the key."""
 
     key: AmplitudeKey
     value: float

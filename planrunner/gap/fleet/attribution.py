@@ -132,7 +132,8 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Attribution:
-    """none: the probability that no component contributes. probability: of every subset of the components, by their names joined by '+'."""
+    """The attribution of an amplitude to sources. none: probability that no component contributes. probability: of every subset of
+    the components, which is named by their names joined by '+'."""
 
     none: float
     probability: Mapping[str, float]

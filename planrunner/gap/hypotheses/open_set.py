@@ -48,10 +48,11 @@ class Line:
 
 @dataclass(frozen=True)
 class Kinds:
-    """Competitors. log_bayes: (G,), of each against none over the settings of the noise, −∞ for settings with a random walk of the
-    gyros' bias; several: (G,), of several sorts at once. by_channel: (K,), of each in one channel alone, at the first setting.
-    outside: log BF of the patterns outside the coefficients, on which no effect of the catalogue acts; they are therefore
-    independent of every effect. lines: the strongest tone of each channel that has one."""
+    """Evidence for the competitors. log_bayes: (G,), log BF of each competitor against none, for each setting of the noise; −∞ for
+    settings with a random walk of the gyros' bias; several: (G,), the same for patterns of several kinds at once. by_channel: (K,),
+    log BF of each competitor in a single channel, at the first setting of the noise. outside: log BF of the patterns outside the
+    coefficients, on which no effect of the catalogue acts; they are therefore independent of every effect. lines: the strongest
+    tone of each channel that has one."""
 
     log_bayes: dict[Pattern, Array]
     several: Array
@@ -61,7 +62,7 @@ class Kinds:
 
 
 def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
-    """All competitors weighed. outside_: those outside the basis, where they are known."""
+    """Evaluates all competitors. outside_: the patterns outside the basis, if they are known."""
     settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
     whole = {id(weight): Left.whole(weight) for each in weighing.weights for weight in each}
     patterns, beyond = _Patterns(weighing), outside_ or outside(weighing)
@@ -139,7 +140,7 @@ def _maybe(log_bayes: float) -> float:
 
 
 def scopes_of(weighing: Weighing) -> list[list[int]]:
-    """Scopes: every channel alone, then triads."""
+    """The scopes: every single channel, then the triads."""
     triads = [members for kind in ("gyro", "accel") if len(members := weighing.observed.of_kind(kind)) > 1]
     return [[index] for index in range(len(weighing.observed.channels))] + triads
 
@@ -190,8 +191,8 @@ def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list
 
 @dataclass(frozen=True)
 class Outside:
-    """Patterns outside the basis. log_bayes: by scope. lines: the strongest tone of each channel that has one. causes: those of them that
-    are causes of their own."""
+    """Evidence for the patterns outside the basis. log_bayes: log BF of each pattern by scope. lines: the strongest tone of each
+    channel that has one. causes: those tones that are separate causes."""
 
     log_bayes: dict[Pattern, Array]
     lines: tuple[Line, ...]
@@ -199,7 +200,7 @@ class Outside:
 
 
 def outside(weighing: Weighing) -> Outside:
-    """Patterns outside the basis.
+    """Evaluates the patterns outside the basis.
 
     Real noise often contains lines (supply, dither, resonances). A line counts as a separate cause only if it is a single tone that
     visibly increases the noise. Other lines belong to the noise and are only reported.

@@ -23,7 +23,7 @@ Rows = NDArray[np.bool_]
 
 
 class Sort(Enum):
-    """The sort of coefficients that a pattern uses, or its place outside the basis. `SEVERAL`: coefficients of more than one sort."""
+    """The kind of coefficients that a pattern uses, or its place outside the basis. `SEVERAL`: coefficients of more than one kind."""
 
     MEANS = "means"
     TRANSIENT = "transient"
@@ -133,7 +133,7 @@ _BY_ORIENTATION = _offset("offset by orientation", Factor.ORIENTATION)
 
 
 def sorts(weighing: Weighing) -> dict[Sort, Rows]:
-    """The coefficients (M,) of each sort."""
+    """The coefficients (M,) of each kind."""
     spectrum, motions = weighing.spectrum, weighing.observed.motions
     spin = np.array([isinstance(motion, Spin) for motion in motions])[spectrum.segment]
     rock = np.array([isinstance(motion, Rock) for motion in motions])[spectrum.segment]

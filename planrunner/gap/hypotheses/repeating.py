@@ -44,7 +44,7 @@ class Repeating:
         self._coarse = self.waves(self.frequencies, WAVEFORM)
 
     def weighed(self, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> list[float]:
-        """The log BF of such a bias in the channels of each scope."""
+        """The log BF of a bias with an unknown period in the channels of each scope."""
         parts = [self._eigen(left, self._coarse, (2, 2 * WAVEFORM)) for left in channels]
         found = []
         for scope in scopes:
@@ -65,7 +65,7 @@ class Repeating:
         return float(log_mean_exp(each, 0) + np.log(len(near) / (FINER * len(self.frequencies))))
 
     def waves(self, frequencies: Array, harmonics: int) -> Array:
-        """The coefficients in `rows`, (n, F, H, 2): cosines and sines of each frequency's harmonics."""
+        """Cosines and sines of the harmonics of each frequency at the coefficients in `rows`, (n, F, H, 2)."""
         orders = np.arange(1, harmonics + 1)
         pulses = 2 * np.pi * np.outer(frequencies, orders)
         within = _within(np.round(self.ends - self.starts, 9), pulses.ravel(), int(self._order.max()) + 1)

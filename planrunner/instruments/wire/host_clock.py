@@ -70,9 +70,9 @@ class Unwrapping:
     _floor: float = math.nan
 
     def resolve(self, received: Array, raw: Whole, final: bool = False) -> Whole:
-        """Indices (counts since the first frame) of as many of the frames as can be decided, all when `final`. The other frames must be
-        passed again, together with those that follow. received: s; raw: the counter's values; shapes (n,). Raises `InstrumentError` if the
-        counter was reset."""
+        """Indices (counts since the first frame) of all frames for which they can be decided; of all frames if `final`. The other
+        frames must be passed again, together with those that follow. received: s; raw: the counter's values; shapes (n,). Raises
+        `InstrumentError` if the counter was reset."""
         if received.size == 0:
             return np.empty(0, np.int64)
         if math.isnan(self._received):

@@ -227,9 +227,9 @@ def _holds(data, place, length, check, kind, width, tables, initial, reflected, 
 
 @compiled()
 def find(data, sync, trailer, shape, check, positions, base, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """Starts and lengths of the good frames, the beginning of the rest, the expected place of the next frame in it (-1: unknown),
-    corrupt frames and skipped bytes. positions, base: for a CRC over frames of equal length (`Checksum.by_position`), otherwise (0,
-    256) and 0."""
+    """Starts and lengths of the good frames, the beginning of the remainder, the expected place of the next frame in it (-1:
+    unknown), the number of corrupt frames and of skipped bytes. positions, base: for a CRC over frames of equal length
+    (`Checksum.by_position`), otherwise (0, 256) and 0."""
     rule, longest, expected = shape
     covered_from, _, size, little = check
     covered = positions.shape[0]

@@ -63,9 +63,9 @@ class LineAnswers:
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
-    """address: VISA resource name. timeout: s, for opening and for an answer. sent_end: appended to every message. pace: minimum
-    time between two messages, s. baud: of a serial line. tries: number of attempts for a request that may be repeated. idle:
-    characters that may arrive without a request, such as a prompt, and are discarded without a remark."""
+    """Settings of a link. address: VISA resource name. timeout: s, for opening and for an answer. sent_end: appended to every
+    message. pace: minimum time between two messages, s. baud: of a serial line. tries: number of attempts for a request that may be
+    repeated. idle: characters that may arrive without a request, such as a prompt, and are discarded without a remark."""
 
     address: str
     timeout: float = 2.0
