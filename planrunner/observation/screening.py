@@ -30,9 +30,10 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import OutputModel, SensorModel
+from planrunner.observation.angle_spikes import AngleSpikes
 from planrunner.observation.standing import PER_SIGMA, RUN, leaves_count, with_standing
 from planrunner.plan.schedule import Rest, Segment, Spin
-from planrunner.plan.units import DIMENSIONS, unit
+from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
 
 RowNumbers = NDArray[np.int64]
 Numbered = RowNumbers | range
@@ -54,6 +55,7 @@ _APART = 4.7  # mean changes: 5.3σ in white noise; of two samples with a large 
 _SPARSE, _STRETCH = 16, 64  # of so many stretches of so many samples one shows the noise of a piece, at little cost
 _FEW = 50  # large changes that are looked at one by one
 _SAMPLED = 4096  # distances from which the scale is taken
+_SLOPE_FROM = 16  # differences from which the slope at an end is known well enough
 _JERK = 1.5  # mean changes around a sample, in a segment that may move freely: less is no outlier
 _LEAST = 16  # samples of a segment that is examined
 _TOGETHER = 8  # good samples between outliers of one burst, at most
@@ -74,6 +76,7 @@ _STEP_LENGTHS = (4, 16)  # means on either side
 _PAUSE, _EARLY = 1.5, 0.5  # sample intervals: a sample is lost, or has come twice
 _JITTER = 0.01  # share of irregular intervals from which the clock jitters
 _LONG_PAUSE = 5.5  # sample intervals: samples are lost, even with jitter
+_ANGLES = 192  # deviations that show how widely a recorded angle scatters
 _LARGEST = 1e100  # a larger number is no measurement
 _CLIPPED = 10  # samples at the largest value
 
@@ -102,17 +105,32 @@ def varies(output: OutputModel) -> bool:
 
 
 def watch_of(sensor: SensorModel) -> WatcherOf:
-    """Screens the sensor's outputs. Thermometers and encoders are not screened, because they may keep one value for a long time."""
+    """Screens the sensor's outputs, and all recorded angles for spikes. Thermometers are not screened, because they may keep one value for
+    a long time."""
 
     def watch(segment: Segment, units: Mapping[str, str], rows: int) -> Screening:
-        counts, scales = {}, {}
+        counts, scales, angles = {}, {}, []
+        for name in units:
+            if (angle := _angle(units[name])) is not None:
+                output = sensor.output(name)
+                count = output.noise.resolution if output is not None else 0.0
+                angles.append(AngleSpikes(name, 1 / angle, count, threshold(_ANGLES)))
         for output in sensor.outputs:
             if output.name in units and varies(output):
                 counts[output.name], scales[output.name] = output.noise.resolution, output.full_scale
         steady = isinstance(segment.motion, Rest | Spin) and segment.attitude is not None
-        return Screening(counts, scales, rows, steady=steady)
+        return Screening(counts, scales, rows, steady=steady, angles=angles)
 
     return watch
+
+
+def _angle(name: str) -> float | None:
+    """One unit of an angle in rad; None for a unit of another quantity, or an unknown one."""
+    try:
+        found = unit(name)
+    except UnknownUnitError:
+        return None
+    return found.factor if found.dimension == DIMENSIONS["angle"] else None
 
 
 def threshold(samples: int) -> float:
@@ -256,10 +274,18 @@ class _Runs:
 class Screening:
     """The pass over one segment."""
 
-    def __init__(self, counts: Mapping[str, float], full_scales: Mapping[str, float], rows: int, *, steady: bool):
+    def __init__(
+        self,
+        counts: Mapping[str, float],
+        full_scales: Mapping[str, float],
+        rows: int,
+        *,
+        steady: bool,
+        angles: Sequence[AngleSpikes] = (),
+    ):
         """counts: channel → declared count, 0 if none; full_scales: either sign; both in the channels' units. steady: whether the
         segment is planned at rest or turning evenly, so that the stimulus causes no changes within it."""
-        self.channels, self.steady = tuple(counts), steady
+        self.channels, self.steady, self.angles = tuple(counts), steady, angles
         self.counts = np.array([counts[name] for name in self.channels])
         self.full_scales = full_scales
         k, room = len(self.channels), min(_PIECE, max(rows, 1))
@@ -293,6 +319,8 @@ class Screening:
         they are computed if they are needed."""
         count = len(block.time)
         rows: Numbered = range(self.row, self.row + count)
+        for angle in self.angles if count else ():
+            angle.add(block.channels[angle.channel], self.row, block.time)
         self.row += count
         if not self.channels or not count:
             return
@@ -342,6 +370,9 @@ class Screening:
         for k, runs in enumerate(self.runs if self.done else ()):
             runs.finish(self.before[k, -1:], self.rows_before[-1:], self.times_before[-1:])
         out = [item for k in range(len(self.channels)) for item in self._of_channel(k)]
+        for angle in self.angles:
+            spikes = angle.finish()
+            out += _as_one(spikes) if len(spikes) > max(_MANY, _SHARE * self.row) else spikes
         return tuple(sorted((*out, *self._of_time()), key=lambda item: item.first))
 
     def _look_at_filled(self) -> None:
@@ -510,6 +541,7 @@ class Screening:
                 factor * float(ordered[len(ordered) // 2]),
                 1.395 * float(ordered[: max(1, int(0.95 * len(ordered)))].mean()),
                 0.3 * _trimmed(changes),
+                1.395 / math.sqrt(6) * _trimmed(np.abs(np.diff(x, 2))),  # in a steep ramp, many samples are the median
                 window.count / 2,
             )
             off, scale = _off(x, size, looked), np.full(len(looked), usual)
@@ -708,8 +740,16 @@ def _as_one(finds: Sequence[Find]) -> list[Find]:
 
 
 def _off(values: Array, size: int, places: RowNumbers) -> Array:
-    """Distances of some of the values (n,) from the medians of the `size` values around them."""
-    wide = np.pad(values, size // 2, mode="reflect")
+    """Distances of some of the values (n,) from the medians of the `size` values around them. Beyond the ends, the values go on as a mirror
+    image about the line through the ends, so that a slow change of the values is no distance."""
+    half = size // 2
+    wide = np.pad(values, half, mode="reflect")
+    if half >= _SLOPE_FROM:
+        begin = float(np.median(values[half : 2 * half] - values[:half]))
+        end = float(np.median(values[-half:] - values[-2 * half : -half]))
+        rise = 2 * np.arange(1, half + 1) / half
+        wide[:half] -= begin * rise[::-1]
+        wide[-half:] += end * rise
     windows = np.lib.stride_tricks.sliding_window_view(wide, size)
     return np.asarray(np.abs(values[places] - np.median(windows[places], axis=1)))
 

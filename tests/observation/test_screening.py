@@ -72,6 +72,15 @@ def test_one_sample_is_found_and_its_size_is_stated(size: float) -> None:
     assert one.time == pytest.approx(160.0) and one.size == pytest.approx(size, abs=4) and 0.7 < one.noise < 1.3
 
 
+@pytest.mark.parametrize("place", [3, 15, 5980, 5990, 5997])
+def test_a_spike_near_an_end_of_a_slow_change_is_found_alone(place: int) -> None:
+    """Two standard deviations from sample to sample, as gravity in the level axis of an element that is fixed in space."""
+    values = noise() + 2.0 * np.arange(ROWS)
+    values[1, place] += 1000
+    assert bad(screened(values)) == [(FindKind.SPIKE, place, 1)]
+    assert len(screened(values)) == 1
+
+
 @pytest.mark.parametrize("place", [0, 1, 5998, 5999, 16319, 16320, 16384, 16448])
 def test_spikes_at_ends_and_at_the_borders_of_pieces_are_found_once(place: int) -> None:
     values = noise(3, rows=20_000 if place >= ROWS else ROWS, channels=1)

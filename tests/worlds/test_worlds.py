@@ -124,6 +124,18 @@ def test_a_reversed_channel_is_reported_by_every_estimator_that_has_a_scale_fact
         assert [text for text in one.warnings if "opposite sign" in text]
 
 
+def test_a_navigation_reports_a_reversed_north_gyro() -> None:
+    """Its y axis points north: reversed, the Earth's rate seems to come from the south."""
+    campaign, world = CAMPAIGNS["strapdown_navigation at rest"], WORLDS["white noise"]
+    sound, (_, made) = known(campaign, world), recorded(campaign, world, np.random.default_rng(7))
+    values = made.values * np.where([name == "gyro_y" for name in campaign.channels], -1, 1)
+    one, other = estimated(campaign, sound, made), estimated(campaign, sound, replace(made, values=values))
+    assert not isinstance(one, str) and not one.warnings
+    assert not isinstance(other, str)
+    (text,) = other.warnings
+    assert "180 deg from the planned orientation" in text
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["rocking_drift", "rocking_drift, nominal azimuth"])
 def test_rocking_drifts_scatter_as_predicted(estimator: str) -> None:
@@ -142,6 +154,27 @@ def test_rocking_drifts_scatter_as_predicted(estimator: str) -> None:
     for name, found in errors.items():
         assert np.mean(np.square(found)) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 24)), name
         assert abs(np.mean(found)) < 4 / np.sqrt(24), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("channel", CAMPAIGNS["rocking_drift"].channels)
+def test_a_spike_in_any_channel_of_a_platform_is_named_and_moves_no_drift(channel: str) -> None:
+    """At rest, while the base rocks, and in the second window of each."""
+    campaign, world = CAMPAIGNS["rocking_drift"], WORLDS["white noise"]
+    sound, (_, made) = known(campaign, world), recorded(campaign, world, np.random.default_rng(6))
+    sound_one = estimated(campaign, sound, made)
+    assert not isinstance(sound_one, str) and not sound_one.warnings
+    place = list(campaign.channels).index(channel)
+    for step, seconds in ((1, 100.0), (3, 100.0), (1, 595.0), (3, 595.0)):
+        values = made.values.copy()
+        row = int(np.flatnonzero(made.step == step)[0] + seconds * made.sampling)
+        values[row, place] += 1000 * made.white[place]
+        one = estimated(campaign, sound, replace(made, values=values))
+        assert not isinstance(one, str)
+        (text,) = one.warnings
+        assert f"spike of {channel} in '{campaign.steps[step].label}'" in text
+        for item in sound_one.coefficients:
+            assert abs(one[item.name].value - item.value) <= 0.1 * item.standard_uncertainty
 
 
 @pytest.mark.slow

@@ -155,6 +155,24 @@ def same_attitude(one: Array | None, other: Array | None) -> bool:
     return one is not None and other is not None and bool(np.allclose(one, other, atol=1e-6))
 
 
+def opposed(label: str, planned: Array | None, rotation: Array) -> tuple[Said, ...]:
+    """A warning if the attitude differs from the planned one by more than 90 deg. One reversed channel changes it by 180 deg. planned: (3,
+    3), rows are the sensor's axes; None if it is not known. rotation: (3, 3), from body to navigation axes, as found."""
+    if planned is None:
+        return ()
+    angle = math.acos(min(1.0, max(-1.0, (float(np.trace(planned @ rotation)) - 1) / 2)))
+    if angle <= math.pi / 2:
+        return ()
+    return (
+        said(
+            "The alignment in '{segment}' finds an attitude {angle:.0f} deg from the planned orientation. If the plan is right, a gyro or an "
+            "accelerometer has the wrong sign, or two channels are exchanged: check the signs and the order of the channels.",
+            segment=label,
+            angle=math.degrees(angle),
+        ),
+    )
+
+
 def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
     """Pieces of the record from its beginning that cover the first stop."""
     found: list[Increments] = []

@@ -16,7 +16,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimateRequest, EstimationError
-from planrunner.estimators.strapdown.alignment import STILL, Aligned, align, end_attitude, same_attitude
+from planrunner.estimators.strapdown.alignment import STILL, Aligned, align, end_attitude, opposed, same_attitude
 from planrunner.estimators.strapdown.navigation_errors import ErrorRecord, Truth, difference, stride
 from planrunner.estimators.strapdown.reading import (
     IncrementReader,
@@ -230,6 +230,8 @@ def navigate(request: EstimateRequest[StrapdownNavigationParameters]) -> Navigat
     if wandering_sensors(inputs, parameters) or inputs.without_flicker & set(parameters.channels):
         step = interval(sum(item.statistics.duration for item in (stop, *moving)), _INTERVALS)
     aligned = align(stop, reader, site, factor, parameters.constant_errors, step)
+    planned = end_attitude(stop.segment, request.setup.table, stop.statistics.duration)
+    aligned = replace(aligned, warnings=(*aligned.warnings, *opposed(stop.label, planned, aligned.alignment.rotation)))
     gap = _gap(request, stop, moving, reader)
     attitudes = None if step is None else MeanAttitude(step)
     found = _run(request, reader, moving, site, factor, aligned, gap, attitudes)

@@ -1,0 +1,179 @@
+"""Spikes in recorded angles: single samples that do not lie on the course of the motion.
+
+Encoders and gimbals may keep one value for a long time, and while the base rocks, each sample differs from the one before by far more than
+a harmful spike. A sample is therefore compared with the value that its six neighbours give at its place. This is the interpolation through
+six equally spaced points, whose error for a sine with the phase step φ is (2·sin(φ/2))⁶/20 of the amplitude: 3·10⁻⁴ for 15 samples per
+period. A sample is a spike if it lies farther from this value than the noise or the motion around it explains, and if all its neighbours
+lie on their courses as soon as it is replaced. The second condition excludes steps, and sudden starts and stops. A small sudden change of
+the rate looks nearly like a spike; the better fit decides.
+
+The samples next to the ends have fewer than three neighbours on one side. They are compared with the parabola through the next three
+samples. The first and the last sample are not examined, because a motion may begin or end there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import Find, FindKind
+from planrunner.base.arrays import Array
+
+RowNumbers = NDArray[np.int64]
+
+_PIECE = 1 << 14  # samples that are examined together
+_CONTEXT = 128  # samples before and after them
+_STRETCH = 64  # samples of a stretch, from which the scale of the deviations is taken
+_LEAST = 16  # samples of a segment that is examined
+_SIDE = 3  # neighbours on each side
+_WEIGHTS = np.array([-1.0, 6.0, -15.0, 20.0, -15.0, 6.0, -1.0]) / 20
+_FACTOR = float(np.linalg.norm(_WEIGHTS))  # standard deviation of a deviation, for white noise with the variance 1
+_PARABOLA = np.array([1.0, -3.0, 3.0, -1.0])
+_PARABOLA_FACTOR = float(np.linalg.norm(_PARABOLA))
+_SCALE = 1.4826  # standard deviations per median absolute deviation, for white noise
+_SUSPECT = (
+    6.0  # mean deviations: a stretch without a larger one, 4.8 standard deviations of white noise, is not examined
+)
+_AGREES, _SHARE = 4.0, 0.02
+"""The deviation of a neighbour that lies on its course, at most: in standard deviations, and as a share of the spike."""
+_KINK = np.array([0.0, -0.1, 0.4, -0.6, 0.4, -0.1, 0.0])  # deviations of |t| at t = −3 … 3
+_CLEAR = 3.0  # standard deviations by which a spike fits better than a sudden change of the angular rate
+_COUNTS = 3.0  # counts: a smaller deviation can come from rounding
+_SMALLEST = math.radians(10 / 3600)  # rad: a smaller deviation changes no result
+_COARSE = math.radians(3 / 60)  # rad: a larger deviation does not come from counts that are not declared
+_ROUNDED = 1e-9  # rad: a smaller change of the rate comes from the rounding of numbers
+
+
+class AngleSpikes:
+    """Examines the samples of one channel in one pass over a segment."""
+
+    def __init__(self, channel: str, radian: float, count: float, factor: float) -> None:
+        """radian: one radian in the channel's unit. count: declared resolution in this unit, 0 if none. factor: standard deviations that a
+        spike exceeds."""
+        self.channel, self.radian, self.count, self.factor = channel, radian, count, factor
+        self.parts: list[tuple[Array, RowNumbers, Array]] = []
+        self.held, self.begun = 0, False
+        self.found: list[Find] = []
+
+    def add(self, values: Array, first: int, time: Array) -> None:
+        """The next samples. first: row number of the first one. Samples that are not finite are ignored."""
+        for low in range(0, len(values), _PIECE):
+            part = slice(low, low + _PIECE)
+            self._add(values[part], first + low, time[part])
+
+    def _add(self, values: Array, first: int, time: Array) -> None:
+        rows = np.arange(first, first + len(values))
+        if not math.isfinite(float(values.sum())):
+            good = np.isfinite(values)
+            values, rows, time = values[good], rows[good], time[good]
+        self.parts.append((values.copy(), rows, time.copy()))
+        self.held += len(values)
+        if self.held >= _PIECE:
+            self._examine(last=False)
+
+    def finish(self) -> list[Find]:
+        """All finds. Call it once, after the last samples."""
+        self._examine(last=True)
+        return self.found
+
+    def _examine(self, *, last: bool) -> None:
+        if not self.parts:
+            return
+        values, rows, time = (np.concatenate(one) for one in zip(*self.parts, strict=True))
+        n = len(values)
+        if n >= _LEAST:
+            low, high = (_CONTEXT if self.begun else 0), (n if last else n - _CONTEXT)
+            for place, off, scale in self._spikes(values, low, high):
+                course = float(values[place]) - off
+                seconds = float(np.median(np.diff(time)))
+                row, at = int(rows[place]), float(time[place])
+                spike = Find(FindKind.SPIKE, self.channel, row, 1, at, seconds, off, scale, course, course)
+                self.found.append(spike)
+        kept = slice(max(n - 2 * _CONTEXT, 0), n)
+        self.parts, self.held, self.begun = [(values[kept].copy(), rows[kept], time[kept])], min(n, 2 * _CONTEXT), True
+
+    def _spikes(self, values: Array, low: int, high: int) -> list[tuple[int, float, float]]:
+        """Place, deviation and noise of each spike from `low` to `high`."""
+        turn = 2 * math.pi * self.radian
+        x = np.unwrap(values, period=turn) if np.ptp(values) > turn / 2 else values
+        off = np.zeros(len(x))
+        off[_SIDE:-_SIDE] = _off_course(x)
+        size = np.abs(off)
+        begins = np.arange(0, max(len(x) - _STRETCH // 2, 1), _STRETCH)
+        lengths = np.diff(begins, append=len(x))
+        suspect = np.maximum.reduceat(size, begins) > _SUSPECT * np.add.reduceat(size, begins) / lengths
+        found: list[tuple[int, float, float]] = []
+        if suspect.any():
+            scales = np.array([np.median(size[begin : begin + n]) for begin, n in zip(begins, lengths, strict=True)])
+            padded = np.pad(_SCALE * scales, 1, mode="edge")
+            scale = np.repeat(np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:]), lengths)
+            x = x.copy()
+            large = np.flatnonzero(size > np.maximum(self.factor * scale, self._smallest))
+            large = large[(large >= max(low, _SIDE)) & (large < min(high, len(x) - _SIDE))]
+            for k in large[np.argsort(-size[large])].tolist():
+                found += self._judged(x, k, float(scale[k]))
+        if low == 0:
+            found += self._at_the_end(x[: _STRETCH + _SIDE])
+        if high == len(x):
+            ends = self._at_the_end(x[: -_STRETCH - _SIDE - 1 : -1])
+            found += [(len(x) - 1 - place, off, scale) for place, off, scale in ends]
+        return sorted(found)
+
+    @property
+    def _smallest(self) -> float:
+        return max(_COUNTS * self.count, _SMALLEST * self.radian)
+
+    def _judged(self, x: Array, k: int, scale: float) -> list[tuple[int, float, float]]:
+        """The sample k if it is a spike, which is then replaced in x."""
+        off = float(_off_course(x[k - _SIDE : k + _SIDE + 1])[0])
+        least = max(self.factor * scale, self._smallest)
+        if abs(off) <= least or abs(off) <= self._seen_counts(x, k):
+            return []
+        near = x[max(k - 2 * _SIDE, 0) : k + 2 * _SIDE + 1].copy()
+        with_spike = _off_course(near)
+        near[min(k, 2 * _SIDE)] -= off
+        without = _off_course(near)
+        if np.abs(without).max() > max(_AGREES * scale, _SHARE * abs(off)):
+            return []
+        if len(without) == len(_KINK) and _after_fit(with_spike, _KINK) - without @ without <= (_CLEAR * scale) ** 2:
+            return []
+        x[k] -= off
+        return [(k, off, scale / _FACTOR)]
+
+    def _seen_counts(self, x: Array, k: int) -> float:
+        """The smallest deviation that cannot come from rounding, as far as the other samples show the count."""
+        bends = np.abs(np.diff(x, 2))
+        bends[max(k - 2, 0) : k + 1] = 0.0
+        bends = bends[bends > _ROUNDED * self.radian]
+        return min(_COUNTS * float(bends.min(initial=math.inf)), _COARSE * self.radian)
+
+    def _at_the_end(self, x: Array) -> list[tuple[int, float, float]]:
+        """A spike among the first samples of x, which may run backwards."""
+        scale = _SCALE * float(np.median(np.abs(_off_parabola(x))))
+        for k in range(1, _SIDE):
+            off = float(_off_parabola(x[k : k + 4])[0])
+            if abs(off) <= max(self.factor * scale, self._smallest, self._seen_counts(x, k)):
+                continue
+            near = x[: k + 8].copy()
+            near[k] -= off
+            # The replaced sample has three times the weight in the deviation of its neighbour.
+            if np.abs(_off_parabola(near)).max() <= max(3 * _AGREES * scale, _SHARE * abs(off)):
+                return [(k, off, scale / _PARABOLA_FACTOR)]
+        return []
+
+
+def _off_course(x: Array) -> Array:
+    """Deviations (n − 6,) of the samples that have three neighbours on each side from the interpolation through these six."""
+    return np.correlate(x, _WEIGHTS, "valid")
+
+
+def _off_parabola(x: Array) -> Array:
+    """Deviations (n − 3,) of the samples from the parabola through the next three."""
+    return np.correlate(x, _PARABOLA, "valid")
+
+
+def _after_fit(x: Array, pattern: Array) -> float:
+    """Sum of the squares that are left of x after a fit of its pattern."""
+    return float(x @ x - (x @ pattern) ** 2 / (pattern @ pattern))
