@@ -165,8 +165,8 @@ def opposed(label: str, planned: Array | None, rotation: Array) -> tuple[Said, .
         return ()
     return (
         said(
-            "The alignment in '{segment}' finds an attitude {angle:.0f} deg from the planned orientation. If the plan is right, a gyro or an "
-            "accelerometer has the wrong sign, or two channels are exchanged: check the signs and the order of the channels.",
+            "The alignment in '{segment}' finds an attitude {angle:.0f} deg from the planned orientation. If the plan is right, a gyro or "
+            "an accelerometer has the wrong sign, or two channels are exchanged: check the signs and the order of the channels.",
             segment=label,
             angle=math.degrees(angle),
         ),
