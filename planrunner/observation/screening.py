@@ -541,7 +541,7 @@ class Screening:
                 factor * float(ordered[len(ordered) // 2]),
                 1.395 * float(ordered[: max(1, int(0.95 * len(ordered)))].mean()),
                 0.3 * _trimmed(changes),
-                1.395 / math.sqrt(6) * _trimmed(np.abs(np.diff(x, 2))),  # in a steep ramp, many samples are the median
+                0.6 * float(np.median(np.abs(np.diff(x, 2)))),  # in a steep ramp, many samples are the median
                 window.count / 2,
             )
             off, scale = _off(x, size, looked), np.full(len(looked), usual)
@@ -756,7 +756,7 @@ def _off(values: Array, size: int, places: RowNumbers) -> Array:
 
 def _mean_around(values: Array, size: int) -> Array:
     """Means of the `size` values around each of (n,)."""
-    sums = np.concatenate(([0.0], np.cumsum(np.pad(values, size // 2, mode="edge"))))
+    sums = np.concatenate(([0.0], np.cumsum(np.pad(values, size // 2, mode="reflect"))))
     return np.asarray((sums[size:] - sums[:-size]) / size)
 
 

@@ -81,6 +81,16 @@ def test_a_spike_near_an_end_of_a_slow_change_is_found_alone(place: int) -> None
     assert len(screened(values)) == 1
 
 
+@pytest.mark.parametrize(
+    ("rows", "place", "steady"),
+    [(30, 12, True), (30, 23, True), (1800, 1798, True), (1800, 1798, False), (1800, 1, False)],
+)
+def test_a_spike_in_a_short_segment_or_next_to_its_end_is_found(rows: int, place: int, steady: bool) -> None:
+    values = noise(rows=rows)
+    values[1, place] += 1000
+    assert bad(screened(values, steady=steady)) == [(FindKind.SPIKE, place, 1)]
+
+
 @pytest.mark.parametrize("place", [0, 1, 5998, 5999, 16319, 16320, 16384, 16448])
 def test_spikes_at_ends_and_at_the_borders_of_pieces_are_found_once(place: int) -> None:
     values = noise(3, rows=20_000 if place >= ROWS else ROWS, channels=1)
