@@ -139,7 +139,10 @@ def type_words(kind: Kind) -> str:
             return f"{item}, or a list of such values" if kind.single else f"a list; each item is {item}"
         case MapOf():
             names = f"one of {', '.join(kind.names)}" if kind.names else "a name"
-            return f"a mapping; each key is {names}, each value is {type_words(kind.item)}"
+            values = type_words(kind.item)
+            if isinstance(kind.item, ListOf) and not kind.item.single:
+                values = f"a list (each item is {type_words(kind.item.item)})"
+            return f"a mapping; each key is {names}, each value is {values}"
         case WordOr():
             return " or ".join([*(f"`{word}`" for word in kind.words), type_words(kind.other)])
         case ByShape():
