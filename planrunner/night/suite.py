@@ -8,7 +8,19 @@ from __future__ import annotations
 from planrunner.base.findings import Findings
 from planrunner.bench.calibration import LINE
 from planrunner.plan import source
-from planrunner.plan.kinds import Boolean, Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.kinds import (
+    Boolean,
+    Choice,
+    ListOf,
+    MapOf,
+    Number,
+    QuantityOf,
+    Record,
+    RecordOf,
+    Text,
+    key,
+    optional,
+)
 from planrunner.plan.model import NAME, PERSON
 from planrunner.plan.parameters import NAME as PARAMETER
 from planrunner.plan.parameters import VALUE
@@ -65,18 +77,16 @@ class SuiteBench(Record):
     """A bench of the night. Benches work in parallel."""
 
     bench: str = key(Text(_PATH, "a bench's name or file"), "The name of a shipped bench, or a file.", "virtual")
-    warm_up: Quantity | None = key(
+    warm_up: Quantity | None = optional(
         QuantityOf("time", "positive"),
         "Waiting time before the first test on this bench, for example until a chamber or a sensor has its working temperature. All "
         "following tests share it.",
         "45 min",
-        default=None,
     )
-    stays_warm: Quantity | None = key(
+    stays_warm: Quantity | None = optional(
         QuantityOf("time", "positive"),
         "The warm-up is repeated if the bench has been idle for longer than this time; by default it is not repeated.",
         "2 h",
-        default=None,
     )
     check_standard_first: bool = key(
         Boolean(),
@@ -84,17 +94,15 @@ class SuiteBench(Record):
         True,
         default=False,
     )
-    override_check_standard: StandardOverride | None = key(
+    override_check_standard: StandardOverride | None = optional(
         RecordOf(StandardOverride),
         "Lets tests run although the check standard is not in control.",
         {"by": "anna", "why": "table was levelled"},
-        default=None,
     )
-    window: NightWindow | None = key(
+    window: NightWindow | None = optional(
         RecordOf(NightWindow),
         "Hours in which this bench may work, in addition to those of the suite.",
         {"from": "20:00", "to": "23:30"},
-        default=None,
     )
 
 
@@ -113,11 +121,10 @@ class SuiteDevice(Record):
         {"device_serial": "FG-0007"},
         default_factory=dict,
     )
-    seed: int | None = key(
+    seed: int | None = optional(
         Number(0, 2**63 - 1, integer=True),
         "Seed of a simulated bench when this device is tested; by default that of the bench.",
         7,
-        default=None,
     )
 
 
@@ -248,20 +255,18 @@ class NightDiagnosis(Record):
 class Notification(Record):
     """A message at the end of the night: either `webhook` or `email`."""
 
-    webhook: str | None = key(
+    webhook: str | None = optional(
         Text(r"https?://[^\s\x00-\x1f]{1,400}", "an http or https address"),
         "Address that receives the summary as JSON (POST).",
         "https://chat.example.org/hooks/lab",
-        default=None,
     )
-    webhook_from: str | None = key(
-        _VARIABLE, "Environment variable with the address, if the address is secret.", "LAB_HOOK", default=None
+    webhook_from: str | None = optional(
+        _VARIABLE, "Environment variable with the address, if the address is secret.", "LAB_HOOK"
     )
-    secret_from: str | None = key(
+    secret_from: str | None = optional(
         _VARIABLE,
         "Environment variable with a key; the header X-Planrunner-Signature then has the HMAC-SHA-256 of the body.",
         "LAB_HOOK_KEY",
-        default=None,
     )
     email: tuple[str, ...] = key(
         ListOf(Text(r"[^\s@,;<>]{1,64}@[^\s@,;<>]{1,190}", "an e-mail address"), single=True),
@@ -269,12 +274,11 @@ class Notification(Record):
         ["lab@example.org"],
         default_factory=tuple,
     )
-    sender: str | None = key(
+    sender: str | None = optional(
         Text(r"[^\s@,;<>]{1,64}@[^\s@,;<>]{1,190}", "an e-mail address"),
         "Sender of the e-mail.",
         "planrunner@example.org",
         name="from",
-        default=None,
     )
     server: str = key(
         Text(r"[A-Za-z0-9._-]{1,190}(:[0-9]{1,5})?", "a host, or host:port"),
@@ -288,8 +292,8 @@ class Notification(Record):
         "starttls",
         default="starttls",
     )
-    user: str | None = key(Text(LINE, "a user's name"), "User name at the server.", "planrunner", default=None)
-    password_from: str | None = key(_VARIABLE, "Environment variable with the password.", "SMTP_PASSWORD", default=None)
+    user: str | None = optional(Text(LINE, "a user's name"), "User name at the server.", "planrunner")
+    password_from: str | None = optional(_VARIABLE, "Environment variable with the password.", "SMTP_PASSWORD")
     when: str = key(
         Choice(("always", "failed")),
         "Whether to notify after every night, or only after one that failed.",
@@ -311,23 +315,18 @@ class Suite(Record):
     description: str = key(
         Text(), "What the night is for, for reviewers.", "Drift of all gyros on both benches.", default=""
     )
-    zone: str | None = key(
+    zone: str | None = optional(
         Text(r"[A-Za-z0-9_+/-]{1,60}", "a time zone"),
         "Time zone of the times of day (IANA name); by default that of the computer.",
         "Europe/Berlin",
-        default=None,
     )
-    window: NightWindow | None = key(
+    window: NightWindow | None = optional(
         RecordOf(NightWindow),
         "Hours of the night; without it, the night begins at once and has no end.",
         {"from": "22:00", "to": "06:00"},
-        default=None,
     )
-    budget: Quantity | None = key(
-        QuantityOf("time", "positive"),
-        "Longest duration of the night; a test that does not fit is not begun.",
-        "8 h",
-        default=None,
+    budget: Quantity | None = optional(
+        QuantityOf("time", "positive"), "Longest duration of the night; a test that does not fit is not begun.", "8 h"
     )
     set: dict[str, str] = key(
         _INFORMATION, "Run information for all plans that ask for it.", {"operator": "night"}, default_factory=dict
@@ -355,11 +354,10 @@ class Suite(Record):
         [{"tests": "drift/FG-0007/*", "until": "2026-12-31", "reason": "connector worn"}],
         default_factory=tuple,
     )
-    diagnosis: NightDiagnosis | None = key(
+    diagnosis: NightDiagnosis | None = optional(
         RecordOf(NightDiagnosis),
         "Diagnosis of the runs after the night; without this key, they are not diagnosed.",
         {"recent": 40},
-        default=None,
     )
     notify: tuple[Notification, ...] = key(
         ListOf(RecordOf(Notification), maximum=20),
