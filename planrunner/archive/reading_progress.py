@@ -27,8 +27,8 @@ class RowsRead:
 
 
 def announced(recording: Sequence[RecordedSegment], what: str, notice: Announce | None) -> tuple[RecordedSegment, ...]:
-    """The same segments. Long passes over their samples are reported to `notice` as `what`, with the fraction of all rows that was
-    read at least once. When all have been read, a further pass starts from zero."""
+    """The given segments, with a display of progress. Long passes over their samples are reported to `notice` as `what`, with the
+    fraction of all rows that was read at least once. When all have been read, a further pass starts from zero."""
     if notice is None:
         return tuple(recording)
     passes = _Passes([item.statistics.count + item.statistics.rejected for item in recording], what, notice)

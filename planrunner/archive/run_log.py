@@ -132,7 +132,7 @@ class LogContent:
         return complete_nodes(self.leaves)
 
     def root(self, size: int) -> str:
-        """Root of the tree of the first entries."""
+        """Root of the tree of the first `size` entries."""
         return root_of(self._levels, size).hex()
 
     @property

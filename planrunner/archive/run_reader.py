@@ -224,8 +224,8 @@ T = TypeVar("T")
 
 
 def ahead(items: Iterator[T]) -> Iterator[T]:
-    """The same items in the same order; each is made while the one before it is used. An exception in `items` is raised where its item
-    would be."""
+    """Yields the given items in their order; each is made while the one before it is used. An exception in `items` is raised where
+    its item would be."""
     from concurrent.futures import ThreadPoolExecutor
 
     end = object()

@@ -53,7 +53,7 @@ class WallClock:
             time.sleep(min(left, self._slice))
 
     def set(self, seconds: float) -> None:
-        """Continues from a time when a run is resumed."""
+        """Sets the time at which the clock continues when a run is resumed."""
         self._origin = time.monotonic() - seconds / self.speed
 
     def attend(self, callback: Callable[[], bool] | None) -> None:

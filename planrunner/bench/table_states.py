@@ -46,7 +46,7 @@ class TableState:
     others: tuple[Array, ...] = ()
 
     def still(self) -> TableState:
-        """The same state at rest."""
+        """This state with the table at rest."""
         return replace(self, stopping=0.0) if self.stopping else self
 
     def starts(self) -> list[Array]:

@@ -93,9 +93,9 @@ _CLOSING = "repeat the first segment at the end, or add segments"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Design:
-    """matrix: (n, p), weighted and scaled; weights: (n,). start, seconds: (N,), s, beginning and duration of all segments of the
-    estimate; rows: (n,), indices of the segments that this output uses, in the order of the block. orders: polynomial orders of the
-    drift."""
+    """The design of an output over the planned segments. matrix: (n, p), weighted and scaled; weights: (n,). start, seconds: (N,),
+    s, beginning and duration of all segments of the estimate; rows: (n,), indices of the segments that this output uses, in the
+    order of the block. orders: polynomial orders of the drift."""
 
     block: DesignBlock
     segments: tuple[Segment, ...]
@@ -132,14 +132,14 @@ class _Design:
         return _growth(self.matrix, self._courses(self.start, self.seconds)[self.rows], self.weights)
 
     def reordered(self, orders: NDArray[np.int64]) -> Array:
-        """The same factor in k other orders, (k, p). orders: (k, n), indices of the rows that are recorded in the planned places; all
-        rows have the same dwell."""
+        """The factor as in `growth` for k other orders, (k, p). orders: (k, n), indices of the rows that are recorded in the
+        planned places; all rows have the same dwell."""
         # The middle of the test and the average of a course stay, so that the courses are those of the places.
         places = self._courses(self.start, self.seconds)[self.rows[np.argsort(self.start[self.rows])]]
         return _growth(self.matrix, places[np.argsort(orders, axis=1)], self.weights)
 
     def closed(self) -> Array:
-        """The same factor with the first segment repeated at the end."""
+        """The factor as in `growth` with the first segment repeated at the end."""
         order = np.argsort(self.start)
         ends = (self.start + self.seconds)[order]
         pauses = np.sort(
@@ -163,7 +163,8 @@ class _Design:
 
 
 def _growth(matrix: Array, courses: Array, weights: Array) -> Array:
-    """The same factor for courses (…, n, r) of any number of orders, (…, p). matrix: (n, p), weighted; weights: (n,), of the courses."""
+    """Factors by which standard uncertainties grow if courses (…, n, r) of any number of orders are fitted, (…, p). matrix: (n, p),
+    weighted; weights: (n,), of the courses."""
     weighted = courses * weights[:, None]
     scaled = weighted / np.sqrt((weighted**2).sum(axis=-2, keepdims=True) / len(matrix))
     gains, own, beside = _projections(matrix)

@@ -57,7 +57,7 @@ def planned_seconds(segment: Segment) -> float:
 
 
 def with_lengths(schedule: Schedule, sensor: object) -> Schedule:
-    """The schedule with dwells for the segments that last as long as their recording, as far as the sensor knows their length."""
+    """The schedule with dwells for the segments that last as long as their recording, if the sensor knows their length."""
     if not isinstance(sensor, KnowsLength):
         return schedule
     segments = (replace(one, dwell=sensor.length_of(one)) if one.dwell is None else one for one in schedule.segments)

@@ -64,7 +64,7 @@ class RunClock(Clock, Protocol):
     """The clock of a run: it can be set for a resumed run, and calls back while it sleeps."""
 
     def set(self, seconds: float) -> None:
-        """Continues from a time when a run is resumed."""
+        """Sets the time at which the clock continues when a run is resumed."""
 
     def attend(self, callback: Callable[[], bool] | None) -> None:
         """Sets a callback that is called during sleeps and returns whether to end the sleep. None: no callback."""

@@ -132,7 +132,7 @@ class _Joined:
         return 0.0
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """The same as for one file."""
+        """Rows as `RecordingFile.rows` gives them for one file."""
         last = math.nan
         for file in self.files:
             shift = 0.0 if math.isnan(last) else self._shift(file, last, file.origin)
@@ -146,7 +146,7 @@ class _Joined:
                     return
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """The same as for one file. Rows are counted through all files."""
+        """Rows as `RecordingFile.all_rows` gives them for one file. Rows are counted through all files."""
         last, before = math.nan, 0
         for file in self.files:
             shift = 0.0 if math.isnan(last) else self._shift(file, last, file.origin)
@@ -264,9 +264,9 @@ class _Spooled:
         return ()
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """The same as for a file."""
+        """Rows as `RecordingFile.rows` gives them for a file."""
         return self.file.rows(span)
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """The same as for a file."""
+        """Rows as `RecordingFile.rows` gives them for a file."""
         return self.file.all_rows()

@@ -52,7 +52,7 @@ class Observations:
 
     @property
     def of_means(self) -> Observations:
-        """The observations without the contrasts."""
+        """The observations of the means alone, without the contrasts within segments."""
         if not self.within:
             return self
         n = len(self.labels) - self.within

@@ -40,7 +40,8 @@ def cardinal_orientations() -> tuple[Matrix, ...]:
 
 
 def orientation_text(attitude: Matrix, decimals: int = DECIMALS) -> str:
-    """As written in a plan: words if the axes are cardinal, otherwise the nearest words and turns about x, y and z in this order."""
+    """The orientation as written in a plan: words if the axes are cardinal, otherwise the nearest words and turns about x, y and z
+    in this order."""
     start = max(cardinal_orientations(), key=lambda words: float(np.sum(words * attitude)))
     turns = [
         f"{axis} {_degrees(angle, decimals)} deg"

@@ -78,7 +78,7 @@ def bench_signing(bench: bytes | None, earlier_seals: Iterable[str] = ()) -> Ben
 
 
 def signing_of(found: Examined) -> BenchSigning:
-    """The same for an examined run."""
+    """The statements of an examined run about its bench's signatures."""
     return bench_signing(found.given.get(BENCH), () if found.state is None else found.state.earlier_seals)
 
 

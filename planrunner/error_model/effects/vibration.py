@@ -39,9 +39,9 @@ class GyroVibrationRectification:
 
 
 class AccelVibrationRectification:
-    """Bias + k·⟨|α'|²⟩ per axis, α' the oscillating part of the angular acceleration of the table, to which the acceleration of its
-    vibration is proportional (IEEE Std 1293, vibration rectification error; its coefficient per g² is k divided by the square of the
-    distance from the axis)."""
+    """Bias + k·⟨|α'|²⟩ per axis, where α' is the oscillating part of the angular acceleration of the table, to which the
+    acceleration of its vibration is proportional. IEEE Std 1293 calls it vibration rectification error; its coefficient per g² is k
+    divided by the square of the distance from the axis."""
 
     id, stage = "accel_vibration_rectification", "sensor"
     about = About(

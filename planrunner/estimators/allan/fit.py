@@ -185,8 +185,9 @@ def fit_noise(
     order: int = ALLAN,
     covariance: VarianceCovariance | None = None,
 ) -> NoiseFit:
-    """Fits `terms` to Allan (or Hadamard) variances (k,) at `factors`, not all of them 0. freedom: (k,), degrees of freedom, for the
-    initial weights. covariance: of these variances; by default it is computed for runs of these lengths.
+    """Fits `terms` to Allan (or Hadamard) variances (k,) at `factors`; at least one variance must be above zero. freedom: (k,),
+    degrees of freedom, for the initial weights. covariance: of these variances; by default it is computed for runs of these
+    lengths.
 
     Raises `ValueError` if there are fewer averaging times than terms.
     """

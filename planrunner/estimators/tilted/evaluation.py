@@ -198,7 +198,8 @@ def answers_of(groups: Sequence[Group], conditions: TiltedConditions, worst: Wor
 
 
 def answers_to_averages(answers: Array) -> Array:
-    """The same sensitivities to `Group.averages`, (n + 1, m, 5): the rest value is subtracted from every rate."""
+    """Sensitivities of the quantities of each group to `Group.averages`, (n + 1, m, 5): the rest value is subtracted from every
+    rate."""
     return np.concatenate([answers, -answers.sum(axis=0)[None]])
 
 

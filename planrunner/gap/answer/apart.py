@@ -1,7 +1,7 @@
 """Effects that a recording shows outside the coefficients on which other effects act, such as a line of one frequency.
 
-They are found first and removed from the samples, so that the other effects are weighed without them. Each acts or does not act, whatever
-the others do: its evidence adds to theirs.
+They are found first and removed from the samples, so that the other effects are evaluated without them. Each is present or absent
+independently of the others, so its evidence is added to theirs.
 """
 
 from __future__ import annotations

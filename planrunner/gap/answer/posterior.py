@@ -181,7 +181,7 @@ def _of_effects(
 
 
 def _again(weighing: Weighing, candidate: Candidate) -> Candidate:
-    """The same candidate with other noise. The cost of its shape stays the same."""
+    """This candidate evaluated with other noise. The cost of its shape stays the same."""
     if not np.isfinite(candidate.log_bayes).any():
         return candidate
     usable = [item for item in candidate.variants if item.trace > 0]

@@ -105,8 +105,8 @@ class Uncertain:
 class SourcePart:
     """The part of one device, bench or occasion, if its source contributes. level: the sum of the part and of the part that all
     runs have in common. The data often determine this sum better than either part. difference: from the mean of the other parts of
-    the source. Both are None if every group has one run; the difference also for a single group. runs: number of runs that contain
-    the part. since: moment of the step after which the part counts; empty if it counts from the first run."""
+    the source. Both are None if every group has one run; the difference is also None for a single group. runs: number of runs that
+    contain the part. since: moment of the step after which the part counts; empty if it counts from the first run."""
 
     label: str
     since: str

@@ -142,9 +142,9 @@ class Candidate:
 class Weighing:
     """The recording with its noise and its nominal model, prepared for the evaluation of effects.
 
-    removed: (N, K), SI, what is subtracted from the samples before they are weighed, such as a line.
-    coarse: (K,), channels whose count the noise does not dither; their samples show rounding, not noise.
-    Settings of both triads are combined: index = gyro setting × accelerometer settings + accelerometer setting.
+    removed: (N, K), SI, what is subtracted from the samples before they are evaluated, such as a line. coarse: (K,), channels whose
+    count the noise does not dither; their samples show rounding, not noise. Settings of both triads are combined: index = gyro
+    setting × accelerometer settings + accelerometer setting.
     """
 
     def __init__(self, observed: Observed, nominal: Sequence[str] = FULL, removed: Array | None = None):

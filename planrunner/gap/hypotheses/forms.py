@@ -82,8 +82,8 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
 def _along_secants(
     weighing: Weighing, effect: CurvedAndShaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
-    """The same for an effect with a shape. The shape is searched again with the secants at the amplitudes of the most probable
-    shape, and the nominal parameters are fitted together with it."""
+    """A strong nonlinear effect with a shape, approximated by its secants. The shape is searched again with the secants at the
+    amplitudes of the most probable shape, and the nominal parameters are fitted together with it."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         size = np.array([column.magnitude for column in best.variant.columns])

@@ -307,9 +307,10 @@ def _scan(weighing: Weighing, index: int) -> _Scan:
 
 
 def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: float) -> tuple[Array, float]:
-    """The samples (n,) of a scan without a sine of about this frequency [Hz], which is fitted with its amplitude and phase, as far as it
-    lies outside the basis (Gauss–Newton in the frequency); and the frequency. spacing: Hz, of the periodogram. The search begins at the
-    highest of finer values about the frequency, because gaps between segments raise its neighbours almost as high."""
+    """Fits a sine near this frequency [Hz] to the samples of a scan (Gauss–Newton in the frequency) and subtracts the part of it
+    that lies outside the basis. Returns the remaining samples (n,) and the fitted frequency. spacing: Hz, of the periodogram. The
+    search begins at the highest of finer values about the frequency, because gaps between segments raise its neighbours almost as
+    high."""
     observed, spectrum = weighing.observed, weighing.spectrum
     time = observed.time - observed.time.mean()
     root = np.sqrt(scan.weight)

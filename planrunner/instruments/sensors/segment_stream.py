@@ -31,12 +31,10 @@ class Arriving(Protocol):
 
 
 class SegmentStream:
-    """The stream of one segment: `wanted` samples after `start` (s, by the bench's clock). byte_time: s per byte on the line; skew:
-    of the sensor's clock, as known so far; haste: seconds of the bench's clock per second of real time. over:
-
-    whether all samples have been returned. heard: good frames of the last call; fresh: those of them that are later than all earlier
-    frames.
-    """
+    """The stream of one segment: `wanted` samples after `start` (s, by the bench's clock). byte_time: s per byte on the line; skew: of
+    the sensor's clock, as determined from the frames received until now; haste: seconds of the bench's clock per second of real time.
+    over: whether all samples have been returned. heard: good frames of the last call; fresh: the frames among them that are later than
+    all earlier frames."""
 
     def __init__(
         self,

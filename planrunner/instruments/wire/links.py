@@ -97,7 +97,7 @@ class Wire(Protocol):
 
 @dataclass(slots=True)
 class Incoming:
-    """The received bytes until `deadline` [monotonic s]. got: the data so far."""
+    """The received bytes until `deadline` [monotonic s]. got: the data received until now."""
 
     resource: Wire
     deadline: float
