@@ -79,7 +79,7 @@ def _plain(closed: Closed) -> JsonObject:
         "planrunner_close": 1,
         "rounds": [
             {
-                "effects": list(one.made.diagnosis.verdict.effects),
+                "effects": list(one.made.diagnosis.verdict.named),
                 "named": [item.to_json() for item in one.made.advice()],
                 "before_sigma": one.comparison.before_sigma,
                 "after_sigma": one.comparison.after_sigma,

@@ -140,7 +140,7 @@ def run(args: argparse.Namespace) -> int:
     print_findings(made.findings)
     found = made.to_json()
     if args.compare:
-        if made.diagnosis.verdict.effects:
+        if made.diagnosis.verdict.named:
             found["comparison"] = _compared(made, args.simulation)
         else:
             print("No effect is named: there is nothing to compare.", file=sys.stderr)
@@ -175,7 +175,7 @@ def _compared(made: Diagnosed, simulation: str | None) -> JsonObject:
 def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
     """Writes the plan and the bench with the named effects, if requested. Returns the lines to print about them."""
     asked = [path for path in (args.write_plan, args.write_bench) if path is not None]
-    if asked and not made.diagnosis.verdict.effects:
+    if asked and not made.diagnosis.verdict.named:
         return [f"No effect is named: {path} is not written." for path in asked]
     from planrunner.tasks.named_effects import bench_with_effects, plan_with_estimate
 

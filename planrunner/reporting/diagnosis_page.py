@@ -109,7 +109,16 @@ def _capital(text: str) -> str:
 
 def verdict(found: Data) -> str:
     """The answer in one sentence, and a second one if the noise is far from its declaration."""
-    return " ".join(filter(None, (_cause(found), *_noise_declared_wrongly(found))))
+    return " ".join(filter(None, (_cause(found), *_noise_beside(found), *_noise_declared_wrongly(found))))
+
+
+def _noise_beside(found: Data) -> list[str]:
+    """Sentences about the effects on the noise beside the cause."""
+    chances = found.get("noise_effects", {})
+    return [
+        f"The noise differs from its declaration: {name} ({probability(chances[name])})."
+        for name in found["verdict"].get("noise", ())
+    ]
 
 
 def _noise_declared_wrongly(found: Data) -> list[str]:

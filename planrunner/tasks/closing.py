@@ -176,7 +176,7 @@ def close(
             break
         merged = _merged(entered, stated_effects(made))
         if merged is None:  # fitted anew, with the other effects subtracted
-            named = made.diagnosis.verdict.effects
+            named = made.diagnosis.verdict.named
             others = [one for one in entered if one[0] not in named]
             made = diagnosed_again(first, _without(first, others), options)
             merged = _merged(others, stated_effects(made))
@@ -184,7 +184,7 @@ def close(
             ending = Ending.AGAIN
             break
         found = comparison(first, stop, simulation, merged)
-        on_noise = any(_on_noise(name) for name in made.diagnosis.verdict.effects)
+        on_noise = any(_on_noise(name) for name in made.diagnosis.verdict.named)
         before = done[-1].comparison.after_sigma if done else found.before_sigma
         if found.after_sigma > before * (1 - SMALLEST) and not on_noise:
             ending = Ending.NO_GAIN

@@ -83,7 +83,7 @@ class Diagnosed:
         from planrunner.reporting.advice import advice
 
         fitted = self.diagnosis.parameters
-        return [advice(effect_named(name), fitted) for name in self.diagnosis.verdict.effects if name != "unknown"]
+        return [advice(effect_named(name), fitted) for name in self.diagnosis.verdict.named if name != "unknown"]
 
     def to_json(self) -> JsonObject:
         """The diagnosis according to `schemas/diagnosis.schema.json`."""

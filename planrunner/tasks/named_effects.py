@@ -36,7 +36,7 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
     The checked plan contains the text in `plan_bytes` and shows whether its segments can separate the effects. Raises `InputError`
     if none of the named effects can be estimated.
     """
-    recorded, named = made.recorded, made.diagnosis.verdict.effects
+    recorded, named = made.recorded, made.diagnosis.verdict.named
     sound, where = recorded.sound, Mark(recorded.where)
     observed = made.diagnosis.grounds.weighing.observed
     if observed.along is not None:
@@ -103,7 +103,7 @@ def stated_effects(made: Diagnosed) -> Stated:
                 if one.effect == name
             },
         )
-        for name in made.diagnosis.verdict.effects
+        for name in made.diagnosis.verdict.named
     ]
 
 

@@ -53,8 +53,8 @@ def main(argv: list[str] | None = None) -> int:
         if given.command == "make":
             campaign.make_all(given.folder, given.count, given.seed, workers_of(given), _tell, given.real_noise)
         elif given.command == "answer":
-            for name in given.by or ["planrunner"]:
-                campaign.answer_all(given.folder, name, workers_of(given), _tell, given.first)
+            names = given.by or ["planrunner"]
+            campaign.answer_all(given.folder, names, workers_of(given), _tell, given.first)
         elif given.command == "ceiling":
             from tests.blind.ceiling import told
 

@@ -44,18 +44,27 @@ def answerer(name: str) -> Answerer:
     return getattr(importlib.import_module(module), function)
 
 
-def answer_batch(folder: str, name: str, label: str, cases: Sequence[str]) -> int:
-    diagnose = answerer(name)
+def answer_batch(folder: str, names: Sequence[str], cases: Sequence[str]) -> int:
+    """Has cases answered by all of `names`, case by case, so that those that need the same diagnosis share it."""
+    answerers = {_label(name): answerer(name) for name in names}
     for case in cases:
         shown = store.shown(Path(folder), case)
         _ = shown.columns  # reading is not counted
-        begin = time.perf_counter()
-        try:
-            answer = diagnose(shown)
-        except Exception as error:  # counted as an answer that failed, and shown in the score
-            answer = {"error": f"{type(error).__name__}: {error}"}
-        store.write_answer(Path(folder), label, case, {**answer, "seconds": time.perf_counter() - begin})
+        for label, diagnose in answerers.items():
+            if store.answer_file(Path(folder), label, case).exists():
+                continue
+            begin = time.perf_counter()
+            try:
+                answer = diagnose(shown)
+            except Exception as error:  # counted as an answer that failed, and shown in the score
+                answer = {"error": f"{type(error).__name__}: {error}"}
+            store.write_answer(Path(folder), label, case, {**answer, "seconds": time.perf_counter() - begin})
     return len(cases)
+
+
+def _label(name: str) -> str:
+    """The name of a folder of answers."""
+    return name.replace(":", ".")
 
 
 def _batches(keyed: list[tuple[Any, Any]]) -> list[list]:
@@ -113,19 +122,18 @@ def make_all(
 
 def answer_all(
     folder: Path,
-    name: str,
+    names: Sequence[str],
     workers: Workers = ALONE,
     tell: Callable = lambda _: None,
     first: int | None = None,
 ) -> None:
-    """Has every case answered that `name` has not answered yet, or of the first so many cases."""
-    label = name.replace(":", ".")
+    """Has every case answered that one of `names` has not answered yet, or of the first so many cases."""
     cases = store.made(folder)[:first]
     wanted = [
         (json.loads((folder / "cases" / case / "case.json").read_text(encoding="utf-8"))["setup"], case)
         for case in cases
-        if not store.answer_file(folder, label, case).exists()
+        if not all(store.answer_file(folder, _label(name), case).exists() for name in names)
     ]
-    progress = Progress(f"answered by {name}", len(cases) - len(wanted), len(cases), tell)
-    for more in results_in_order(partial(answer_batch, str(folder), name, label), _batches(wanted), workers):
+    progress = Progress(f"answered by {', '.join(names)}", len(cases) - len(wanted), len(cases), tell)
+    for more in results_in_order(partial(answer_batch, str(folder), tuple(names)), _batches(wanted), workers):
         progress.more(more)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,6 +32,7 @@ from planrunner.plan.expand import expand
 from planrunner.plan.model import parse_plan
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
 from planrunner.tasks.propose import Frame, propose_next
+from tests.blind import folder as store
 from tests.blind.device import SENSORS
 from tests.blind.folder import Shown
 from tests.blind.generator import Case, channel_names, device_of
@@ -133,9 +136,15 @@ def observation(shown: Shown) -> Observed:
     )
 
 
+@lru_cache(maxsize=1)
+def _kept(folder: Path, name: str) -> Diagnosis:
+    """The diagnosis of a case, kept until the next case: its answer and its closure share it. folder: of the campaign."""
+    return diagnosed(observation(store.shown(folder, name)))
+
+
 def diagnose(shown: Shown) -> dict[str, Any]:
     """The diagnosis' answer without what only its page shows."""
-    answer = diagnosed(observation(shown)).to_json()
+    answer = _kept(shown.folder.parents[1], shown.name).to_json()
     answer.pop("pictures", None)
     return answer
 
@@ -174,7 +183,7 @@ def closure_and_truth(shown: Shown) -> dict[str, Any]:
     label = json.loads((sealed / f"{shown.name}.json").read_text(encoding="utf-8"))["label"]
     device = device_of(int((sealed / "seed").read_text(encoding="utf-8")), int(shown.name.split("-")[1]), shown.sensor)
     faults = [Fault(e["effect"], np.array(e["theta"]), tuple(e["shape"])) for e in label["entries"]]
-    answer = diagnosed(observation(shown))
+    answer = _kept(shown.folder.parents[1], shown.name)
     plain = {"closure": answer.to_json()["closure"]}
     if answer.closure.resolvable:
         weighing = answer.grounds.weighing

@@ -1,9 +1,10 @@
 """Scores answers in the diagnosis' output contract against labels: every figure of the target table, with binomial intervals.
 
-An answer is right at class level when what it names is the truth or a member of the class that the generator found inseparable
-from it under that plan; an "indistinguishable" answer is right when its class holds the truth. Effects that the nominal parameters
-absorb whole count as none. An effect off the catalogue that one of the catalogue looks like under that plan is rightly called either,
-and does not count among those to be recognised.
+An answer is right at class level when what it names is the truth or a member of the class that the generator found inseparable from it
+under that plan; an "indistinguishable" answer is right when its class holds the truth. Effects that the nominal parameters absorb whole
+count as none. An effect on the level of the noise beside another effect is no part of the cause: probabilities, sets and calibration
+are about causes, whatever the noise, and `right` asks for the noise too. An effect off the catalogue that one of the catalogue looks
+like under that plan is rightly called either, and does not count among those to be recognised.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from tests.blind.effects import KINDS
+
 UNKNOWN = "unknown"
 BANDS = {"20-65 (36)": (20.0, 65.0), "80-260 (144)": (80.0, 260.0), ">= 900": (900.0, np.inf), ">= 36": (36.0, np.inf)}
 STRONG, WEAK = 144.0, 36.0
@@ -23,6 +26,9 @@ NAMED_SINCE = {"vibration_tone": ("gyro_line_interference",)}
 earlier campaigns stay valid: either answer is right."""
 _BANDS = ("36-144", "144-900", ">= 900")  # of closures
 BINS = 15  # of confidence, equally wide
+CERTAIN = 0.99
+ON_NOISE = frozenset(name for name, kind in KINDS.items() if kind.covariance)
+"""Effects on the level of the noise."""
 SEED = 5
 
 
@@ -56,6 +62,12 @@ def rate(hits: Iterable[bool]) -> Rate:
     return Rate(sum(listed), len(listed))
 
 
+def causes(names: Iterable[str]) -> set[str]:
+    """Effects without those on the noise beside them."""
+    named = set(names)
+    return named - ON_NOISE or named
+
+
 @dataclass(frozen=True)
 class Scored:
     """One case: its label beside an answer."""
@@ -80,12 +92,18 @@ class Scored:
         return min(self.strengths, default=0.0)
 
     @cached_property
+    def acting(self) -> set[str]:
+        """The true effects that the nominal parameters do not absorb."""
+        return {entry["effect"] for entry in self.label["entries"] if not entry["absorbed"]}
+
+    @cached_property
     def classes(self) -> list[set[str]]:
-        """Per true effect the names that count as it."""
+        """Per effect of the true cause the names that count as it."""
+        own = causes(self.acting)
         return [
             {*entry["class"], entry["effect"], *NAMED_SINCE.get(entry["effect"], ())}
             for entry in self.label["entries"]
-            if not entry["absorbed"]
+            if entry["effect"] in own
         ]
 
     @property
@@ -94,8 +112,8 @@ class Scored:
         return self.classes[0] - set(self.label["effects"]) if self.kind == UNKNOWN else set()
 
     def says_the_truth(self, names: Iterable[str]) -> bool:
-        """Whether a set of names, {"unknown"} included, is the truth at class level."""
-        named = set(names)
+        """Whether a set of names, {"unknown"} included, is the true cause at class level, whatever the noise."""
+        named = causes(names)
         if self.kind == "unknown":
             return named == {UNKNOWN} or (len(named) == 1 and named <= self.lookalikes)
         if len(named) != len(self.classes):
@@ -119,16 +137,31 @@ class Scored:
         return list(dict.fromkeys(([effects] if effects else []) + ["+".join(sorted(m.split("+"))) for m in members]))
 
     @cached_property
-    def right(self) -> bool:
+    def cause_is_right(self) -> bool:
         return not self.failed and any(self.key_is_true(key) for key in self.announced)
+
+    @property
+    def noise_said(self) -> set[str]:
+        """The effects on the noise that the verdict names beside a cause."""
+        verdict = self.answer.get("verdict") or {}
+        said = {*verdict.get("effects", ()), *verdict.get("noise", ())}
+        return said - causes(said)
+
+    @property
+    def noise_is_right(self) -> bool:
+        return self.noise_said == self.acting - causes(self.acting)
+
+    @property
+    def right(self) -> bool:
+        """The cause, and the noise beside it."""
+        return self.cause_is_right and self.noise_is_right
 
     @property
     def exact(self) -> bool:
         """The very effects, and nothing beside them."""
-        true = {entry["effect"] for entry in self.label["entries"] if not entry["absorbed"]}
-        wanted = {UNKNOWN} if self.kind == "unknown" else true
+        wanted = {UNKNOWN} if self.kind == "unknown" else self.acting
         said = [] if self.announced == ["none"] else [name for key in self.announced for name in key.split("+")]
-        return not self.failed and set(said) == wanted
+        return not self.failed and {*said, *self.noise_said} == wanted
 
     @property
     def says_none(self) -> bool:
@@ -136,7 +169,12 @@ class Scored:
 
     @cached_property
     def posterior(self) -> dict[str, float]:
-        return {key: float(p) for key, p in (self.answer.get("posterior") or {}).items()}
+        """Of causes, whatever the noise."""
+        found: dict[str, float] = {}
+        for key, p in (self.answer.get("posterior") or {}).items():
+            cause = "+".join(sorted(causes(key.split("+"))))
+            found[cause] = found.get(cause, 0.0) + float(p)
+        return found
 
     @property
     def confidence(self) -> float:
@@ -146,7 +184,7 @@ class Scored:
 
     def _same(self, key: str, said: str) -> bool:
         """Keys that differ only within the true class are one at class level."""
-        return key == said or (self.key_is_true(key) and self.key_is_true(said))
+        return key == "+".join(sorted(causes(said.split("+")))) or (self.key_is_true(key) and self.key_is_true(said))
 
     @property
     def brier(self) -> float:
@@ -157,12 +195,12 @@ class Scored:
     @property
     def announced_brier(self) -> float:
         """(p − y)² of what is announced alone: the probability that the calibration is about."""
-        return (self.confidence - self.right) ** 2
+        return (self.confidence - self.cause_is_right) ** 2
 
     @property
     def size(self) -> int:
         """Hypotheses in the 95 % set, those that are the truth at class level counting as one."""
-        names = self.answer.get("ambiguity_set") or []
+        names = {"+".join(sorted(causes(key.split("+")))) for key in self.answer.get("ambiguity_set") or []}
         true = sum(self.key_is_true(key) for key in names)
         return len(names) - max(true - 1, 0)
 
@@ -270,7 +308,11 @@ def _probabilities(cases: Sequence[Scored]) -> dict[str, Any]:
     if not cases:
         return {"calibration": None}
     return {
-        "calibration": calibration([c.confidence for c in cases], [c.right for c in cases]),
+        "calibration": calibration([c.confidence for c in cases], [c.cause_is_right for c in cases]),
+        "right cause where P >= .99": rate(c.cause_is_right for c in cases if c.confidence >= CERTAIN),
+        "right noise beside a cause": rate(
+            c.noise_is_right for c in cases if c.noise_said or c.acting - causes(c.acting)
+        ),
         "brier": {**_by_strength(cases, "brier"), "of what is announced": _mean(cases, "announced_brier")},
         "95 % set": {"coverage": rate(c.covered for c in cases), "mean size": _by_strength(cases, "size")},
     }
@@ -331,12 +373,23 @@ def closure_held_out(labels: Mapping[str, Mapping], answers: Mapping[str, Mappin
     for case, closure in zip(cases, said, strict=True):
         if closure.get("told"):
             ratios[_band(case)].append(closure["true"] / closure["told"])
+    by_class: dict[str, list[bool]] = {}
+    for case, closure in zip(cases, said, strict=True):
+        if closure["resolvable"]:
+            name = "pairs" if case.kind == "pair" else str(case.label["entries"][0]["effect"])
+            by_class.setdefault(name, []).append(_holds(closure))
     return {
         "ratio to the true effects told": {band: _spread(values) for band, values in ratios.items()},
-        "interval holds the truth": rate(c["interval_90"][0] <= c["true"] <= c["interval_90"][1] for c in resolved),
+        "interval holds the truth": rate(map(_holds, resolved)),
+        "interval holds the truth, by effect": {name: rate(held) for name, held in sorted(by_class.items())},
         "said less true": _spread([abs(c["shrinks_by"] - c["true"]) for c in resolved]),
         "not resolvable": rate(not closure["resolvable"] for closure in said),
     }
+
+
+def _holds(closure: Mapping[str, Any]) -> bool:
+    low, high = closure["interval_90"]
+    return bool(low <= closure["true"] <= high)
 
 
 def _spread(values: Sequence[float]) -> dict[str, Any]:

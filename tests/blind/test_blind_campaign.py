@@ -85,16 +85,16 @@ def test_what_is_shown_says_nothing_of_the_truth(made: Path) -> None:
 
 
 def test_answers_go_on_where_they_stopped_and_failures_are_counted(made: Path) -> None:
-    campaign.answer_all(made, NOTHING)
+    campaign.answer_all(made, [NOTHING])
     label = NOTHING.replace(":", ".")
     path = folder.answer_file(made, label, "case-00000")
     first = path.read_text(encoding="utf-8")
     folder.answer_file(made, label, "case-00001").unlink()
     told: list[str] = []
-    campaign.answer_all(made, NOTHING, tell=told.append)
+    campaign.answer_all(made, [NOTHING], tell=told.append)
     assert told == [f"9 of 9 answered by {NOTHING}"]
     assert path.read_text(encoding="utf-8") == first
-    campaign.answer_all(made, f"{__name__}:failing")
+    campaign.answer_all(made, [f"{__name__}:failing"])
     failed = folder.answers(made, f"{__name__}.failing")
     assert failed["case-00003"]["error"] == "ValueError: cannot read case-00003"
 
@@ -127,8 +127,8 @@ def test_a_campaign_is_the_same_on_one_and_two_workers(tmp_path: Path, monkeypat
 def test_processes_of_this_machine_answer_alike(made: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(made, copy)
-    campaign.answer_all(made, "whitened-bic")
-    campaign.answer_all(copy, "whitened-bic", Workers(2))
+    campaign.answer_all(made, ["whitened-bic"])
+    campaign.answer_all(copy, ["whitened-bic"], Workers(2))
     answers = [folder.answers(where, "whitened-bic") for where in (made, copy)]
     for one, two in zip(*(sorted(found.items()) for found in answers), strict=True):
         assert one[0] == two[0]
@@ -201,7 +201,7 @@ def test_thresholded_least_squares_keeps_what_is_large(made: Path) -> None:
 
 
 def test_score_is_a_table_and_a_file(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    campaign.answer_all(made, NOTHING)
+    campaign.answer_all(made, [NOTHING])
     assert main(["score", str(made), "--json", str(tmp_path / "s.json")]) == 0
     assert "false alarm: all" in capsys.readouterr().out
     figures = json.loads((tmp_path / "s.json").read_text(encoding="utf-8"))

@@ -46,7 +46,7 @@ def test_a_case_becomes_an_observation(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_answers_keep_the_contract(tmp_path: Path) -> None:
     labels = sample(tmp_path, SETUPS[:1], 4)
-    campaign.answer_all(tmp_path, "planrunner")
+    campaign.answer_all(tmp_path, ["planrunner"])
     for name, answer in folder.answers(tmp_path, "planrunner").items():
         assert name in labels and answer.keys() >= CONTRACT, answer.get("error")
         assert sum(answer["posterior"].values()) == pytest.approx(1, abs=1e-6)
@@ -70,7 +70,7 @@ def test_it_is_right_more_often_than_what_it_replaces(tmp_path: Path) -> None:
     labels = sample(tmp_path, SETUPS, 5)
     right = {}
     for who in ("planrunner", "whitened-bic", "stepwise-bic", "stlsq"):
-        campaign.answer_all(tmp_path, who)
+        campaign.answer_all(tmp_path, [who])
         scored = [Scored(labels[name], answer) for name, answer in folder.answers(tmp_path, who).items()]
         assert not any(case.failed for case in scored), who
         right[who] = sum(case.right for case in scored)

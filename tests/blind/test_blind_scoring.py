@@ -87,6 +87,25 @@ def test_right_at_class_level_and_exactly(truth: dict, said: dict, right: bool, 
     assert (Scored(truth, said).right, Scored(truth, said).exact) == (right, exact)
 
 
+NOISY = label("pair", ("table_tilt", 200.0, ["table_tilt"]), ("gyro_noise_excess", 90.0, ["gyro_noise_excess"]))
+
+
+def test_noise_beside_a_cause_is_asked_for_but_is_no_part_of_the_cause() -> None:
+    beside = answer("effect", "table_tilt", posterior={"table_tilt": 0.97, "none": 0.03}, ambiguity_set=["table_tilt"])
+    for said, noise in (
+        (beside, False),
+        ({**beside, "verdict": {**beside["verdict"], "noise": ["gyro_noise_excess"]}}, True),
+    ):
+        found = Scored(NOISY, said)
+        assert (found.right, found.exact, found.noise_is_right) == (noise, noise, noise)
+        assert found.cause_is_right and found.covered and found.confidence == pytest.approx(0.97)
+    joint = {"gyro_noise_excess+table_tilt": 0.7, "table_tilt": 0.2, "gyro_noise_excess": 0.1}
+    pair = Scored(NOISY, answer("pair", "gyro_noise_excess", "table_tilt", posterior=joint))
+    assert pair.right and pair.confidence == pytest.approx(0.9)
+    assert pair.posterior == pytest.approx({"table_tilt": 0.9, "gyro_noise_excess": 0.1})
+    assert not Scored(TILT, pair.answer).right and Scored(TILT, pair.answer).cause_is_right
+
+
 def test_an_absorbed_effect_is_none_and_its_name_alone_is_wrong() -> None:
     truth = label("none", ("table_rate_error", 0.0, ["table_rate_error"]))
     assert Scored(truth, answer("none")).right

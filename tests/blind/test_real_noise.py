@@ -49,7 +49,7 @@ def test_cases_are_made_and_answered(tmp_path: Path) -> None:
         case = generator.draw(f"case-{number}", "poor", "mpu6050", "single", np.random.default_rng(number))
         folder.write_case(tmp_path, case, 3)
     folder.commit(tmp_path)
-    campaign.answer_all(tmp_path, "planrunner")
+    campaign.answer_all(tmp_path, ["planrunner"])
     for name, answer in folder.answers(tmp_path, "planrunner").items():
         assert "verdict" in answer, answer.get("error")
         label = folder.verified_labels(tmp_path)[name]

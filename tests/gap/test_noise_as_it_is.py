@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import Diagnosis, diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import TONE
+from planrunner.gap.hypotheses.open_set import PLAIN, TONE, competitors
+from planrunner.gap.hypotheses.patterns import WHOLE, Sort
 from planrunner.plan.schedule import Spin
 from tests.gap.turntable import ACCEL_WHITE, DEG, GYRO_WHITE, RATE, Array, Fault, G, record
 
@@ -128,6 +129,26 @@ def test_anti_correlated_noise_averages_faster_than_white_noise() -> None:
     for weights in weighing.weights:
         # Below the lowest band the density counts as constant, although this one falls further.
         assert 0.6 < float(np.mean(weights[0].residual ** 2)) < 1.3
+
+
+def rising(observed: Observed, draw: np.random.Generator) -> Array:
+    """White, and processes of 0.2 s and 4 s time constant that are 5 and 20 times as strong at the lowest frequencies."""
+    found = draw.standard_normal(observed.values.shape)
+    for lasting, power in ((0.2, 5.0), (4.0, 20.0)):
+        slow, keep = draw.standard_normal(observed.values.shape), np.exp(-1 / (lasting * RATE))
+        for index in range(1, len(slow)):
+            slow[index] = keep * slow[index - 1] + (1 - keep) * slow[index]
+        found += np.sqrt(power) * slow
+    return np.asarray(found)
+
+
+def test_noise_that_rises_below_the_measured_bands_is_no_transient_of_the_segments() -> None:
+    """The orders of a segment of 20 s lie at 0.025 to 0.1 Hz, where few coefficients are left outside the basis."""
+    weighing = Weighing(noisy(rising, seed=2))
+    low = (weighing.spectrum.frequency > 0) & (weighing.spectrum.harmonic == 0)
+    ratios = [float(np.mean(each[0].residual[low] ** 2)) for each in weighing.weights]
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.4)
+    assert competitors(weighing).log_bayes[WHOLE[Sort.TRANSIENT]][0] < PLAIN
 
 
 @pytest.mark.parametrize("counts", [3.0, 8.0])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import comb
+
 import numpy as np
 import pytest
 
@@ -28,13 +30,43 @@ def test_an_effect_that_cannot_act_takes_no_part_of_the_prior() -> None:
     single = [name for name in found.log_evidence if "+" not in name and name not in ("none", "unknown")]
     assert "gyro_bias_temperature" not in single
     assert "gyro_bandwidth" not in single
-    for name in single:
+    prior = {size: 1 / comb(len(single), size) for size in (1, 2, 3, 4)}
+    prior = {1: 0.50 * prior[1], 2: 0.10 * prior[2], 3: 0.05 / 4 * prior[3], 4: 0.05 / 8 * prior[4]}
+    pair = next(
+        name for name, value in found.log_evidence.items() if "+" in name and np.isfinite(value) and alone(name)
+    )
+    for name in (*single, pair):
         odds = found.probability[name] / found.probability["none"]
-        assert odds == pytest.approx(np.exp(found.log_evidence[name]) * 0.50 / len(single) / 0.20, rel=2e-3)
-    pair = next(name for name in found.log_evidence if "+" in name and np.isfinite(found.log_evidence[name]))
-    share = 0.10 / (len(single) * (len(single) - 1) / 2)
-    odds = found.probability[pair] / found.probability["none"]
-    assert odds == pytest.approx(np.exp(found.log_evidence[pair]) * share / 0.20, rel=2e-3)
+        same = [other for other in found.log_evidence if other == name or (alone(name) and cause(other) == cause(name))]
+        expected = sum(np.exp(found.log_evidence[other]) * prior[len(other.split("+"))] for other in same) / 0.20
+        assert odds == pytest.approx(expected, rel=2e-3)
+
+
+ON_NOISE = {"gyro_noise_excess", "gyro_quantization", "accel_noise_excess", "accel_quantization"}
+
+
+def cause(name: str) -> set[str]:
+    return set(name.split("+")) - ON_NOISE
+
+
+def alone(name: str) -> bool:
+    """Whether no effect on the level of the noise is among the effects."""
+    return cause(name) == set(name.split("+"))
+
+
+def test_noise_is_reported_beside_a_cause_and_is_no_rival_of_it() -> None:
+    """Noise 40 times as strong as declared, which no wrong declaration explains, beside an unbalance."""
+
+    def unbalance(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        return force / G @ draw.normal(0.0, 1.0, (3, 3)) * 0.1 * DEG, 0.0
+
+    made = diagnose(record(seed=11, fault=unbalance, noise=40.0))
+    found, said = made.posterior, made.verdict
+    assert not [name for name in found.probability if cause(name) and not alone(name)]
+    assert sum(found.probability.values()) == pytest.approx(1.0)
+    assert (said.kind, said.effects, said.noise) == ("effect", ("gyro_g_sensitivity",), ("gyro_noise_excess",))
+    assert found.noise["gyro_noise_excess"] > 0.99
+    assert "gyro_noise_excess" in {one.effect for one in made.parameters}
 
 
 def test_a_walk_is_found_beside_more_noise() -> None:
@@ -44,7 +76,8 @@ def test_a_walk_is_found_beside_more_noise() -> None:
         return 2e-4 * DEG * np.cumsum(steps, axis=0), 0.0
 
     found = diagnose(record(seed=8, fault=walk, noise=4.0))
-    assert next(iter(found.posterior.probability)) == "gyro_bias_random_walk+gyro_noise_excess"
+    assert next(iter(found.posterior.probability)) == "gyro_bias_random_walk"
+    assert found.verdict.noise == ("gyro_noise_excess",)
 
 
 def test_averaging_over_a_shape_never_gains() -> None:

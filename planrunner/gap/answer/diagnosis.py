@@ -117,7 +117,9 @@ class Diagnosis:
                 "class": list(self.verdict.members),
                 "form_residue": self.verdict.residue,
                 "something_else": self.verdict.something_else,
+                "noise": list(self.verdict.noise),
             },
+            "noise_effects": dict(self.posterior.noise),
             "ambiguity_set": list(self.ambiguity_set),
             "absorbed": [{"effect": name, "kept_share": share} for name, share in self.absorbed.items()],
             "parameters": [
@@ -309,7 +311,7 @@ def _parameters(
     listed: list[ParameterEstimate] = []
     walking = any(isinstance(e, ActsOnNoise) and e.noise == "random walk" and e.id in said.effects for e in effects)
     together = found.sets.get(key_of(name for name in said.effects if name in by_id))
-    for name in said.effects:
+    for name in said.named:
         if name not in by_id:
             on_noise = next(one for one in effects if one.id == name and isinstance(one, ActsOnNoise))
             listed += apart.parameters.get(name) or estimates.of_noise(weighing, on_noise)

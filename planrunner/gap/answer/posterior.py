@@ -4,11 +4,14 @@ The evidence determines directly the probability that effects of the catalogue a
 something else, and that none of them acts. The probability of effects is then divided among sets of them. For this, the evidence is
 computed with the noise enlarged by the dispersion of the residuals (`evidence.dispersion`). If even the best set leaves more than
 noise, the evidence for its names is weaker by this factor.
+
+Noise is never a rival of a cause. Hypotheses that differ only in an effect on the level of the noise are the same cause, and their
+probabilities are added. The probability of each effect on the noise is stated in addition.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from math import comb
@@ -37,12 +40,13 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True)
 class Posterior:
-    """The posterior. probability: of every hypothesis; sets of effects have names such as 'a+b' in alphabetical order, and with
-    something else in addition 'a+b+unknown'. log_evidence: of each hypothesis relative to none; for effects, from the coefficients
-    alone. pairs: the evaluated columns of sets of two or more deterministic effects. sets: the same sets with their effects. kinds:
-    log evidence, relative to none, of the patterns that "unknown" could be. by_channel: log BF (K,) of each pattern in one channel
-    alone. levels: effects that only raise the noise level. lines: tones. beside: probability of a tone or bursts in addition to an
-    effect."""
+    """The posterior. probability: of every cause; sets of effects have names such as 'a+b' in alphabetical order, and with
+    something else in addition 'a+b+unknown'. An effect on the level of the noise is a cause only if nothing else acts. noise:
+    probability of each such effect, whatever the cause. log_evidence: of each hypothesis relative to none; for effects, from the
+    coefficients alone. pairs: the evaluated columns of sets of two or more deterministic effects. sets: the same sets with their
+    effects. kinds: log evidence, relative to none, of the patterns that "unknown" could be. by_channel: log BF (K,) of each pattern
+    in one channel alone. levels: effects that only raise the noise level. lines: tones. beside: probability of a tone or bursts in
+    addition to an effect."""
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
@@ -52,6 +56,7 @@ class Posterior:
     levels: frozenset[str] = frozenset()
     lines: tuple[Line, ...] = ()
     beside: float = 0.0
+    noise: Mapping[str, float] = field(default_factory=dict)
     sets: Mapping[str, EffectSet] = field(default_factory=dict, repr=False)
 
     def of_effects(self) -> dict[str, float]:
@@ -127,6 +132,9 @@ def posterior(
         name: value + log_prior(name, count) + (0.0 if name in PRIORS else _beside(kinds))
         for name, value in found.items()
     }
+    for name in logs:
+        if UNKNOWN in name.split("+"):
+            logs[name] += _whatever_noise(noise, len(name.split("+")), count)
     if _shares(logs)["none"] < NAMEABLE:
         best = max((name for name in logs if name not in PRIORS), key=lambda name: logs[name], default="")
         chain = _chain(best, sets, candidates)
@@ -138,20 +146,44 @@ def posterior(
                 wide = weighing.inflated(ratios.tolist())
                 again, _ = _of_effects(wide, [_again(wide, c) for c in candidates], noise, refit=False)
                 named = _shared({name: value + log_prior(name, count) for name, value in again.items()})
-            more = _with_something_else(weighing, chain, found, count)
+            more = {
+                key: value + _whatever_noise(noise, len(key.split("+")), count)
+                for key, value in _with_something_else(weighing, chain, found, count).items()
+            }
             logs = _as_named(logs, named, more, walk)
     beside = float(np.exp(np.log(BESIDE) + kinds.outside - _beside(kinds)))
+    shares, levels = _shares(logs), frozenset(acting.values())
     return Posterior(
-        dict(sorted(_shares(logs).items(), key=lambda item: -item[1])),
+        dict(sorted(_of_causes(shares, levels).items(), key=lambda item: -item[1])),
         found,
         {key: one.weighed for key, one in sets.items()},
         plainly,
         kinds.by_channel,
-        frozenset(acting.values()) | noise.apart.keys(),
+        levels | noise.apart.keys(),
         kinds.lines + apart.lines,
         beside,
+        {one: sum(share for name, share in shares.items() if one in name.split("+")) for one in sorted(levels)},
         sets,
     )
+
+
+def _of_causes(shares: Mapping[str, float], levels: Collection[str]) -> dict[str, float]:
+    """Shares of causes, whatever the level of the noise beside them. levels: effects on that level."""
+    found: dict[str, float] = {}
+    for name, share in shares.items():
+        key = key_of(part for part in name.split("+") if part not in levels) or name
+        found[key] = found.get(key, 0.0) + share
+    return found
+
+
+def _whatever_noise(noise: _NoiseOnly, size: int, count: int) -> float:
+    """What the log weight of a cause of `size` effects gains if its noise may also be other than declared."""
+    terms = [
+        density - noise.declared + _log_prior_of(size + len(other), count) - _log_prior_of(size, count)
+        for other, density in noise.states.items()
+        if not noise.apart.keys() & set(other)
+    ]
+    return float(np.logaddexp.reduce(terms))
 
 
 def _of_effects(

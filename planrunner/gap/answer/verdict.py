@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,6 +60,7 @@ def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float
 RIVAL = 0.02  # fraction of the first's probability: less likely members of a class are left out, because the data exclude them
 COVERED = 0.95
 ELSEWHERE = 0.5  # share of an effect's energy in other channels at and above which it is not form residue
+BESIDE = 0.5  # the probability above which an effect on the noise is named beside a cause
 SOMETHING_ELSE = 0.90  # the probability at and above which "unknown" is reported
 
 
@@ -68,13 +69,20 @@ class Verdict:
     """The verdict of a diagnosis. kind: none, effect, pair, several, unknown or indistinguishable. effects: the most probable ones.
     members: effects that cannot be distinguished from them, including themselves; sets as 'a+b'. residue: an effect, or "unknown",
     that may be only form residue of the named effect; it may also be one of the named effects. something_else: whether something
-    that the catalogue does not contain acts beside the named effects."""
+    that the catalogue does not contain acts beside the named effects. noise: effects on the level of the noise that probably act in
+    addition."""
 
     kind: str
     effects: tuple[str, ...] = ()
     members: tuple[str, ...] = ()
     residue: str | None = None
     something_else: bool = False
+    noise: tuple[str, ...] = ()
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The effects of the cause, and those on the noise beside it."""
+        return self.effects + self.noise
 
     @property
     def key(self) -> str:
@@ -85,6 +93,16 @@ class Verdict:
 def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]) -> Verdict:
     """Derives the verdict from the posterior. Nothing is named if P(none) is 5 % or more. A single member of a class that the plan
     cannot separate is never named."""
+    said = _cause(weighing, found, candidates)
+    if said.kind == "none":
+        return said
+    return replace(
+        said, noise=tuple(name for name, p in found.noise.items() if p > BESIDE and name not in said.effects)
+    )
+
+
+def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]) -> Verdict:
+    """The verdict without the noise beside the cause."""
     probability = found.of_effects()
     if probability["none"] >= NAMEABLE:
         return Verdict("none")

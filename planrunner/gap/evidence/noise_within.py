@@ -1,7 +1,9 @@
 """The actual noise within segments: its spectrum, and its level in every segment.
 
 Both are measured outside the coefficients, where no effect of the catalogue acts. Therefore noise cannot absorb an effect, and an
-effect cannot appear as noise. Rounded, filtered or differenced outputs and lines of interference make the noise coloured; vibration
+effect cannot appear as noise. At the lowest frequencies, little remains outside the coefficients. If the noise is coloured, its
+spectrum there also follows the cosine coefficients, by the median of their squares. An effect in fewer than half of the segments
+hardly changes this median. Rounded, filtered or differenced outputs and lines of interference make the noise coloured; vibration
 makes it differ between segments. The noise counts as white, and as equal in all segments, unless Schwarz's criterion (BIC; Annals
 of Statistics 6, 1978) prefers the richer description. A spectrum that is measured only at rest, or only in motion, is used for both
 if it also describes the other segments better than white noise does.
@@ -25,6 +27,8 @@ OWN = 16.0  # the same for the spectrum of one segment
 _ROUNDS = 2  # alternations of levels and spectra
 _WINDOWS = 16  # of a segment, whose median energy is its level, so that a burst in some of them does not raise it
 _EFFICIENCY = 2 / np.pi  # of a median, relative to a mean
+_MEDIAN = 0.4549  # of χ² with one degree of freedom
+_OF_MEDIAN = 0.368  # efficiency of the median of squares of normal values as an estimate of their variance
 _SMALLEST = (
     1e-6  # level relative to the white noise below which noise does not lie, such as that of a count that stands
 )
@@ -89,10 +93,15 @@ class NoiseWithin:
         return np.asarray(np.exp(np.column_stack([np.interp(place, np.log(self.frequency), one) for one in spectra.T])))
 
 
-def noise_within(observed: Observed, spectrum: Spectrum, white: Array) -> NoiseWithin:
-    """Measures the noise of the remainder. white: (K,), SI, standard deviation of a sample of white noise."""
+def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Array) -> NoiseWithin:
+    """Measures the noise of the remainder. white: (K,), SI, standard deviation of a sample of white noise; left: (M, K), SI·√samples,
+    coefficients without the fitted nominal parameters."""
     count = np.maximum(spectrum.count, 0.0)
-    used = count.sum(0) > 0
+    low = np.flatnonzero((spectrum.harmonic == 0) & (spectrum.frequency > 0))
+    band_of = np.minimum(np.searchsorted(spectrum.edges, spectrum.frequency[low], side="right"), count.shape[1]) - 1
+    used = count.sum(0) + np.bincount(band_of, minlength=count.shape[1]) > 0
+    band_of = (np.cumsum(used) - 1)[band_of]
+    squares = left[low] ** 2 / np.maximum(white, 1e-300) ** 2
     count = count[:, used]
     energy = spectrum.energy[:, used] / np.maximum(white, 1e-300) ** 2
     centre = np.sqrt(np.maximum(spectrum.edges[:-1], spectrum.edges[1:] / 4) * spectrum.edges[1:])[used]
@@ -107,10 +116,13 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array) -> NoiseW
             here = moving == kind
             own = count[here].sum(0)
             seen = (energy[here, :, channel] / level[here, channel][:, None]).sum(0)
-            shape_ = _carried(seen, own, float(seen.sum() / max(own.sum(), 1e-9)), CARRIED)
-            if own[upper].sum() > 0:
-                shape_ /= float((shape_ * own)[upper].sum() / own[upper].sum())
+            shape_ = _relative_to_upper(seen, own, upper)
             coloured[kind, channel] = _better(shape_, own)
+            if coloured[kind, channel]:
+                also = here[spectrum.segment[low]]
+                each = squares[also, channel] / level[spectrum.segment[low[also]], channel]
+                more, size = _of_median(each, band_of[also], len(own))
+                shape_ = _relative_to_upper(seen + more, own + size, upper)
             other = spectra[1 - kind, :, channel]
             if not coloured[kind, channel] and coloured[1 - kind, channel] and _fits(seen, own, other):
                 coloured[kind, channel], shape_ = True, other
@@ -125,6 +137,21 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array) -> NoiseW
         for index, (seen, size) in enumerate(zip(energy[:, :, channel] / predicted[:, :, channel], count, strict=True)):
             own[index, :, channel] = _carried(seen, size, 1.0, OWN)
     return NoiseWithin(centre, count.sum(0), spectra, level, own, moving, coloured, differing)
+
+
+def _relative_to_upper(energy: Array, count: Array, upper: NDArray[np.bool_]) -> Array:
+    """Levels (B,) of bands, with a mean of 1 in the `upper` ones."""
+    found = _carried(energy, count, float(energy.sum() / max(count.sum(), 1e-9)), CARRIED)
+    if count[upper].sum() > 0:
+        found /= float((found * count)[upper].sum() / count[upper].sum())
+    return found
+
+
+def _of_median(squares: Array, band: NDArray[np.int64], bands: int) -> tuple[Array, Array]:
+    """Energies (B,) and degrees of freedom (B,) of normal values in bands, from the median of their squares (n,)."""
+    size: Array = np.bincount(band, minlength=bands).astype(np.float64) * _OF_MEDIAN
+    level = np.array([np.median(squares[band == b]) if size[b] > 0 else 0.0 for b in range(bands)]) / _MEDIAN
+    return level * size, size
 
 
 def _typical(observed: Observed, spectrum: Spectrum) -> Array:

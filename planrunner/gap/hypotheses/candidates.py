@@ -161,7 +161,6 @@ class Weighing:
         level, self.white_degrees = white_level(observed, self.spectrum)
         self.white: Array = np.maximum(level, self.steps / np.sqrt(12))
         self.coarse: NDArray[np.bool_] = is_coarse(self.white, self.steps)
-        self.noise = noise_within(observed, self.spectrum, self.white)
         slow = SlowMeans.of(*lasting(observed))
         self.settings: dict[str, tuple[Setting, ...]] = {
             kind: settings_of(observed, slow, self.white, kind) for kind in ("gyro", "accel")
@@ -172,6 +171,7 @@ class Weighing:
             for index, part in enumerate(coefficients)
         ]
         self.nominal = [independent(columns) for columns in self.whole]
+        self.noise = noise_within(observed, self.spectrum, self.white, self._left())
         self.observed = self.seen()
         relative = self.noise.of_coefficients(observed, self.spectrum)
         rounding = undithered(observed, self.white, self.coarse)
@@ -198,6 +198,14 @@ class Weighing:
             chosen, likelihood = walking_alike(each, settings)
             self.weights.append(chosen)
             self.log_likelihood.append(likelihood)
+
+    def _left(self) -> Array:
+        """The coefficients (M, K) without the nominal parameters, fitted by least squares."""
+        bases = [np.linalg.qr(columns)[0] for columns in self.nominal]
+        each = [
+            values - basis @ (basis.T @ values) for basis, values in zip(bases, self.spectrum.values.T, strict=True)
+        ]
+        return np.column_stack(each)
 
     def fitted(self, taken: Sequence[Array] | None = None) -> Array:
         """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients. The coefficients
