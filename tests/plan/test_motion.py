@@ -176,7 +176,7 @@ def test_a_motion_that_the_recording_shows() -> None:
     [
         ("recorded: {angle: e, rates: [a, b, c]}", "meaning-recorded-motion", "angle and rates"),
         ("recorded: {averaging: 1 s}", "meaning-recorded-motion", "none of them"),
-        ("recorded: {angle: e, forces: [a, b, c]}", "meaning-recorded-motion", "does not follow from its angle"),
+        ("recorded: {angle: e, forces: [a, b, c]}", "meaning-recorded-motion", "does not determine the specific force"),
         (
             "recorded: {rates: [a, b, c]}\n      about: north",
             "meaning-motion",
