@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planrunner.archive.recording import BATCHES
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, counted, said
-from planrunner.estimators.drift_fit import SuspectedDrift
+from planrunner.estimators.drift_fit import FEW, DoubtedDrift, SuspectedDrift
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark, UnfitDataError
 from planrunner.estimators.open_flicker import no_flicker_declared
 from planrunner.estimators.outlying_segments import LEAST_REDUNDANCY, Outlier, agreement
@@ -19,8 +19,6 @@ from planrunner.observation.drift import DriftCourse
 from planrunner.observation.observations import SIGNIFICANCE
 from planrunner.plan.schedule import Segment
 from planrunner.uncertainty.influences import Aspect
-
-_FEW = 4  # degrees of freedom: with fewer, scatter and drift are hard to distinguish
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,17 +239,18 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
     could not show any."""
     drift = fit.drift
     if not drift.courses:
-        doubted = tuple(_suspected(fit, one, basis) for one in drift.suspected)
+        suspected = tuple(_suspected(fit, one, basis) for one in drift.suspected)
+        doubted = tuple(_doubted(fit, one) for one in drift.doubted)
         if drift.rivals and drift.nonlinear is not None:
-            return DriftWords(warnings=(_rivalled(fit, drift.rivals, drift.nonlinear),))
+            return DriftWords(doubted, (_rivalled(fit, drift.rivals, drift.nonlinear),))
         if drift.judged:
-            return DriftWords(warnings=doubted)
+            return DriftWords(doubted, suspected)
         hidden = said(
             "{outputs}: a drift during the test cannot be distinguished from the coefficients or from scatter, so none is "
             "fitted: repeat the first segment at the end, or add segments.",
             outputs=fit.outputs,
         )
-        return DriftWords((hidden,), doubted)
+        return DriftWords((hidden,), suspected)
     names = _named(drift.courses)
     if drift.without is None or drift.explained is None:
         planned = said(
@@ -275,7 +274,7 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
         moved=float(np.max(np.abs(fit.coefficients - drift.without) / spreads)),
         written=_written(drift.courses),
     )
-    if fit.freedom >= _FEW:
+    if fit.freedom >= FEW:
         return DriftWords(warnings=(seen,))
     doubtful = counted(
         "{warning} Only {count} degree of freedom is left, so errors of the positions could look like a drift: "
@@ -297,6 +296,17 @@ def _shares(fit: OutputsFit, shares: NDArray[np.float64]) -> tuple[Said, ...]:
     return tuple(
         said("{share:.3g} % ({output})", share=100 * float(share), output=output)
         for output, share in zip(fit.outputs, shares, strict=True)
+    )
+
+
+def _doubted(fit: OutputsFit, found: DoubtedDrift) -> Said:
+    """A note about a drift that is part of the uncertainties, although it is not fitted."""
+    return said(
+        "{outputs}: the segments neither show nor exclude a drift ({drift}; probability by chance: {chance:.2g}). It is not fitted, and "
+        "the uncertainties include the change of the coefficients that it would cause. Write `drift: none` if there is no drift.",
+        outputs=fit.outputs,
+        drift=found.course.name,
+        chance=found.probability,
     )
 
 
@@ -323,7 +333,7 @@ def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
             "The temperature changed by {change:.3g} K during the test. In this order of the segments, a drift "
             "with temperature is hard to distinguish from {coefficient} of {output}: {size}. The data neither "
             "show nor exclude such a "
-            "drift, and no uncertainty includes it. Write `drift: temperature` to include it, or `drift: none` if the outputs do "
+            "drift, and the uncertainties do not cover it. Write `drift: temperature` to include it, or `drift: none` if the outputs do "
             "not depend on the temperature. To distinguish the two, keep the temperature steadier, or record "
             "the segments a second time in the opposite order.",
             change=found.course.changed,
@@ -336,13 +346,16 @@ def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
     return said(
         "The outputs may drift during the test: fitted together with the coefficients, a drift ({drift}) would change "
         "{coefficient} of {output} by {change:.2g} standard uncertainties (probability by chance: {chance:.2g}). This evidence is "
-        "too weak to fit the drift, so no uncertainty includes it. Write `drift: {drift}` to include it, or "
+        "too weak to fit the drift, {consequence}. Write `drift: {drift}` to fit it, or "
         "`drift: none` to exclude it. To find out which is true, repeat the first segment at the end.",
         drift=name,
         coefficient=found.name,
         output=output,
         change=abs(found.change) / spread,
         chance=found.probability,
+        consequence=said("but the uncertainties include the change that it would cause")
+        if fit.drift.doubted
+        else said("so no uncertainty includes it"),
     )
 
 

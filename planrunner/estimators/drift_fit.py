@@ -15,6 +15,10 @@ A course that is not adopted is suspected in two cases, which the report names. 
 it would move a coefficient by more than its standard uncertainty. In the second case, it follows a recorded temperature that changed,
 and the segments couple it to a coefficient. An amplitude that the data cannot exclude would then move the coefficient by several
 standard uncertainties.
+
+With few degrees of freedom, even a drift that changes coefficients by several standard uncertainties remains unnoticed in some tests.
+The change that a course with weak evidence would cause is then added to the uncertainties as an error that is not corrected (JCGM
+100:2008, F.2.4.5).
 """
 
 from __future__ import annotations
@@ -37,6 +41,11 @@ LEAST_LEFT = 2
 SUSPECTED = 2 * SIGNIFICANCE
 """Probability by chance below which a course that is not adopted is suspected. Together with the other tests of a fit, one warning is then
 given by chance in less than one of twenty fits of two outputs."""
+FEW = 4
+"""Degrees of freedom of an output. With fewer, a drift that changes coefficients can remain unnoticed."""
+DOUBTED = 0.2
+"""Probability by chance below which, with `FEW` degrees of freedom, the change that a course would cause is part of the uncertainty
+although the course is not adopted."""
 _SEPARABLE = 1e-3  # of a course, the part that the terms of the model cannot imitate
 _ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of computing
 
@@ -59,6 +68,17 @@ class SuspectedDrift:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DoubtedDrift:
+    """A course that is not fitted, although its evidence is not negligible. amplitudes: (m, r), root mean squares of the amplitudes that
+    its columns may have in each output: the fitted amplitudes combined with their standard uncertainties. probability: of amplitudes at
+    least as large as the fitted ones by chance."""
+
+    course: DriftCourse
+    amplitudes: Array
+    probability: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FittedDrift:
     """The courses in a fit. judged: whether a drift could have been found in the data at all. without: (m, p), the coefficients of a
     fit without drift; explained: (m,), share of the sum of squared residuals that the drift explains. Both only if courses were
@@ -73,6 +93,7 @@ class FittedDrift:
     suspected: tuple[SuspectedDrift, ...] = ()
     rivals: tuple[DriftCourse, ...] = ()
     nonlinear: Array | None = None
+    doubted: tuple[DoubtedDrift, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -137,9 +158,9 @@ def fitted_drift(
             break
         chosen = (*chosen, best)
     if not chosen:
-        return FittedDrift(
-            by_evidence=True, judged=judged, suspected=_suspected(matrix, magnitudes, names, drift, hinted, fits)
-        )
+        suspected = _suspected(matrix, magnitudes, names, drift, hinted, fits)
+        doubted = () if hinted is None else _doubted(matrix, *hinted, noises, fits)
+        return FittedDrift(by_evidence=True, judged=judged, suspected=suspected, doubted=doubted)
     if not drift.shown and any(course.order for course in chosen):
         chosen += tuple(one for one in _next(matrix, magnitudes, drift, chosen, len(noises)) if one.order)
     plain, whole = fits(matrix), fits(joined(matrix, chosen))
@@ -148,8 +169,22 @@ def fitted_drift(
         return FittedDrift(by_evidence=True, judged=True, suspected=suspected)
     bent = () if drift.shown else _nonlinear(matrix, plain, fits)
     if bent and _explained(bent, noises) and _criterion(bent, len(matrix)) < _criterion(whole, len(matrix)):
-        return FittedDrift(by_evidence=True, judged=True, rivals=chosen, nonlinear=_taken(plain, bent))
+        doubted = tuple(one for course in chosen[:1] for one in _doubted(matrix, course, 0.0, noises, fits))
+        return FittedDrift(by_evidence=True, judged=True, rivals=chosen, nonlinear=_taken(plain, bent), doubted=doubted)
     return FittedDrift(chosen, True, True, np.array([one.coefficients for one in plain]), _taken(plain, whole))
+
+
+def _doubted(
+    matrix: Array, course: DriftCourse, probability: float, noises: Sequence[WithinSegmentNoise], fits: Fits
+) -> tuple[DoubtedDrift, ...]:
+    """The course, if the degrees of freedom are few and its probability by chance is small enough."""
+    r, found = course.columns.shape[1], fits(joined(matrix, (course,)))
+    if probability >= DOUBTED or found[0].degrees_of_freedom >= FEW:
+        return ()
+    amplitudes = np.array([one.coefficients[-r:] for one in found])
+    scales = [1.0 if noise.known else one.variance_factor for one, noise in zip(found, noises, strict=True)]
+    variances = np.array([scale * np.diag(one.cofactor)[-r:] for one, scale in zip(found, scales, strict=True)])
+    return (DoubtedDrift(course, np.sqrt(amplitudes**2 + variances), probability),)
 
 
 def _taken(before: Sequence[LinearFit], after: Sequence[LinearFit]) -> Array:

@@ -12,7 +12,7 @@ different questions:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -29,7 +29,7 @@ from planrunner.estimators.unstated_flicker import FlickerEvidence, UnstatedFlic
 from planrunner.observation.correlated_errors import CorrelatedError, explained, functionals_of, mixed, stacked_roots
 from planrunner.observation.drift import NO_DRIFT, DriftCourses
 from planrunner.observation.observations import SIGNIFICANCE, Observations, WithinSegmentNoise, within_segment_noise
-from planrunner.uncertainty.influences import Influence
+from planrunner.uncertainty.influences import Influence, InputQuantity
 
 BASES = ("residual", "within_segment")
 _WIDEST = 1e9  # of the largest spread: what exceeds the noise then is not the means' scatter
@@ -138,8 +138,19 @@ class OutputsFit:
         linear functions of the observations. On the residual basis, the covariance already includes the effects that are in the
         weights."""
         acting = functionals_of(self.gains) if functionals is None else functionals
+        doubted = tuple(one.through(acting) for one in self._doubted_drift())
         weighted = tuple(one.through(acting, basis == "residual") for one in self.effects)
-        return (*weighted, *(one.through(acting) for one in self.unweighted))
+        return (*weighted, *(one.through(acting) for one in self.unweighted), *doubted)
+
+    def _doubted_drift(self) -> Iterator[CorrelatedError]:
+        """Courses that are not fitted, as errors whose size is the amplitude that a fit of them finds."""
+        for one in self.drift.doubted:
+            for output, (name, own) in enumerate(zip(self.outputs, one.amplitudes, strict=True)):
+                for part, amplitude, column in zip(one.course.parts, own.tolist(), one.course.columns.T, strict=True):
+                    label = f"drift {one.course.name} {name} {part}".strip()
+                    unit = f"{self.units[output]}/{one.course.per}"
+                    quantity = InputQuantity(label, 0.0, unit, abs(amplitude), source="fitted drift, not corrected")
+                    yield CorrelatedError(quantity, {output: column[:, None]})
 
     def unstated_flicker(self, functionals: Array | None = None) -> tuple[UnstatedFlicker, ...]:
         """The flicker about which nothing is stated, as it acts on the coefficients, output after output, or on other linear functions of

@@ -195,7 +195,7 @@ WORLDS: Mapping[str, World] = {
     "flicker, not declared": World(_flicker(1.0), warns=True, cause="bias_instability", silent=True),
     "linear drift": World(_ramp, cause="drift"),
     "warming up": World(_warming, cause="drift"),
-    "temperature drift, recorded": World(_following, celsius=_laboratory),
+    "temperature drift, recorded": World(_following, celsius=_laboratory, cause="temperature"),
     "positions 5 arcsec, stated": World(tilt=5 * ARCSEC),
     "rates 10 ppm, stated": World(rate=10e-6),
     "counts of 5 times the noise": World(_counts(5.0), count=5.0, cause="too small for counts"),

@@ -1,0 +1,76 @@
+"""Drift that a test with few degrees of freedom neither shows nor excludes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planrunner.estimators.interface import Estimate
+from tests.worlds.campaigns import CAMPAIGNS
+from tests.worlds.coverage import estimated, known, recorded, tally
+from tests.worlds.faults import WORLDS, Recorded
+
+EIGHT = CAMPAIGNS["flexure_gyro_static"]
+
+
+def with_drift(key: str, made: Recorded) -> Estimate:
+    keys = f"segments: P*, uncertainty: within_segment{key}"
+    asked = replace(EIGHT, plan=EIGHT.plan.replace("segments: P*", keys))
+    one = estimated(asked, known(asked, WORLDS["warming up"]), made)
+    assert isinstance(one, Estimate), one
+    return one
+
+
+def test_its_change_of_the_coefficients_is_an_error_that_is_not_corrected() -> None:
+    """Each fitted coefficient has the value without a drift. Its uncertainty is that with a linear drift, combined with the difference
+    between the two fits (JCGM 100:2008, F.2.4.5)."""
+    _, made = recorded(EIGHT, WORLDS["warming up"], np.random.default_rng([13, 1]))
+    doubted, without, linear = (with_drift(key, made) for key in ("", ", drift: none", ", drift: linear"))
+    fitted = [item.name for item in doubted.coefficients if item.name[0] in "UV"]
+    assert len(fitted) == 12
+    for name in fitted:
+        assert doubted[name].value == without[name].value
+        change = linear[name].value - without[name].value
+        together = np.hypot(linear[name].standard_uncertainty, change)
+        assert doubted[name].standard_uncertainty == pytest.approx(together, rel=1e-6)
+    lines = {line.quantity for line in doubted.budgets[0].lines}
+    assert lines - {line.quantity for line in without.budgets[0].lines} == {
+        "drift linear torquer_x",
+        "drift linear torquer_y",
+    }
+    assert any("neither show nor exclude a drift" in note for note in doubted.notes)
+
+
+def test_many_degrees_of_freedom_leave_no_doubt() -> None:
+    """Ten rates and two coefficients: what the evidence does not show is not in the uncertainties."""
+    asked, world = CAMPAIGNS["scale_factor"], WORLDS["white noise"]
+    sound = known(asked, world)
+    for run in range(8):
+        _, made = recorded(asked, world, np.random.default_rng([14, run]))
+        one = estimated(asked, sound, made)
+        assert isinstance(one, Estimate)
+        assert not any("neither show nor exclude a drift" in note for note in one.notes)
+
+
+@pytest.mark.slow
+def test_intervals_of_a_unit_that_warms_up_hold_the_truth() -> None:
+    """150 runs: each coefficient within four binomial standard deviations of 95 %."""
+    found = tally(EIGHT, WORLDS["warming up"], 150, 15)
+    assert not found.failed
+    for name, held in found.held.items():
+        assert held / 150 >= 0.95 - 4 * np.sqrt(0.95 * 0.05 / 150), name
+
+
+@pytest.mark.slow
+def test_a_temperature_that_changes_is_named() -> None:
+    """100 runs in which the effect of the temperature looks like coefficients: each has a warning that names the temperature and the key
+    to write."""
+    world = WORLDS["temperature drift, recorded"]
+    sound = known(EIGHT, world)
+    for run in range(100):
+        _, made = recorded(EIGHT, world, np.random.default_rng([16, run]))
+        one = estimated(EIGHT, sound, made)
+        assert isinstance(one, Estimate)
+        assert any(world.cause in text and "Write `drift: " in text for text in one.warnings)
