@@ -17,6 +17,7 @@ import numpy as np
 from planrunner.base import plugins
 from planrunner.base.arrays import Array
 from planrunner.base.findings import InputError, Mark, closest
+from planrunner.error_model.effects.held import SamplesStuck, sticking
 from planrunner.error_model.effects.interface import (
     ActsOnNoise,
     Column,
@@ -50,6 +51,8 @@ OF_TRIAD: dict[str, str] = {"gyro": "deg/s", "accel": "m/s^2"}
 BY_AXIS: dict[NoiseKind, str] = {"white": "white", "resolution": "count"}
 """Noise effects whose parameter may also be stated for single axes, as a diagnosis finds it: `white_x`, `count_z`. Axes that are not named
 keep the noise of the sensor."""
+LASTING = "lasting"
+"""Parameter of stuck samples: for how long all outputs keep their values. `lasting_gyro_x` states it for one output."""
 SHARE = "share"
 """Parameter of an effect that is fully determined by its shape: the share of it that acts, 1 if it is not stated."""
 _OF_ORIENTATION = re.compile(r"orientation_[1-9][0-9]{0,3}_[xyz]")
@@ -105,7 +108,7 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
     named = any(key not in ("", shape, SHARE) for key in stated)
     values = {one.name: 0.0 if named and one.name != shape else one.natural for one in known.values()}
     if isinstance(effect, ActsOnNoise) and any(key in further for key in stated):
-        values = {}
+        values = {} if shape is None else {shape: known[shape].natural}
     for key, text in stated.items():
         amplitudes = [one for one in known if one != shape] or list(known)
         for one in [key] if key else amplitudes:
@@ -125,6 +128,8 @@ def _optional(
         (whole,) = known.values() or (None,)
         axes = sorted({observed.channels[index].axis for index in observed.of_kind(triad_of(effect))})
         return [] if whole is None else [replace(whole, name=f"{BY_AXIS[effect.noise]}_{'xyz'[axis]}") for axis in axes]
+    if isinstance(effect, SamplesStuck):
+        return [replace(known[LASTING], name=f"{LASTING}_{channel.name}") for channel in observed.channels]
     if isinstance(effect, PerOrientation) and known:
         return [replace(known[SIZE], name=key) for key in stated if _OF_ORIENTATION.fullmatch(key)]
     if isinstance(effect, Shaped) and set(known) == {effect.shape_name}:
@@ -155,6 +160,8 @@ def _value(text: str, parameter: EffectParameter, effect: str, mark: Mark) -> fl
 
 def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
     """Parameters of an effect; empty if it cannot act here."""
+    if isinstance(effect, SamplesStuck):
+        return [EffectParameter("time", "s", 60.0), EffectParameter(LASTING, "s", 1.0)]
     if isinstance(effect, ActsOnNoise) and effect.noise in NOISE:
         triad = triad_of(effect)
         indices = observed.of_kind(triad)
@@ -186,6 +193,16 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
             EffectParameter(column.name, column.unit, column.magnitude / column.factor) for column in middle.columns
         ]
     return found
+
+
+def stuck(name: str, time: Array, values: Array, additions: Sequence[Addition], before: float | None = None) -> Array:
+    """Readings (n,) of an output at times (n,), s since power-on, with its stuck stretches. before: the reading before the first."""
+    for item in additions:
+        if isinstance(item.effect, SamplesStuck):
+            lasting = item.values.get(f"{LASTING}_{name}", item.values.get(LASTING, 0.0))
+            before = float(values[0]) if before is None else before
+            values = sticking(time, values, item.values[item.effect.shape_name], lasting, before)
+    return values
 
 
 def added(

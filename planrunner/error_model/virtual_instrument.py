@@ -75,6 +75,7 @@ class AddedEffects:
         self.change = 0.0
         self.segment = -1
         self.orientations: list[tuple[float, ...]] = []  # in the order of first use
+        self.last: dict[str, float] = {}  # readings before the next samples
         self.past: dict[float, tuple[TemperatureCourse, ...]] = {}
 
     @classmethod
@@ -116,6 +117,16 @@ class AddedEffects:
                 gives = replace(gives, white=value) if kind == "white" else replace(gives, step=value)
         return gives
 
+    def readings(self, moments: Moments, samples: Mapping[str, Array]) -> Mapping[str, Array]:
+        from planrunner.error_model.added import stuck
+
+        time = moments.time + 0.5 / moments.sample_rate - moments.power_on
+        given = {
+            name: stuck(name, time, values, self.additions, self.last.get(name)) for name, values in samples.items()
+        }
+        self.last = {name: float(values[-1]) for name, values in given.items() if len(values)}
+        return given
+
     # -- interface of an instrument ------------------------------------------------------------------------------------
 
     def read(self) -> Mapping[str, float]:
@@ -143,6 +154,7 @@ class AddedEffects:
                 [value, [[one.time.tolist(), one.temperature.tolist(), one.rate] for one in past]]
                 for value, past in self.past.items()
             ],
+            "last": self.last,
             "walks": {name: walk.checkpoint() for name, walk in self.walks.items()},
         }
 
@@ -155,6 +167,7 @@ class AddedEffects:
             float(value): tuple(TemperatureCourse(np.array(t), np.array(c), float(r)) for t, c, r in past)
             for value, past in state.get("past", ())
         }
+        self.last = {name: float(value) for name, value in state.get("last", {}).items()}
         for name, walk in state["walks"].items():
             self.walks[name] = RandomWalk(0.0)
             self.walks[name].restore(**walk)

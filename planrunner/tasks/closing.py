@@ -121,6 +121,7 @@ def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: St
 def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
     """The samples of the nominal simulation at the recorded motion, without and with effects. Each has its own white noise. The
     noise level is that of the recording. It is the declared level in the simulation without an effect that changes the noise."""
+    from planrunner.error_model.added import stuck
     from planrunner.error_model.effects.interface import ActsOnNoise, triad_of
 
     weighing = made.diagnosis.grounds.weighing
@@ -138,6 +139,8 @@ def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
     for one in additions:
         if isinstance(one.effect, ActsOnNoise) and one.effect.noise == "random walk":
             after += _walk(seen, one.in_si("density"), draw)
+    for index, channel in enumerate(seen.channels):
+        after[:, index] = stuck(channel.name, seen.time, after[:, index], additions)
     return replace(seen, values=before), replace(seen, values=after)
 
 

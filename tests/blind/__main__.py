@@ -19,7 +19,13 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     make = commands.add_parser("make", help="make cases and commit to their labels")
     make.add_argument("count", type=int)
     make.add_argument("--seed", type=int, required=True, help="any whole number; who knows it knows the labels")
-    make.add_argument("--real-noise", action="store_true", help="add the noise of recordings at rest in ../shared/data")
+    source = make.add_mutually_exclusive_group()
+    source.add_argument(
+        "--real-noise", action="store_true", help="add the noise of recordings at rest in ../shared/data"
+    )
+    source.add_argument(
+        "--further", action="store_true", help="triples, steps, counts, delays, coloured noise and wrong labels"
+    )
     answer = commands.add_parser("answer", help="have every case answered")
     answer.add_argument(
         "--by",
@@ -51,7 +57,8 @@ def main(argv: list[str] | None = None) -> int:
     given = _arguments(argv)
     try:
         if given.command == "make":
-            campaign.make_all(given.folder, given.count, given.seed, workers_of(given), _tell, given.real_noise)
+            source: campaign.Source = "further" if given.further else "real noise" if given.real_noise else "drawn"
+            campaign.make_all(given.folder, given.count, given.seed, workers_of(given), _tell, source)
         elif given.command == "answer":
             names = given.by or ["planrunner"]
             campaign.answer_all(given.folder, names, workers_of(given), _tell, given.first)

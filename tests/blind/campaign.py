@@ -12,12 +12,14 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from planrunner.base.workers import ALONE, Workers, results_in_order
 from tests.blind import folder as store
+from tests.blind import further
 from tests.blind.generator import assigned, make
 
+Source = Literal["drawn", "real noise", "further"]
 Answerer = Callable[[store.Shown], dict[str, Any]]
 
 ANSWERERS = {
@@ -32,10 +34,18 @@ ANSWERERS = {
 BATCH = 24  # cases of one set-up that a worker takes at a time
 
 
-def make_batch(folder: str, seed: int, real_noise: bool, numbers: Sequence[int]) -> int:
+def make_batch(folder: str, seed: int, source: Source, numbers: Sequence[int]) -> int:
     for number in numbers:
-        store.write_case(Path(folder), make(seed, number, real_noise=real_noise), seed)
+        further_kind = source == "further"
+        case = further.make(seed, number) if further_kind else make(seed, number, real_noise=source == "real noise")
+        store.write_case(Path(folder), case, seed)
     return len(numbers)
+
+
+def _setup(seed: int, number: int, source: Source) -> tuple[str, str]:
+    """Plan and sensor type of a case."""
+    told = further.assigned(seed, number) if source == "further" else assigned(seed, number, source == "real noise")
+    return told[:2]
 
 
 def answerer(name: str) -> Answerer:
@@ -97,11 +107,11 @@ def make_all(
     seed: int,
     workers: Workers = ALONE,
     tell: Callable = lambda _: None,
-    real_noise: bool = False,
+    source: Source = "drawn",
 ) -> None:
     """Makes `count` cases, those that are whole already left out, then commits to the labels.
 
-    real_noise: the noise is that of recordings at rest, not drawn.
+    source: the cases of the campaign with drawn noise, or with that of recordings at rest; or those of further kinds.
 
     Raises ValueError where the folder holds another campaign: its seed or its commitments would not be kept.
     """
@@ -109,13 +119,13 @@ def make_all(
     campaign = folder / "sealed" / "seed"
     if campaign.exists() and campaign.read_text(encoding="utf-8") != str(seed):
         raise ValueError(f"{folder} holds a campaign of another seed; take a new folder")
-    store.write_setups(folder, real_noise)
+    store.write_setups(folder, source == "real noise")
     campaign.parent.mkdir(exist_ok=True)
     campaign.write_text(str(seed), encoding="utf-8")
     have = set(store.made(folder))
-    wanted = [(assigned(seed, n, real_noise)[:2], n) for n in range(count) if f"case-{n:05d}" not in have]
+    wanted = [(_setup(seed, n, source), n) for n in range(count) if f"case-{n:05d}" not in have]
     progress = Progress("made", count - len(wanted), count, tell)
-    for more in results_in_order(partial(make_batch, str(folder), seed, real_noise), _batches(wanted), workers):
+    for more in results_in_order(partial(make_batch, str(folder), seed, source), _batches(wanted), workers):
         progress.more(more)
     store.commit(folder)
 

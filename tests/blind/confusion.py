@@ -20,7 +20,8 @@ import numpy as np
 
 from tests.blind import folder
 from tests.blind.device import SENSORS
-from tests.blind.generator import Case, Work, _one, _stream, _strength, _surroundings, signatures, simulate
+from tests.blind.effects import KINDS
+from tests.blind.generator import Case, Work, one_effect, signatures, simulate, stream, strength_of, surroundings
 from tests.blind.motion import Fault
 
 WEAKEST, STRONGEST = 36.0, 1e4
@@ -38,6 +39,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "mounting": ("mount_shift",),
     "axes late": ("gyro_axis_delay", "time_latency"),
     "thermal lag": ("gyro_bias_temperature_lagged", "gyro_thermal_gradient"),
+    "stuck": ("samples_stuck",),
     "interference": ("gyro_line_interference", "accel_line_interference"),
 }
 """Effects that are easily taken for each other."""
@@ -54,6 +56,7 @@ SETUPS = {
     "mounting": (("tumble", "mems"), ("rates", "mems"), ("rocking", "mems")),
     "axes late": (("rocking", "mems"), ("rocking", "fog")),
     "thermal lag": (("thermal", "mems"), ("thermal", "fog")),
+    "stuck": (("tumble", "mems"), ("rocking", "fog"), ("rates", "mems"), ("thermal", "fog")),
     "interference": (("tumble", "mems"), ("rates", "mems"), ("thermal", "mems")),
 }
 """Plans and sensors that show the effects of a group."""
@@ -63,6 +66,7 @@ SIZES = {
     "counts": (3.0, 30.0),
     "accelerometer noise": (3.0, 9.0),
     "accelerometer counts": (1.5, 30.0),
+    "stuck": (0.3, 5.0),
 }
 """Size of the effects of a group, log-uniform, where it decides whether they can be distinguished: s, σ of a sample, or the excess of the
 noise in units of the noise. Without it, λ is drawn."""
@@ -74,14 +78,16 @@ def case_of(group: str, seed: int, number: int, effect: str, energy: float | Non
     """Case `number` of a group, in which this effect acts alone. energy: its λ, by default drawn."""
     setups = SETUPS[group]
     plan, sensor_name = setups[number % len(setups)]
-    rng = _stream(seed, number, 2 + GROUPS[group].index(effect))
-    factors, device = _surroundings(SENSORS[sensor_name], rng)
+    rng = stream(seed, number, 2 + GROUPS[group].index(effect))
+    factors, device = surroundings(SENSORS[sensor_name], rng)
     work = Work(signatures(plan, sensor_name), factors, device)
     size = float(np.exp(rng.uniform(*np.log(SIZES.get(group, (WEAKEST, STRONGEST))))))
     size = size if energy is None else energy
     unit = work.sigma[_CHANNEL[group]] if group in _CHANNEL else 1.0
-    fault = Fault(effect, np.array([size * unit])) if group in SIZES else _one(work, [effect], size, rng)
-    energy = _strength(work, fault) if group in SIZES else size
+    kind = KINDS[effect]
+    shape = kind.draw(work.around.schedule, rng) if group in SIZES and kind.draw else ()
+    fault = Fault(effect, np.array([size * unit]), shape) if group in SIZES else one_effect(work, [effect], size, rng)
+    energy = strength_of(work, fault) if group in SIZES else size
     name = f"{effect}-{number:05d}"
     columns = simulate(work, [fault], False, rng)
     entry = {"effect": effect, "theta": fault.theta.tolist(), "shape": list(fault.shape), "lambda": energy}

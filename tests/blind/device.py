@@ -290,6 +290,16 @@ def recorded(sensor: Sensor, clean: Array, faults: Faults, noise: Array) -> Arra
     return np.round(values / steps) * steps
 
 
+def stuck(time: Array, values: Array, faults: Faults) -> Array:
+    """The output, whose samples are those of earlier rows for a time."""
+    if "samples_stuck" not in faults:
+        return values
+    (begin,), (lasting,) = faults["samples_stuck"].shape, faults["samples_stuck"].theta
+    row = np.arange(len(time))
+    fresh = (time < begin) | (time >= begin + lasting)
+    return values[np.maximum.accumulate(np.where(fresh, row, 0))]
+
+
 def fault(effect: str, *theta: float, shape: tuple[float, ...] = ()) -> dict[str, Fault]:
     """One fault, as the functions here take them."""
     return {effect: Fault(effect, np.array(theta, float), shape)}

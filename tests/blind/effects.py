@@ -63,6 +63,12 @@ def _rocked_moment(schedule: Schedule, rng: np.random.Generator) -> Shape:
     return (float(rng.uniform(rocks[len(rocks) // 4].start, rocks[3 * len(rocks) // 4].start)),)
 
 
+def _within_a_segment(schedule: Schedule, rng: np.random.Generator) -> Shape:
+    """In the first half of a segment."""
+    segment = schedule.segments[int(rng.integers(len(schedule.segments)))]
+    return (float(segment.start + rng.uniform(0.1, 0.5) * segment.duration),)
+
+
 def _line(_: Schedule, rng: np.random.Generator) -> Shape:
     """Supply of 50 or 60 Hz, or one of its first harmonics, slightly off; and a phase."""
     true = float(rng.choice([50.0, 60.0]) * rng.integers(1, 4)) * (1 + float(rng.uniform(-0.01, 0.01)))
@@ -164,6 +170,7 @@ FURTHER = {
         Kind("accel_quantization", ONE, linear=False, signed=False, covariance=True, needs="accel"),
         Kind("samples_dropped", (1e-3,), linear=False, signed=False, draw=_rocked_moment, needs="rock", largest=40),
         Kind("mount_shift", (1e-3,) * 3, draw=_moment, largest=50),
+        Kind("samples_stuck", ONE, linear=False, signed=False, draw=_within_a_segment),
         Kind("gyro_line_interference", (1e-3,) * 3, draw=_line),
         Kind("accel_line_interference", (1e-3,) * 3, draw=_line, needs="accel"),
     )

@@ -17,6 +17,7 @@ from tests.blind.device import (
     noise_factor,
     random_device,
     recorded,
+    stuck,
 )
 from tests.blind.effects import CATALOGUE, FOREIGN, KINDS, Kind, applies
 from tests.blind.motion import Array, Fault, Schedule, stimulus
@@ -56,13 +57,13 @@ def signatures(plan: str, sensor: str) -> Signatures:
     return Signatures(Schedule(PLANS[plan], kind.sampling), kind)
 
 
-def _stream(seed: int, number: int, part: int) -> np.random.Generator:
+def stream(seed: int, number: int, part: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, part)))
 
 
 def assigned(seed: int, number: int, real_noise: bool = False) -> tuple[str, str, str]:
     """Plan, sensor type and kind of case `number`: the same whoever makes it."""
-    rng = _stream(seed, number, 0)
+    rng = stream(seed, number, 0)
     if real_noise:
         plan, sensor = real.SETUPS[rng.integers(len(real.SETUPS))]
     else:
@@ -149,7 +150,7 @@ def _direction(kind: Kind, schedule: Schedule, rng: np.random.Generator) -> Arra
     return size * (draw if kind.signed else np.abs(draw))
 
 
-def _one(work: Work, names: list[str], energy: float, rng: np.random.Generator, absorbed: bool = False) -> Fault:
+def one_effect(work: Work, names: list[str], energy: float, rng: np.random.Generator, absorbed: bool = False) -> Fault:
     """One effect among `names` with λ = `energy`, or one that the nominal parameters absorb, at its natural magnitude."""
     schedule, sensor = work.around.schedule, work.around.sensor
     for _ in range(TRIES):
@@ -178,29 +179,29 @@ def _effects(kind: str, work: Work, rng: np.random.Generator) -> list[Fault]:
     if kind == "none":
         return []
     if kind == "unknown":
-        return [_one(work, list(FOREIGN), energies[0], rng)]
+        return [one_effect(work, list(FOREIGN), energies[0], rng)]
     if kind == "single":
         if rng.random() < ABSORBED_SHARE:
-            return [_one(work, [*CATALOGUE, *["table_rate_error"] * len(CATALOGUE)], 0.0, rng, absorbed=True)]
-        return [_one(work, names, energies[0], rng)]
+            return [one_effect(work, [*CATALOGUE, *["table_rate_error"] * len(CATALOGUE)], 0.0, rng, absorbed=True)]
+        return [one_effect(work, names, energies[0], rng)]
     return _two(work, names, energies, rng)
 
 
 def _two(work: Work, names: list[str], energies: Array, rng: np.random.Generator) -> list[Fault]:
     """Two effects that can be told apart; beside one that acts on the noise, the other has its strength in that noise."""
-    first = _one(work, names, energies[0], rng)
+    first = one_effect(work, names, energies[0], rng)
     for _ in range(TRIES):
-        second = _one(work.under(first), [name for name in names if name != first.effect], energies[1], rng)
-        if _overlap(work, first, second):
+        second = one_effect(work.under(first), [name for name in names if name != first.effect], energies[1], rng)
+        if overlapping(work, first, second):
             continue
         if KINDS[second.effect].covariance:
             still = [name for name in names if not KINDS[name].covariance]
-            first = _one(work.under(second), still, energies[0], rng)
+            first = one_effect(work.under(second), still, energies[0], rng)
         return [first, second]
     raise RuntimeError(f"no second effect beside {first.effect} under this plan")
 
 
-def _overlap(work: Work, first: Fault, second: Fault) -> bool:
+def overlapping(work: Work, first: Fault, second: Fault) -> bool:
     """Whether one of the two would hide the other: more than half of it reproduced, or both act on the noise."""
     still = [fault for fault in (first, second) if not KINDS[fault.effect].covariance]
     if len(still) < 2:
@@ -212,17 +213,17 @@ def _overlap(work: Work, first: Fault, second: Fault) -> bool:
     )
 
 
-def _strength(work: Work, fault: Fault) -> float:
+def strength_of(work: Work, fault: Fault) -> float:
     if fault.effect == "gyro_noise_excess":
         return excess_energy(work.noise_ratio(fault) / work.most_noise)
     return excess_energy(work.noise_ratio(fault)) if KINDS[fault.effect].covariance else work.energy(fault)
 
 
-def _label(name: str, kind: str, faults: list[Fault], bare: Work, spiked: bool) -> dict:
+def label_of(name: str, kind: str, faults: list[Fault], bare: Work, spiked: bool) -> dict:
     entries = []
     for fault in faults:
         work = reduce(Work.under, (other for other in faults if other is not fault), bare)
-        energy, absorbed = _strength(work, fault), False
+        energy, absorbed = strength_of(work, fault), False
         members, share = [fault.effect], None
         if not KINDS[fault.effect].covariance:
             difference = work.difference(fault)
@@ -265,10 +266,10 @@ def _channels(work: Work, fault: Fault) -> list[float]:
 def make(seed: int, number: int, kind: str | None = None, real_noise: bool = False) -> Case:
     """Case `number` of a campaign: the same whatever other cases are made, and by whom."""
     plan, sensor_name, assigned_kind = assigned(seed, number, real_noise)
-    return draw(f"case-{number:05d}", plan, sensor_name, kind or assigned_kind, _stream(seed, number, 1))
+    return draw(f"case-{number:05d}", plan, sensor_name, kind or assigned_kind, stream(seed, number, 1))
 
 
-def _surroundings(sensor: Sensor, rng: np.random.Generator) -> tuple[tuple[float, ...], Device]:
+def surroundings(sensor: Sensor, rng: np.random.Generator) -> tuple[tuple[float, ...], Device]:
     """By what the noise of each triad is larger than declared, and the device."""
     wrong, most = rng.random() < WRONG_NOISE, np.log(WRONG_BY)
     factors = np.exp(rng.uniform(-most, most, len(sensor.triads)) * wrong)
@@ -279,23 +280,47 @@ def _surroundings(sensor: Sensor, rng: np.random.Generator) -> tuple[tuple[float
 
 def device_of(seed: int, number: int, sensor: Sensor) -> Device:
     """The device of a case that was made before."""
-    return _surroundings(sensor, _stream(seed, number, 1))[1]
+    return surroundings(sensor, stream(seed, number, 1))[1]
 
 
 def draw(name: str, plan: str, sensor_name: str, kind: str, rng: np.random.Generator) -> Case:
     """A case of the given composition under the given plan and sensor type."""
     around, sensor = signatures(plan, sensor_name), real.sensor_called(sensor_name)
-    factors, device = _surroundings(sensor, rng)
+    factors, device = surroundings(sensor, rng)
     work = Work(around, factors, device)
     faults = _effects(kind, work, rng)
     spiked = rng.random() < WITH_OUTLIERS
     columns = simulate(work, faults, spiked, rng)
-    label = _label(name, kind, faults, work, spiked)
+    label = label_of(name, kind, faults, work, spiked)
     return Case(name, plan, sensor_name, columns, label, tuple(faults), work.device)
 
 
-def simulate(work: Work, faults: list[Fault], spiked: bool, rng: np.random.Generator) -> dict[str, Array]:
-    """Columns of the recording, named as in the file."""
+def effects_apart(work: Work, count: int, rng: np.random.Generator, weakest: float) -> list[Fault]:
+    """Effects with signatures that can be distinguished from each other, each with a λ from `weakest` on."""
+    names = [name for name in CATALOGUE if name != "table_rate_error" and not KINDS[name].covariance]
+    names.remove("gyro_bias_random_walk")
+    faults: list[Fault] = []
+    for _ in range(TRIES):
+        energy = float(np.exp(rng.uniform(np.log(weakest), np.log(STRONGEST))))
+        left = [name for name in names if name not in {fault.effect for fault in faults}]
+        more = one_effect(work, left, energy, rng)
+        if not any(overlapping(work, fault, more) for fault in faults):
+            faults.append(more)
+        if len(faults) == count:
+            return faults
+    raise RuntimeError("no set of effects that can be distinguished")
+
+
+def _filtered(values: Array, response: Array) -> Array:
+    """Noise (n, channels) behind a filter that keeps the standard deviation of white noise."""
+    response = response / np.sqrt(np.sum(response**2))
+    return np.column_stack([np.convolve(column, response)[: len(column)] for column in values.T])
+
+
+def simulate(
+    work: Work, faults: list[Fault], spiked: bool, rng: np.random.Generator, colour: Array | None = None
+) -> dict[str, Array]:
+    """Columns of the recording, named as in the file. colour: response of a filter of the noise."""
     schedule, sensor = work.around.schedule, work.around.sensor
     by_name = {fault.effect: fault for fault in faults}
     scaled = np.repeat(work.factors, 3)
@@ -303,9 +328,12 @@ def simulate(work: Work, faults: list[Fault], spiked: bool, rng: np.random.Gener
     scaled[3:] *= accel_noise_factor(by_name)
     draws = real.noise if sensor.real else noise
     added = draws(schedule, sensor, scaled, rng)
+    if colour is not None:
+        added = _filtered(added, colour)
     if spiked:
         added = outliers(added, sensor.sigma() * scaled, rng)
     values = recorded(sensor, clean_output(schedule, sensor, work.device, by_name), by_name, added)
+    values = stuck(schedule.time, values, by_name)
     return named(schedule, sensor, values, rng)
 
 

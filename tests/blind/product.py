@@ -23,6 +23,7 @@ from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
 from planrunner.gap.answer.diagnosis import diagnose as diagnosed
 from planrunner.gap.answer.sets import Member, together
 from planrunner.gap.fleet.attribution import Contribution, Estimates, Source, attribute
+from planrunner.gap.hypotheses.declarations import corrected
 from planrunner.gap.hypotheses.forms import shape_alone, whole_forms
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import ChamberModel, NoiseModel, OutputModel, SensorModel, TableAxis, TableModel
@@ -139,14 +140,14 @@ def observation(shown: Shown) -> Observed:
 @lru_cache(maxsize=1)
 def _kept(folder: Path, name: str) -> Diagnosis:
     """The diagnosis of a case, kept until the next case: its answer and its closure share it. folder: of the campaign."""
-    return diagnosed(observation(store.shown(folder, name)))
+    return diagnosed(corrected(observation(store.shown(folder, name)))[0])
 
 
 def diagnose(shown: Shown) -> dict[str, Any]:
     """The diagnosis' answer without what only its page shows."""
     answer = _kept(shown.folder.parents[1], shown.name).to_json()
     answer.pop("pictures", None)
-    return answer
+    return {**answer, "declarations": [one.effect for one in corrected(observation(shown))[1]]}
 
 
 def diagnosis_of(shown: Shown, effects: Sequence[str] | None = None) -> Diagnosis:

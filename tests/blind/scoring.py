@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -118,10 +119,10 @@ class Scored:
             return named == {UNKNOWN} or (len(named) == 1 and named <= self.lookalikes)
         if len(named) != len(self.classes):
             return False
-        if len(named) == 2:
-            (a, b), (first, second) = sorted(named), self.classes
-            return (a in first and b in second) or (a in second and b in first)
-        return all(name in self.classes[0] for name in named)
+        return any(
+            all(name in own for name, own in zip(sorted(named), order, strict=True))
+            for order in permutations(self.classes)
+        )
 
     def key_is_true(self, key: str) -> bool:
         return self.says_the_truth([] if key == "none" else key.split("+"))
@@ -138,6 +139,8 @@ class Scored:
 
     @cached_property
     def cause_is_right(self) -> bool:
+        if self.kind == "mislabelled":
+            return self.says_none and self.answer.get("declarations") == self.label["effects"]
         return not self.failed and any(self.key_is_true(key) for key in self.announced)
 
     @property
@@ -221,22 +224,24 @@ class Scored:
         return top["channel"] in true and top["factor"] in wanted
 
 
-def calibration(confidence: Sequence[float] | np.ndarray, correct: Sequence[bool] | np.ndarray) -> dict[str, Any]:
-    """Reliability in bins, expected calibration error, and how often a calibrated one would come out larger (4000 draws)."""
+def calibration(
+    confidence: Sequence[float] | np.ndarray, correct: Sequence[bool] | np.ndarray, count: int = BINS
+) -> dict[str, Any]:
+    """Reliability in `count` bins, expected calibration error, and how often a calibrated one would come out larger (4000 draws)."""
     p, y = np.asarray(confidence, float), np.asarray(correct, float)
     if not len(p):
         return {"ece": None, "chance": None, "bins": []}
-    number = np.minimum((p * BINS).astype(int), BINS - 1)
+    number = np.minimum((p * count).astype(int), count - 1)
 
     def error(outcome: np.ndarray) -> np.ndarray:
-        off = np.stack([(outcome - p) @ (number == b) for b in range(BINS)])
+        off = np.stack([(outcome - p) @ (number == b) for b in range(count)])
         return np.abs(off).sum(axis=0) / len(p)
 
     drawn = np.random.default_rng(SEED).random((4000, len(p))) < p
     found = float(error(y))
     bins = [
         {"confidence": float(p[here].mean()), "right": float(y[here].mean()), "n": int(here.sum())}
-        for here in (number == b for b in range(BINS))
+        for here in (number == b for b in range(count))
         if here.any()
     ]
     return {"ece": found, "chance": float(np.mean(error(drawn) >= found - 1e-12)), "bins": bins}
@@ -280,6 +285,10 @@ def score(
             c.place_is_right(factors) for c in own + foreign if c.weakest >= STRONG and "where" in c.answer
         ),
         "outliers": rate(c.right for c in cases if c.label["outliers"]),
+        "right, by variety": {
+            variety: rate(c.right for c in cases if c.label.get("variety") == variety)
+            for variety in dict.fromkeys(str(c.label["variety"]) for c in cases if "variety" in c.label)
+        },
         "seconds": _spread([c.answer["seconds"] for c in cases if "seconds" in c.answer]),
     }
     return {**figures, **_probabilities([c for c in cases if c.posterior])}
@@ -307,9 +316,12 @@ def _probabilities(cases: Sequence[Scored]) -> dict[str, Any]:
     """Calibration, Brier score and coverage of those that answer with probabilities."""
     if not cases:
         return {"calibration": None}
+    stated = [c for c in cases if c.kind != "mislabelled"]
+    confidence, right = [c.confidence for c in stated], [c.cause_is_right for c in stated]
     return {
-        "calibration": calibration([c.confidence for c in cases], [c.cause_is_right for c in cases]),
-        "right cause where P >= .99": rate(c.cause_is_right for c in cases if c.confidence >= CERTAIN),
+        "calibration": calibration(confidence, right),
+        "calibration of the sentence, in ten bins": calibration(confidence, right, 10),
+        "right cause where P >= .99": rate(c.cause_is_right for c in stated if c.confidence >= CERTAIN),
         "right noise beside a cause": rate(
             c.noise_is_right for c in cases if c.noise_said or c.acting - causes(c.acting)
         ),

@@ -19,20 +19,7 @@ import numpy as np
 
 from tests.blind import folder
 from tests.blind.device import SENSORS
-from tests.blind.effects import CATALOGUE, KINDS
-from tests.blind.generator import (
-    TRIES,
-    Case,
-    Work,
-    _label,
-    _one,
-    _overlap,
-    _stream,
-    _surroundings,
-    signatures,
-    simulate,
-)
-from tests.blind.motion import Fault
+from tests.blind.generator import Case, Work, effects_apart, label_of, signatures, simulate, stream, surroundings
 from tests.blind.scoring import Rate
 
 WEAKEST, STRONGEST = 200.0, 1e4
@@ -44,32 +31,16 @@ Shut = tuple[float, float, float, float]
 
 def case_of(seed: int, number: int, count: int = 3) -> Case:
     """Case `number`, with `count` effects."""
-    rng = _stream(seed, number, 0)
+    rng = stream(seed, number, 0)
     plan, sensor_name = PLANS[rng.integers(len(PLANS))], list(SENSORS)[rng.integers(len(SENSORS))]
-    draw = _stream(seed, number, 1)
-    factors, device = _surroundings(SENSORS[sensor_name], draw)
+    draw = stream(seed, number, 1)
+    factors, device = surroundings(SENSORS[sensor_name], draw)
     work = Work(signatures(plan, sensor_name), factors, device)
-    faults = _several(work, count, draw)
+    faults = effects_apart(work, count, draw, WEAKEST)
     columns = simulate(work, faults, False, draw)
     name = f"several-{number:05d}"
-    label = _label(name, "several", faults, work, False)
+    label = label_of(name, "several", faults, work, False)
     return Case(name, plan, sensor_name, columns, label, tuple(faults), device)
-
-
-def _several(work: Work, count: int, rng: np.random.Generator) -> list[Fault]:
-    """Effects with signatures that can be distinguished from each other."""
-    names = [name for name in CATALOGUE if name != "table_rate_error" and not KINDS[name].covariance]
-    names.remove("gyro_bias_random_walk")
-    faults: list[Fault] = []
-    for _ in range(TRIES):
-        energy = float(np.exp(rng.uniform(np.log(WEAKEST), np.log(STRONGEST))))
-        left = [name for name in names if name not in {fault.effect for fault in faults}]
-        more = _one(work, left, energy, rng)
-        if not any(_overlap(work, fault, more) for fault in faults):
-            faults.append(more)
-        if len(faults) == count:
-            return faults
-    raise RuntimeError("no set of effects that can be distinguished")
 
 
 @dataclass(frozen=True, slots=True)

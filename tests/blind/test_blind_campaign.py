@@ -141,10 +141,11 @@ def known(here: Path, *effects: str) -> Shown:
     around, rng = generator.signatures("poor", "mems"), np.random.default_rng(6)
     work = generator.Work(around, (1.0, 1.0), generator.random_device(mems, rng))
     faults = [
-        generator._one(work, [effect], 100.0 if effect == "gyro_quantization" else 900.0, rng) for effect in effects
+        generator.one_effect(work, [effect], 100.0 if effect == "gyro_quantization" else 900.0, rng)
+        for effect in effects
     ]
     columns = generator.simulate(work, faults, False, rng)
-    label = generator._label("known", "pair" if len(effects) == 2 else "single", faults, work, False)
+    label = generator.label_of("known", "pair" if len(effects) == 2 else "single", faults, work, False)
     folder.write_setups(here)
     case = generator.Case("known", "poor", "mems", columns, label, tuple(faults), work.device)
     folder.write_case(here, case, SEED)

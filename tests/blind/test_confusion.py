@@ -103,6 +103,18 @@ def test_lost_samples_are_no_delay_from_the_beginning(number: int, energy: float
     assert abs(lost.value * 1e-3 - case.faults[0].theta[0]) < 4e-3 * lost.standard_uncertainty
 
 
+@pytest.mark.parametrize(
+    ("number", "lasting"), [(0, 0.4), *(pytest.param(n, 3.0, marks=pytest.mark.slow) for n in (1, 2))]
+)
+def test_stuck_samples_are_named_with_time_and_duration(number: int, lasting: float) -> None:
+    one = one_of("stuck", "samples_stuck", number, lasting)
+    assert one.named == ("samples_stuck",) and one.in_set
+    step = 1 / (20.0 if number == 1 else 50.0)  # s between samples
+    begin, u = one.parameters["samples_stuck.time"]
+    assert abs(begin - one.shape[0]) <= step
+    assert abs(one.parameters["samples_stuck.lasting"][0] - lasting) <= step and u < step
+
+
 @pytest.mark.parametrize(("number", "energy"), [(0, 9e3), (1, 9e3)])
 def test_a_line_appears_at_its_folded_frequency(number: int, energy: float) -> None:
     """49.7 and 99.1 Hz, sampled at 50 Hz."""

@@ -24,7 +24,7 @@ from tests.blind import product
 from tests.blind.device import SENSORS, Device, Sensor, clean_output, limit, random_device
 from tests.blind.effects import CATALOGUE
 from tests.blind.folder import declared
-from tests.blind.generator import Work, _one, signatures, simulate
+from tests.blind.generator import Work, one_effect, signatures, simulate
 from tests.blind.motion import Array, Fault, Schedule, Site
 from tests.blind.plans import PLANS, Segment
 
@@ -82,7 +82,7 @@ def given(seed: int, number: int, plan: str, sensor_name: str) -> Given:
     work = Work(around, (1.0,) * len(sensor.triads), random_device(sensor, rng))
     energy = float(np.exp(rng.uniform(np.log(WEAKEST), np.log(STRONGEST))))
     names = [name for name, kind in CATALOGUE.items() if name != "table_rate_error" and not kind.covariance]
-    fault = _one(work, names, energy, rng)
+    fault = one_effect(work, names, energy, rng)
     columns = simulate(work, [fault], False, rng)
     return Given(sensor, PLANS[plan], work.device, fault, energy, columns)
 

@@ -57,6 +57,7 @@ IDS = [
     "gyro_axis_delay",
     "accel_noise_excess",
     "accel_quantization",
+    "samples_stuck",
     "gyro_line_interference",
     "accel_line_interference",
     "gyro_soft_saturation",

@@ -107,6 +107,8 @@ def without(sound: Sound, tmp_path_factory: pytest.TempPathFactory) -> Observed:
 
 def _stated(effect: Effect, observed: Observed) -> dict[str, tuple[float, str]]:
     """Parameters by the names that a diagnosis gives them, none of natural size: value and unit."""
+    if effect.id == "samples_stuck":
+        return {"time": (10.0, "s"), "lasting_gyro_y": (1.5, "s"), "lasting_accel_z": (0.5, "s")}
     if isinstance(effect, ActsOnNoise) and effect.noise in NOISE:
         unit = OF_TRIAD[triad_of(effect)] + NOISE[effect.noise][1]
         names = {"white": "white_{}", "resolution": "count_{}"}.get(effect.noise)
@@ -166,6 +168,8 @@ def _check(name: str, sound: Sound, without: Observed, folder: Path) -> None:
     assert {key: listed[0].values[key] for key in stated} == pytest.approx({key: v for key, (v, _) in stated.items()})
     bench = with_effects(source.decode(sound.bench_bytes, BENCH), listed)
     seen = _simulated(bench.encode(), folder)
+    if effect.id == "samples_stuck":
+        return _check_stuck(seen, without, {key: value for key, (value, _) in stated.items()})
     if isinstance(effect, ActsOnNoise) and effect.noise in NOISE:
         return _check_noise(effect, seen, without, {key: value for key, (value, _) in stated.items()})
     predicted = _predicted(effect, _with_levels(without), stated)
@@ -186,6 +190,16 @@ def _with_levels(observed: Observed) -> Observed:
     from dataclasses import replace
 
     return replace(observed, fitted=observed.values)
+
+
+def _check_stuck(seen: Observed, without: Observed, stated: dict[str, float]) -> None:
+    for index, channel in enumerate(without.channels):
+        since = seen.time - stated["time"]
+        inside = np.flatnonzero((since >= 0) & (since < stated.get(f"lasting_{channel.name}", 0.0)))
+        others = np.setdiff1d(np.arange(len(since)), inside)
+        assert np.array_equal(seen.values[others, index], without.values[others, index])
+        assert np.all(seen.values[inside, index] == without.values[inside[0] - 1, index]) if len(inside) else True
+        assert len(inside) == {"gyro_y": 75, "accel_z": 25}.get(channel.name, 0)
 
 
 def _check_noise(effect: ActsOnNoise, seen: Observed, without: Observed, stated: dict[str, float]) -> None:

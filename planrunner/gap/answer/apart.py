@@ -12,11 +12,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from planrunner.base.arrays import Array
+from planrunner.error_model.added import LASTING
 from planrunner.error_model.effects.interface import ActsOnNoise, Column, Effect, Shaped, triad_of
+from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.evidence.bayes_factors import log_mean_exp
+from planrunner.gap.evidence.repeated import Repeated, repeated
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import TONE, Line, Outside, outside, scopes_of
+from planrunner.gap.hypotheses.open_set import PLAIN, TONE, Line, Outside, outside, scopes_of
 from planrunner.plan.schedule import Rest, Spin
 
 _ROUNDS = 5  # corrections of the frequency
@@ -36,12 +39,39 @@ class Apart:
     outside: Outside | None = field(default=None, repr=False)
 
 
-def found_apart(weighing: Weighing, effects: Sequence[Effect]) -> Apart:
+def likely_repeats(observed: Observed, effects: Sequence[Effect]) -> Repeated | None:
+    """The stuck stretches, if they are among the effects and the recording shows them clearly."""
+    if not any(isinstance(effect, ActsOnNoise) and effect.noise == "stuck" for effect in effects):
+        return None
+    found = repeated(observed)
+    return found if found.log_bayes > PLAIN and found.stretches else None
+
+
+def _of_repeats(observed: Observed, effect: str, found: Repeated) -> list[ParameterEstimate]:
+    """Time and duration of the longest stretch, of all outputs in common if all of them repeat their values."""
+    step = 1 / observed.sample_rate
+    longest = found.stretches[0]
+    alike = {one.channel: one for one in reversed(found.stretches) if abs(one.first - longest.first) <= 1}
+    sigma = step / float(np.sqrt(12))
+    begin = float(observed.time[longest.first]) - step / 2
+    listed = [ParameterEstimate(effect, "time", begin, "s", sigma)]
+    if len(alike) == len(observed.channels):
+        return [*listed, ParameterEstimate(effect, LASTING, longest.count * step, "s", sigma)]
+    return listed + [
+        ParameterEstimate(effect, f"{LASTING}_{observed.channels[c].name}", one.count * step, "s", sigma)
+        for c, one in sorted(alike.items())
+    ]
+
+
+def found_apart(weighing: Weighing, effects: Sequence[Effect], repeats: Repeated | None = None) -> Apart:
     """The effects of this kind that act. A line has a name if it is a separate cause and not a part of the noise (`open_set`)."""
     seen, observed = outside(weighing), weighing.observed
     log_bayes, parameters, lines = {}, {}, list[Line]()
     removed = np.zeros_like(observed.values)
     for effect in effects:
+        if repeats is not None and isinstance(effect, ActsOnNoise) and effect.noise == "stuck":
+            log_bayes[effect.id] = repeats.log_bayes
+            parameters[effect.id] = _of_repeats(observed, effect.id, repeats)
         if not (isinstance(effect, ActsOnNoise) and effect.noise == "line" and isinstance(effect, Shaped)):
             continue
         members = observed.of_kind(triad_of(effect))
@@ -60,8 +90,8 @@ def found_apart(weighing: Weighing, effects: Sequence[Effect]) -> Apart:
             parameters[effect.id].append(ParameterEstimate(effect.id, column.name, size, column.unit, sigma))
             for channel, part in column.parts.items():
                 removed[:, channel] += value * part
-    if not log_bayes:
-        return Apart(outside=seen)
+    if not lines:
+        return Apart(log_bayes, parameters, outside=seen)
     return Apart(log_bayes, parameters, tuple(lines), removed)
 
 

@@ -25,7 +25,7 @@ from planrunner.error_model.effects.interface import (
 )
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer import parameters as estimates
-from planrunner.gap.answer.apart import Apart, found_apart
+from planrunner.gap.answer.apart import Apart, found_apart, likely_repeats
 from planrunner.gap.answer.closure import NOT_RESOLVABLE, Closure, FoldChoice, closure
 from planrunner.gap.answer.noise_found import NoiseFound, noise_found
 from planrunner.gap.answer.parameters import ParameterEstimate
@@ -164,10 +164,11 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
     effects += hypotheses(
         [name for name in options.given if name not in {e.id for e in effects} | set(options.nominal)]
     )
-    weighing = Weighing(observed, options.nominal)
-    apart = found_apart(weighing, effects)
+    repeats = likely_repeats(observed, effects)
+    weighing = Weighing(observed, options.nominal, held=repeats.held if repeats else None)
+    apart = found_apart(weighing, effects, repeats)
     if apart.removed is not None:
-        weighing = Weighing(observed, options.nominal, apart.removed)
+        weighing = Weighing(observed, options.nominal, apart.removed, repeats.held if repeats else None)
     with_signatures = [effect for effect in effects if not isinstance(effect, ActsOnNoise)]
     candidates = candidates_of(weighing, with_signatures)
     plain, given = weighing, _given(candidates, options.given)

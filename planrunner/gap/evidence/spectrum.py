@@ -134,8 +134,8 @@ def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[in
     return []
 
 
-def spectrum(observed: Observed, reference: Array) -> Spectrum:
-    """The spectrum of the samples minus `reference`, (N, K), the nominal simulation."""
+def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | None = None) -> Spectrum:
+    """The spectrum of the samples minus `reference`, (N, K), the nominal simulation. held: (N, K), samples that are replaced by the fit."""
     from scipy.fft import dct
 
     known: dict[tuple[int, int, object], SpectralBasis] = {}
@@ -154,7 +154,7 @@ def spectrum(observed: Observed, reference: Array) -> Spectrum:
         left = observed.values[part] - reference[part]
         if roots is not None:
             left *= roots[index]
-        coefficients, rest, replaced = _robust(basis.vectors, left, smallest)
+        coefficients, rest, replaced = _robust(basis.vectors, left, smallest, None if held is None else held[part])
         spikes += replaced
         values.append(coefficients)
         remainder[part] = rest
@@ -197,7 +197,9 @@ def band_edges(half: float) -> Array:
     return half * np.concatenate([[0.0], octaves[: OCTAVES - FINE + 1], *fine])
 
 
-def _robust(vectors: Array, samples: Array, smallest: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+def _robust(
+    vectors: Array, samples: Array, smallest: Array, held: NDArray[np.bool_] | None
+) -> tuple[Array, Array, NDArray[np.int64]]:
     """Coefficients (m, K), remainder (n, K) and how many samples of each channel were replaced as spikes."""
     coefficients = vectors.T @ samples
     spiked = np.zeros(samples.shape, dtype=bool)
@@ -205,13 +207,16 @@ def _robust(vectors: Array, samples: Array, smallest: Array) -> tuple[Array, Arr
         rest = samples - vectors @ coefficients
         sigma = np.maximum(1.4826 * np.median(np.abs(rest), axis=0), smallest)
         now = np.abs(rest) > SPIKE * sigma
+        if held is not None:
+            now |= held
         if bool((now == spiked).all()):
             break
         spiked = now
         for channel in np.flatnonzero(spiked.any(axis=0)):
             good = ~spiked[:, channel]
             coefficients[:, channel] = np.linalg.lstsq(vectors[good], samples[good, channel], rcond=None)[0]
-    return coefficients, np.where(spiked, 0.0, samples - vectors @ coefficients), spiked.sum(axis=0)
+    spikes = spiked if held is None else spiked & ~held
+    return coefficients, np.where(spiked, 0.0, samples - vectors @ coefficients), spikes.sum(axis=0)
 
 
 def white_level(observed: Observed, spectrum_: Spectrum) -> tuple[Array, Array]:

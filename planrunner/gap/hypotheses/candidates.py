@@ -142,12 +142,19 @@ class Candidate:
 class Weighing:
     """The recording with its noise and its nominal model, prepared for the evaluation of effects.
 
-    removed: (N, K), SI, what is subtracted from the samples before they are evaluated, such as a line. coarse: (K,), channels whose
-    count the noise does not dither; their samples show rounding, not noise. Settings of both triads are combined: index = gyro
-    setting × accelerometer settings + accelerometer setting.
+    removed: (N, K), SI, what is subtracted from the samples before they are evaluated, such as a line. held: (N, K), samples that are
+    replaced by the fit, such as those that repeat an earlier one. coarse: (K,), channels whose count the noise does not dither; their
+    samples show rounding, not noise. Settings of both triads are combined: index = gyro setting × accelerometer settings +
+    accelerometer setting.
     """
 
-    def __init__(self, observed: Observed, nominal: Sequence[str] = FULL, removed: Array | None = None):
+    def __init__(
+        self,
+        observed: Observed,
+        nominal: Sequence[str] = FULL,
+        removed: Array | None = None,
+        held: NDArray[np.bool_] | None = None,
+    ):
         self.steps = counts(observed)
         channels = zip(observed.channels, self.steps, strict=True)
         self.declared = observed
@@ -157,7 +164,7 @@ class Weighing:
         self.nominal_columns = nominal_columns(observed, nominal)
         self._reference = simulated(observed, nominal)
         reference = self._reference if removed is None else self._reference + removed
-        self.spectrum: Spectrum = spectrum(observed, reference)
+        self.spectrum: Spectrum = spectrum(observed, reference, held)
         level, self.white_degrees = white_level(observed, self.spectrum)
         self.white: Array = np.maximum(level, self.steps / np.sqrt(12))
         self.coarse: NDArray[np.bool_] = is_coarse(self.white, self.steps)

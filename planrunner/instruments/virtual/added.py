@@ -46,3 +46,6 @@ class Added(Protocol):
 
     def noise(self, output: str, gives: Gives) -> Gives:
         """The noise of an output, including the added effects."""
+
+    def readings(self, moments: Moments, samples: Mapping[str, Array]) -> Mapping[str, Array]:
+        """The outputs with noise, each (n,) in its unit, as the recording gets them."""

@@ -310,10 +310,11 @@ class VirtualImu(TakesEffects):
         )
         gives = {axis.name: self._gives(axis, sampling) for axis in self.axes}
         changed = added.levels(moments, levels, gives)
-        return {
+        samples = {
             axis.name: self._samples(axis, dwell, changed[axis.name], length, added.noise(axis.name, gives[axis.name]))
             for axis in self.axes
         }
+        return dict(added.readings(moments, samples))
 
 
 def _monitors(parameters: VirtualImuParameters) -> list[OutputModel]:

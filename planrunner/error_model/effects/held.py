@@ -1,0 +1,35 @@
+"""Stuck samples: stretches in which the outputs repeat their last value."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planrunner.base.arrays import Array
+from planrunner.error_model.effects.about import About, Actor
+from planrunner.error_model.effects.interface import Variant
+from planrunner.error_model.observed import Observed
+
+
+class SamplesStuck:
+    """Outputs that keep the value of one sample, with its noise, from a time since power-on on."""
+
+    id, stage, noise, shape_name, shape_unit = "samples_stuck", "covariance", "stuck", "time", "s"
+    about = About(
+        "samples repeat the last value",
+        "For some time the outputs keep the value of one sample, because the sensor or the logger gives no new one.",
+        Actor.BENCH,
+        "Look for lost messages, an overloaded logger or a converter that stopped at this time, and leave these samples out: {found}.",
+    )
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return []
+
+
+def sticking(time: Array, values: Array, begin: float, lasting: float, before: float) -> Array:
+    """Values (n,) at times (n,), s, that keep the last one before `begin` for `lasting` s. before: the value before the first of them."""
+    inside = np.flatnonzero((time >= begin) & (time < begin + lasting))
+    if not len(inside):
+        return values
+    out = values.copy()
+    out[inside] = values[inside[0] - 1] if inside[0] > 0 else before
+    return out

@@ -1,0 +1,60 @@
+"""Stuck stretches: found where noise would not leave a count for so long, and nowhere else. The recordings are drawn here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planrunner.base.arrays import Array
+from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence.repeated import repeated
+from tests.gap.turntable import record
+
+SIGMA = 0.01
+
+
+@pytest.fixture(scope="module")
+def still() -> Observed:
+    return record(seed=3)
+
+
+def _with(still: Observed, values: Array) -> Observed:
+    return replace(still, values=np.column_stack([values] * len(still.channels)))
+
+
+def _noise(still: Observed, draw: np.random.Generator, smoothing: float = 0.0) -> Array:
+    """Noise of SIGMA whose neighbours correlate by `smoothing`."""
+    from scipy.signal import lfilter
+
+    white = draw.standard_normal(len(still.time))
+    return np.asarray(SIGMA * np.sqrt(1 - smoothing**2) * lfilter([1.0], [1.0, -smoothing], white))
+
+
+@pytest.mark.parametrize("count", [0.0, 0.001, 0.01, 0.03, 0.1])
+@pytest.mark.parametrize("smoothing", [0.0, 0.8])
+def test_noise_is_never_stuck(still: Observed, count: float, smoothing: float) -> None:
+    values = _noise(still, np.random.default_rng(1), smoothing)
+    if count:
+        values = np.round(values / count) * count
+    found = repeated(_with(still, values))
+    assert found.log_bayes <= 0 and not found.stretches
+
+
+def test_samples_that_come_twice_are_a_slower_sensor(still: Observed) -> None:
+    values = np.repeat(_noise(still, np.random.default_rng(2)), 2)[: len(still.time)]
+    assert not repeated(_with(still, values)).stretches
+
+
+def test_a_stretch_is_found_with_its_first_sample_and_its_length(still: Observed) -> None:
+    part = still.segments()[4]
+    values = np.round(_noise(still, np.random.default_rng(3)) / 1e-3) * 1e-3
+    values[part.start + 100 : part.start + 130] = values[part.start + 99]
+    observed = _with(still, np.zeros(len(values)))
+    observed.values[:, 1] = values
+    found = repeated(observed)
+    assert found.log_bayes > 20
+    (one,) = found.stretches
+    assert (one.channel, one.first) == (1, part.start + 100) and 30 <= one.count <= 31
+    assert found.held.sum() == one.count
