@@ -51,6 +51,8 @@ OF_TRIAD: dict[str, str] = {"gyro": "deg/s", "accel": "m/s^2"}
 BY_AXIS: dict[NoiseKind, str] = {"white": "white", "resolution": "count"}
 """Noise effects whose parameter may also be stated for single axes, as a diagnosis finds it: `white_x`, `count_z`. Axes that are not named
 keep the noise of the sensor."""
+SIGMA = "sigma"
+"""Parameter of a Gauss–Markov bias: its standard deviation. The other one is its correlation time `tau`."""
 LASTING = "lasting"
 """Parameter of stuck samples: for how long all outputs keep their values. `lasting_gyro_x` states it for one output."""
 SHARE = "share"
@@ -59,7 +61,8 @@ _OF_ORIENTATION = re.compile(r"orientation_[1-9][0-9]{0,3}_[xyz]")
 SIZE = "size"
 """Parameter of an effect that is drawn for every orientation: its standard deviation."""
 _UNUSUAL = 3.0  # multiple of the declared noise, by default
-_WALK = 1e-4  # deg/s/√s, by default
+_WALK = 1e-4  # deg/s/√s or m/s²/√s, by default
+_SIGMA = 1e-3  # deg/s or m/s², by default
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +165,10 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
     """Parameters of an effect; empty if it cannot act here."""
     if isinstance(effect, SamplesStuck):
         return [EffectParameter("time", "s", 60.0), EffectParameter(LASTING, "s", 1.0)]
+    if isinstance(effect, ActsOnNoise) and effect.noise == "gauss-markov":
+        text = OF_TRIAD[triad_of(effect)]
+        found = [EffectParameter("tau", "s", 300.0), EffectParameter(SIGMA, text, _SIGMA)]
+        return found if observed.of_kind(triad_of(effect)) else []
     if isinstance(effect, ActsOnNoise) and effect.noise in NOISE:
         triad = triad_of(effect)
         indices = observed.of_kind(triad)
@@ -172,7 +179,7 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
         declared: float = {
             "white": channel.white,
             "resolution": max(channel.resolution, channel.white * math.sqrt(observed.sample_rate)),
-            "random walk": _WALK * math.radians(1.0) / _UNUSUAL,
+            "random walk": _WALK * unit(OF_TRIAD[triad]).factor / _UNUSUAL,
         }[effect.noise]
         own = unit(OF_TRIAD[triad])
         return [EffectParameter(name, OF_TRIAD[triad] + text, _UNUSUAL * declared / own.factor)]

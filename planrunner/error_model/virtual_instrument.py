@@ -23,7 +23,7 @@ from planrunner.base.documents import Json
 from planrunner.base.findings import InputError
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.virtual.added import Gives, Moments
-from planrunner.instruments.virtual.noise import RandomWalk, generator
+from planrunner.instruments.virtual.noise import GaussMarkov, RandomWalk, generator
 from planrunner.instruments.virtual.world import World
 from planrunner.plan.kinds import MapOf, Record, Text, key
 from planrunner.plan.schedule import Segment
@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 
 NAME = r"[a-z][a-z0-9_]{0,59}"
 _CHANGED = 1.0  # K between segments: less is no change of temperature
-_WALKS = 2  # second part of a generator's key: different from those of segments and of switching on
+_SLOW: tuple[NoiseKind, ...] = ("random walk", "gauss-markov")
+_WALKS = 2  # second part of a generator's key, of the first of four processes: different from those of segments and of switching on
 
 
 def _of_axis(item: Addition, kind: NoiseKind, output: str) -> float | None:
@@ -71,6 +72,7 @@ class AddedEffects:
         self.world = world
         self.additions: tuple[Addition, ...] = ()
         self.walks: dict[str, RandomWalk] = {}
+        self.varying: dict[str, GaussMarkov] = {}
         self.before: float | None = None  # degC, of the segment before
         self.change = 0.0
         self.segment = -1
@@ -156,6 +158,7 @@ class AddedEffects:
             ],
             "last": self.last,
             "walks": {name: walk.checkpoint() for name, walk in self.walks.items()},
+            "varying": {name: bias.checkpoint() for name, bias in self.varying.items()},
         }
 
     def restore(self, state: Mapping[str, Json]) -> None:
@@ -171,6 +174,9 @@ class AddedEffects:
         for name, walk in state["walks"].items():
             self.walks[name] = RandomWalk(0.0)
             self.walks[name].restore(**walk)
+        for name, bias in state.get("varying", {}).items():
+            self.varying[name] = GaussMarkov(0.0, 1.0)
+            self.varying[name].restore(**bias)
 
     # -- internals ----------------------------------------------------------------------------------------------------
 
@@ -250,18 +256,27 @@ class AddedEffects:
             self.before = now
 
     def _walked(self, moments: Moments, observed: Observed) -> Array:
-        """Random walks of the gyros' biases over the samples, (N, K), SI."""
-        from planrunner.error_model.effects.interface import ActsOnNoise
+        """Slow random parts of the biases over the samples, (N, K), SI."""
+        from planrunner.error_model.added import OF_TRIAD, SIGMA
+        from planrunner.error_model.effects.interface import ActsOnNoise, triad_of
 
         total = np.zeros((len(moments.time), len(observed.channels)))
         for item in self.additions:
-            if not (isinstance(item.effect, ActsOnNoise) and item.effect.noise == "random walk"):
+            if not isinstance(item.effect, ActsOnNoise) or item.effect.noise not in _SLOW:
                 continue
-            (density,) = item.values.values()
-            draw = generator(self.world.seed, round(moments.time[0] * moments.sample_rate), _WALKS)
-            for channel in observed.of_kind("gyro"):
-                walk = self.walks.setdefault(observed.channels[channel].name, RandomWalk(0.0))
-                walk.coefficient = density * unit("deg/s").factor
-                walk.begin(float(moments.time[0]), draw)
-                total[:, channel] = walk.advance(len(moments.time), 1 / moments.sample_rate, draw)
+            triad = triad_of(item.effect)
+            occasion = _WALKS + 2 * _SLOW.index(item.effect.noise) + (triad == "accel")
+            draw = generator(self.world.seed, round(moments.time[0] * moments.sample_rate), occasion)
+            factor = unit(OF_TRIAD[triad]).factor
+            for index in observed.of_kind(triad):
+                name = observed.channels[index].name
+                process: RandomWalk | GaussMarkov
+                if item.effect.noise == "random walk":
+                    process = self.walks.setdefault(name, RandomWalk(0.0))
+                    process.coefficient = item.values["density"] * factor
+                else:
+                    process = self.varying.setdefault(name, GaussMarkov(0.0, 1.0))
+                    process.sigma, process.tau = item.values[SIGMA] * factor, item.values["tau"]
+                process.begin(float(moments.time[0]), draw)
+                total[:, index] += process.advance(len(moments.time), 1 / moments.sample_rate, draw)
         return total

@@ -90,6 +90,9 @@ FOR_ESTIMATES = [
     "gyro_fold_over",
     "samples_dropped",
     "gyro_saturation_asymmetric",
+    "accel_bias_random_walk",
+    "gyro_bias_gauss_markov",
+    "accel_bias_gauss_markov",
     *(
         f"{kind}_{what}_{cause}"
         for kind in ("gyro", "accel")

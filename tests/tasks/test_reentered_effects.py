@@ -107,6 +107,8 @@ def without(sound: Sound, tmp_path_factory: pytest.TempPathFactory) -> Observed:
 
 def _stated(effect: Effect, observed: Observed) -> dict[str, tuple[float, str]]:
     """Parameters by the names that a diagnosis gives them, none of natural size: value and unit."""
+    if isinstance(effect, ActsOnNoise) and effect.noise == "gauss-markov":
+        return {"tau": (30.0, "s"), "sigma": (0.1, OF_TRIAD[triad_of(effect)])}
     if effect.id == "samples_stuck":
         return {"time": (10.0, "s"), "lasting_gyro_y": (1.5, "s"), "lasting_accel_z": (0.5, "s")}
     if isinstance(effect, ActsOnNoise) and effect.noise in NOISE:
@@ -170,7 +172,7 @@ def _check(name: str, sound: Sound, without: Observed, folder: Path) -> None:
     seen = _simulated(bench.encode(), folder)
     if effect.id == "samples_stuck":
         return _check_stuck(seen, without, {key: value for key, (value, _) in stated.items()})
-    if isinstance(effect, ActsOnNoise) and effect.noise in NOISE:
+    if isinstance(effect, ActsOnNoise) and effect.noise in (*NOISE, "gauss-markov"):
         return _check_noise(effect, seen, without, {key: value for key, (value, _) in stated.items()})
     predicted = _predicted(effect, _with_levels(without), stated)
     change = seen.values - without.values
@@ -216,12 +218,15 @@ def _check_noise(effect: ActsOnNoise, seen: Observed, without: Observed, stated:
             counts = values[:, channel] / stated[f"count_{axis}"]
             assert np.abs(counts - np.round(counts)).max() < 1e-6
     else:
-        middles = [
-            np.degrees(seen.values[seen.owner == s] - without.values[without.owner == s])[:, :3].mean(axis=0)
-            for s in range(6)
-        ]
-        steps = np.diff(middles, axis=0)  # 0.01 deg/s/√s over some ten seconds
-        assert 0.005 < steps.std() < 0.3
+        part = slice(3, 6) if triad_of(effect) == "accel" else slice(0, 3)
+        factor = 1.0 if triad_of(effect) == "accel" else np.degrees(1.0)
+        change = factor * (seen.values - without.values)
+        assert not np.delete(change, np.r_[part], axis=1).any()
+        middles = [change[seen.owner == s, part].mean(axis=0) for s in range(len(seen))]
+        if effect.noise == "random walk":
+            assert 0.005 < np.diff(middles[:6], axis=0).std() < 0.3  # 0.01 /√s over some ten seconds
+        else:
+            assert 0.05 < np.std(middles) < 0.2
 
 
 @pytest.mark.parametrize("name", NOT_POSSIBLE_BEFORE)

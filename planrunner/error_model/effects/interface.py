@@ -164,7 +164,7 @@ class WrongDeclarationOf(Effect, Protocol):
     of_declaration: Literal[True]
 
 
-NoiseKind = Literal["white", "resolution", "random walk", "line", "stuck"]
+NoiseKind = Literal["white", "resolution", "random walk", "gauss-markov", "line", "stuck"]
 
 
 @runtime_checkable

@@ -112,7 +112,7 @@ def posterior(
     apart = apart or Apart()
     nothing = np.zeros(len(weighing.base))
     on_noise = [effect for effect in effects if isinstance(effect, ActsOnNoise)]
-    walk = next((effect.id for effect in on_noise if effect.noise == "random walk"), "")
+    walk = next((effect.id for effect in on_noise if effect.noise == "random walk" and triad_of(effect) == "gyro"), "")
     acting: dict[tuple[str, Level], str] = {
         (triad_of(effect), level): effect.id
         for effect in on_noise

@@ -116,6 +116,44 @@ class RandomWalk:
         self.time, self.value = time, value
 
 
+class GaussMarkov:
+    """A bias with the covariance σ²·exp(−|t − t'|/τ) [unit²]. sigma: σ, unit; tau: τ, s."""
+
+    def __init__(self, sigma: float, tau: float):
+        self.sigma, self.tau = sigma, tau
+        self.value: float | None = None
+        self.time = 0.0
+
+    def begin(self, time: float, draw: np.random.Generator) -> None:
+        """Go to the time [s] of a segment's first node, by the exact transition from the last one."""
+        fresh = self.sigma * draw.standard_normal()
+        if self.value is None:
+            self.value = fresh
+        else:
+            kept = math.exp(-max(0.0, time - self.time) / self.tau)
+            self.value = kept * self.value + math.sqrt(1 - kept**2) * fresh
+        self.time = time
+
+    def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
+        """The bias at `nodes` nodes [unit], `step` s apart, beginning with the present one."""
+        from scipy.signal import lfilter
+
+        assert self.value is not None
+        kept = math.exp(-step / self.tau)
+        drive = math.sqrt(1 - kept**2) * self.sigma * draw.standard_normal(nodes)
+        following, _ = lfilter([1.0], [1.0, -kept], drive, zi=[kept * self.value])
+        values = np.concatenate(([self.value], following[:-1]))
+        self.value = float(following[-1])
+        self.time += nodes * step
+        return values
+
+    def checkpoint(self) -> dict[str, float | None]:
+        return {"time": self.time, "value": self.value}
+
+    def restore(self, time: float, value: float | None) -> None:
+        self.time, self.value = time, value
+
+
 class PulseCounter:
     """An integrating output that counts: the remainder of a sample is carried to the next. step: size of a step of one sample,
     output unit."""

@@ -1,0 +1,53 @@
+"""Biases that wander: a random walk of the accelerometers, and first-order Gauss–Markov processes. The random walk of the gyros, which a
+diagnosis evaluates, is in `gyro_output`."""
+
+from __future__ import annotations
+
+from planrunner.error_model.effects.about import About, Actor
+from planrunner.error_model.effects.interface import Variant
+from planrunner.error_model.observed import Observed
+
+
+class AccelBiasRandomWalk:
+    """A bias of the accelerometers that walks at random: covariance q²·min(t, t') between moments."""
+
+    id, stage, noise, of_accelerometers, hypothesis = "accel_bias_random_walk", "covariance", "random walk", True, False
+    about = About(
+        "accelerometer bias wanders",
+        "The bias of each accelerometer changes at random, and the changes add up over time.",
+        Actor.SENSOR,
+        "Repeat readings at rest more often, and let the sensor stabilise for longer before the run: {found}.",
+    )
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return []
+
+
+class _GaussMarkov:
+    """Bias + b per axis with the covariance σ²·exp(−|t − t'|/τ) (IEEE Std 952, annex C, exponentially correlated noise)."""
+
+    stage, noise, hypothesis, shape_name, shape_unit = "covariance", "gauss-markov", False, "tau", "s"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return []
+
+
+def _about(triad: str) -> About:
+    return About(
+        f"{triad} bias varies with a correlation time",
+        f"The bias of each {triad} varies at random about its mean, and forgets its value within a correlation time.",
+        Actor.SENSOR,
+        "Record for several correlation times, or repeat readings at rest within a fraction of one: {found}.",
+    )
+
+
+class GyroBiasGaussMarkov(_GaussMarkov):
+    """Bias of each gyro with the covariance σ²·exp(−|t − t'|/τ)."""
+
+    id, about = "gyro_bias_gauss_markov", _about("gyro")
+
+
+class AccelBiasGaussMarkov(_GaussMarkov):
+    """Bias of each accelerometer with the covariance σ²·exp(−|t − t'|/τ)."""
+
+    id, of_accelerometers, about = "accel_bias_gauss_markov", True, _about("accelerometer")
