@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from tests.blind import campaign, folder, generator, real
+from tests.blind.generator import make
 from tests.blind.plans import PLANS
+from tests.blind.product import diagnose
 
 pytestmark = pytest.mark.skipif(not real.DATA.is_dir(), reason="no recordings in ../shared/data")
 
@@ -57,3 +59,15 @@ def test_cases_are_made_and_answered(tmp_path: Path) -> None:
     shown = folder.shown(tmp_path, "case-1")
     steps = np.diff(np.unique(shown.columns["gyro_x_deg_per_s"]))
     assert steps.min() == pytest.approx(shown.bench["channels"]["gyro_x"]["resolution"])
+
+
+@pytest.mark.slow
+def test_a_dead_zone_whose_search_alternates_stands_alone(tmp_path: Path) -> None:
+    """The biases lie within the dead zone, so its width and the biases must be found together. An asymmetry was named beside it."""
+    folder.write_setups(tmp_path, real_noise=True)
+    case = make(8301, 19, real_noise=True)
+    folder.write_case(tmp_path, case, 8301)
+    found = diagnose(folder.shown(tmp_path, case.name))
+    assert [entry["effect"] for entry in case.label["entries"]] == ["gyro_dead_zone"]
+    assert found["verdict"]["effects"] == ["gyro_dead_zone"]
+    assert found["posterior"]["gyro_dead_zone"] > 0.9

@@ -82,8 +82,8 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
 def _along_secants(
     weighing: Weighing, effect: CurvedAndShaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
-    """A strong nonlinear effect with a shape, approximated by its secants. The shape is searched again with the secants at the
-    amplitudes of the most probable shape, and the nominal parameters are fitted together with it."""
+    """The same for an effect with a shape. The shape is searched again with the secants at the amplitudes of the most probable
+    shape, and the nominal parameters are fitted together with it."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         size = np.array([column.magnitude for column in best.variant.columns])
@@ -180,20 +180,24 @@ def shape_alone(candidate: Candidate) -> Shaped | None:
 
 
 def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float]]:
-    """Forms around the most probable shape, in equal steps of its logarithm, and their probabilities. Empty if the search
-    alternates between two shapes, does not converge, or converges to no effect because the data require the opposite sign."""
+    """Forms around the most probable shape, in equal steps of its logarithm, and their probabilities. Empty if the search finds no
+    effect because the data require the opposite sign. If the search alternates between shapes, or does not converge, the most
+    probable shape that it visited counts, with the nominal parameters that belong to it."""
     seen, found, before = weighing.observed, np.nan, np.nan
+    likeliest = (-np.inf, seen, np.nan, np.nan)
     for _ in range(_STEPS):
         shape, sigma = _most_probable(weighing, effect, seen, found)
+        (best,) = weighing.weigh([effect.at(seen, shape)])
+        likeliest = max(likeliest, (_evidence(weighing, best), seen, shape, sigma), key=lambda one: one[0])
         if abs(np.log(shape / found)) < _SAME * sigma:
             break
         if abs(np.log(shape / before)) < _SAME * sigma:
-            return []
+            _, seen, shape, sigma = likeliest
+            break
         found, before = shape, found
-        (best,) = weighing.weigh([effect.at(seen, shape)])
         seen = weighing.seen([raw[:, 0] for raw in best.raw])
     else:
-        return []
+        _, seen, shape, sigma = likeliest
     near = shape * np.exp(sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
     weighed = weighing.weigh([effect.at(seen, float(value)) for value in near])
     evidence = np.array([_evidence(weighing, item) for item in weighed])
