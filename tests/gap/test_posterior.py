@@ -55,12 +55,12 @@ def alone(name: str) -> bool:
 
 
 def test_noise_is_reported_beside_a_cause_and_is_no_rival_of_it() -> None:
-    """Noise 40 times as strong as declared, which no wrong declaration explains, beside an unbalance."""
+    """Noise six times as strong as declared, which no wrong declaration explains, beside an unbalance."""
 
     def unbalance(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
         return force / G @ draw.normal(0.0, 1.0, (3, 3)) * 0.1 * DEG, 0.0
 
-    made = diagnose(record(seed=11, fault=unbalance, noise=40.0))
+    made = diagnose(record(seed=11, fault=unbalance, noise=6.0))
     found, said = made.posterior, made.verdict
     assert not [name for name in found.probability if cause(name) and not alone(name)]
     assert sum(found.probability.values()) == pytest.approx(1.0)

@@ -20,10 +20,9 @@ from planrunner.observation.lattice import COARSER, coarsening, holds, seen_leve
 
 HOLDS = 0.02  # standard deviation of the logarithm of a correct declaration
 WRONG = 0.2  # chance that it is off by up to a factor of two
-_EXCESSES = np.geomspace(WEAKEST, 100 * STRONGEST, 400)
+_EXCESSES = np.geomspace(WEAKEST, STRONGEST, 60)
 EXCESS = HOLDS * np.sqrt(_EXCESSES)
-"""ln of (true ÷ declared white noise), its energy (ln ratio ÷ `HOLDS`)² log-uniform like that of every effect, with the same
-density above `STRONGEST`: noise that is 100 times as strong as declared is excess noise too."""
+"""ln of (true ÷ declared white noise), its energy (ln ratio ÷ `HOLDS`)² log-uniform like that of every effect."""
 _PER_EXCESS = float(np.log(_EXCESSES[1] / _EXCESSES[0])) / RANGE
 """Prior probability of one excess."""
 _TRIADS = ("gyro", "accel")
