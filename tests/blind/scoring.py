@@ -282,7 +282,9 @@ def score(
             "catalogue called unknown": rate(c.announced == [UNKNOWN] for c in own),
         },
         "place, >= 144": rate(
-            c.place_is_right(factors) for c in own + foreign if c.weakest >= STRONG and "where" in c.answer
+            c.place_is_right(factors)
+            for c in own + foreign
+            if c.weakest >= STRONG and "where" in c.answer and all(name in factors for name in c.label["effects"])
         ),
         "outliers": rate(c.right for c in cases if c.label["outliers"]),
         "right, by variety": {
