@@ -17,7 +17,8 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
 from planrunner.estimators.interface import Estimate, EstimateRequest, Setup
-from planrunner.observation.flicker import mean_covariance, scatter_within
+from planrunner.observation.flicker import flicker_errors, mean_covariance, scatter_within
+from planrunner.observation.observations import Observations
 from planrunner.plan.quantity import parse_quantity
 from planrunner.uncertainty.influences import InputQuantity, Inputs
 
@@ -43,6 +44,28 @@ def test_covariance_of_means_is_the_integral_of_their_spectrum() -> None:
     for i, j in ((0, 0), (0, 1), (0, 2), (1, 1)):
         expected = over_frequency((start[i], end[i]), (start[j], end[j]), span)
         assert found[i, j] == pytest.approx(expected, abs=2e-3), (i, j)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-6, 30.0])
+def test_the_error_has_the_covariance_of_flicker(gap: float) -> None:
+    """Also of segments without gaps that fill the whole span: their mean is the mean over the span, so that the covariance is singular."""
+    n, seconds, b = 30, 60.0, 0.02
+    start = np.arange(float(n)) * (seconds + gap)
+    means = Observations(
+        ("x",),
+        ("V",),
+        tuple("s" * n),
+        np.zeros((n, 1)),
+        np.ones((n, 1)),
+        np.full(n, 32),
+        start,
+        start + seconds,
+        np.eye(1),
+    )
+    stated = InputQuantity("bias instability x", 0.0, "V", b)
+    (error,) = flicker_errors(means, Inputs({stated.name: stated}), n * seconds)
+    expected = b**2 * mean_covariance(start, start + seconds, n * seconds)
+    assert abs(np.asarray(error.covariance(0, 0)) - expected).max() < 1e-12 * expected.max()
 
 
 @pytest.mark.parametrize("distance", [300.0, 500.0])
