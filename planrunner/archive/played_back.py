@@ -18,7 +18,8 @@ from planrunner.plan.schedule import Segment
 
 
 def played(player: RecordingPlayer | SummaryPlayer, segments: Sequence[Segment]) -> tuple[RecordedSegment, ...]:
-    """The segments that a player plays back. Its recording can then be read many times. Raises `InstrumentError`."""
+    """The segments as the player plays them back. The recording is kept in memory or in a temporary Parquet file, so that it can be read
+    repeatedly. Raises `InstrumentError`."""
     if isinstance(player, SummaryPlayer):
         name, units = player.parameters.file, player.channels()
         return tuple(summarised(one, units, player.summary, player.stream(one), name) for one in segments)

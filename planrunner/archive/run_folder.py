@@ -53,8 +53,8 @@ from planrunner.plan.schedule import Segment
 
 @dataclass(frozen=True, slots=True)
 class Witnessed:
-    """A time stamp of the journal after `events` events, to be kept in the run folder. token: the reply of the authority, in DER;
-    None if there is none. why: the reason for that. at: time in the token, UTC."""
+    """A time stamp of the journal after `events` events, to be kept in the run folder. token: the reply of the authority, in DER, or
+    None. why: the reason why there is no token. at: time in the token, UTC."""
 
     events: int
     token: bytes | None

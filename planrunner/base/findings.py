@@ -113,8 +113,8 @@ class Findings:
 
     @contextmanager
     def resting_on(self, *parts: Mark) -> Iterator[None]:
-        """A context in which added findings assume that these parts are correct. Such findings are consequences of the first error
-        that one of the parts has when the context is entered.
+        """Context manager for checks that assume these parts to be correct. If one of the parts has an error on entry, the findings
+        that are added inside the context are recorded as consequences of the first such error.
 
         A check must therefore run after the checks of the parts on which it depends. A part may also be the mark of a known error.
         """

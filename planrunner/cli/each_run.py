@@ -88,9 +88,9 @@ def each_result(
     as_json: bool,
     last: Callable[[], Done | None] | None = None,
 ) -> int:
-    """The same as `each_run`, for work that prints nothing and that workers can share. The work is a function of a module, or a
-    `partial` of one. show: prints a result, in the order of the runs. what: text for the progress. last: computes the result for
-    all runs together, which is the last entry."""
+    """The same as `each_run`, for work that prints nothing and that workers can share. `work` must be a function defined at
+    module level, or a `partial` of one, so that it can be sent to workers. show: prints a result, in the order of the runs. what: text
+    for the progress. last: computes the result for all runs together, which is the last entry."""
     alone = len(runs) == 1 and not as_json
     with reading_progress(as_json) as notice:
         pace = Pace(what, 1.0, notice)

@@ -268,5 +268,5 @@ class _Spooled:
         return self.file.rows(span)
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Rows as `RecordingFile.rows` gives them for a file."""
+        """Rows as `RecordingFile.all_rows` gives them for a file."""
         return self.file.all_rows()

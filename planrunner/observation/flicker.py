@@ -150,12 +150,13 @@ _ROWS = 64  # computed at a time, so that the parts of the sum stay in the proce
 
 
 def scatter_within(batches: NDArray[np.int64], courses: Sequence[Array] = ()) -> Array:
-    """Contribution (n,) of flicker with B = 1 to the square of each mean's standard error, if this is estimated from b batch means: ln
-    b/(π·(b − 1)).
+    """Contribution (n,) of flicker with B = 1 to the square of each mean's standard error, if the standard error is estimated from b batch
+    means: ln b/(π·(b − 1)).
 
-    A mean over T has the variance (c − ln T + 3/2)/π with some constant c; the variance of a batch minus that of all is ln b/π. A course
-    that is fitted to the batch means takes its part of the flicker, too: with the projection R that is left, the contribution is
-    tr(R·K·R)/(b·ν), where K is the covariance of the batch means and ν the degrees of freedom. courses: as in `Observations`.
+    A mean over the time T has the variance (c − ln T + 3/2)/π with some constant c. The variance of one batch mean therefore exceeds that
+    of the mean of all batches by ln b/π. If functions of time are fitted to the batch means, the fit removes a part of the flicker. The
+    contribution is then tr(R·K·R)/(b·ν), where R is the projection onto what the fit leaves, K the covariance of the batch means, and ν
+    the number of degrees of freedom. courses: the fitted functions, as in `Observations`.
     """
     b = np.maximum(batches, 2).astype(float)
     plain = np.where(batches > 1, np.log(b) / (np.pi * (b - 1)), 0.0)

@@ -144,8 +144,8 @@ class Segment:
     sample_rate: Hz, None for the sensor's own rate.
     mode: of the sensor; None if the plan does not set it.
     on_break: what happens to a segment interrupted by a crash: 'retake' repeats it, 'keep' keeps the recorded part.
-    stable, soaked: readings that must have settled after settling and soaking, if the time alone is not enough; watch: conditions during
-        the dwell; prompts: prompts to the operator before the segment.
+    stable: readings that must be steady before `settle` ends; soaked: the same for `soak`; empty if the time alone decides. watch:
+        conditions during the dwell. prompts: prompts to the operator before the segment.
     marks: places of the keys in the plan, for messages.
     """
 

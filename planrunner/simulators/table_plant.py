@@ -18,9 +18,9 @@ _GRANTED = 1 + 1e-9
 
 @dataclass(slots=True)
 class Axis:
-    """One axis and the settings of its controller. rates, accelerations: limits by mode. lowest, highest, trip, tracking: limits
-    beyond which it refuses a demand or switches off. aim: the last demanded angle. faults: faults that ended its motion, until they
-    are reset."""
+    """One axis and the settings of its controller. rates, accelerations: limits by mode. lowest, highest: angles, rad, beyond
+    which a demand is refused. trip: rate, rad/s, and tracking: following error, rad, beyond which the axis is switched off. aim: the last
+    demanded angle. faults: faults that ended its motion, until they are reset."""
 
     model: TableAxis
     lowest: float

@@ -163,7 +163,7 @@ def test_errors_of_the_reference_that_differ_between_segments_are_warned_of() ->
     for seed in (1, 2, 3):
         recording = _with_uneven_reference(seed)
         found = ErrorModelEstimator().estimate(EstimateRequest("model", recording, parameters, SITE, SENSOR))
-        assert [text for text in found.warnings if "single segments show" in text]
+        assert [text for text in found.warnings if "single segments give" in text]
 
 
 def test_the_scatter_of_segments_gives_the_variance_of_a_contrast() -> None:
@@ -187,4 +187,4 @@ def test_the_scatter_of_segments_gives_the_variance_of_a_contrast() -> None:
 
 def test_an_even_reference_gives_no_such_warning() -> None:
     found = estimate(BOARD, BY_REFERENCE, {"two_gyro_z": GYRO, "two_accel_x": ACCEL}, parts=8)
-    assert not [text for text in found.warnings if "single segments show" in text]
+    assert not [text for text in found.warnings if "single segments give" in text]

@@ -64,7 +64,7 @@ def also(key: str) -> list[tuple[str, str]]:
         ("end", ERROR, [(FOR, "for: 599 s")], "rocks as long as it records"),
         ("end", ERROR, [(FOR, "for: 594 s")], "until 599 s"),
         ("duration", WARNING, [(FOR, "for: 9 min")], "rocks for 9 min"),
-        ("phases", WARNING, [("45 deg, 90 deg", "45 deg, 80 deg")], "unequal amounts (0, 45, 80 deg)"),
+        ("phases", WARNING, [("45 deg, 90 deg", "45 deg, 80 deg")], "(0, 45, 80 deg) are not equally spaced"),
         ("phases", WARNING, [("45 deg, 90 deg", "60 deg, 120 deg")], "more than 45 deg"),
         ("timing", ERROR, [("{label: static-2}", "{label: static-2, dwell: 9 min}")], "a different timing from 'r1/vertical/static-1'"),
         ("timing", ERROR, [("dynamic-2, motion: *rocking", f"dynamic-2, motion: {OTHERWISE}")], "rocks differently"),

@@ -39,7 +39,7 @@ CLAUSES = {
     "7.8.2.1 p": ["traditional (flexure_gyro_static) †", "† Results from an external provider: Another laboratory"],
     "7.8.2 note": ["shall not be reproduced except in full without the approval"],
     "7.8.2.2": ["Information supplied by the customer. The laboratory is not responsible for it.",
-                "able to affect the validity of the results: Nominal scale factor of the data sheet", "as it was received"],
+                "and that can affect the validity of the results: Nominal scale factor of the data sheet", "as it was received"],
     "7.8.4.1 a": ["coverage factor k", "coverage probability of approximately 95 %", "± U"],
     "7.8.4.1 b": ["Ambient temperature 23 degC", "Chamber temperature 25 °C"],
     "7.8.4.1 c": ["International System of Units (SI)", "Earth rate from the conventional value", "survey 2026-1 2026-02-10",

@@ -15,10 +15,11 @@ EAST, NORTH, UP = np.eye(3)
 
 
 def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
-    """Columns for a base that is turned by an angle ε about a site axis. The sensor senses every site vector v as v − ε·axis × v.
+    """Column for a base that is turned by an angle ε about a site axis. The sensor senses every site vector v as v − ε·axis × v.
 
-    Attitude = A·R(−θ)·(I − ε[axis×]): the rate of the table turns with the base and is unchanged for the sensor. turned: (3,), rad, the
-    rotation vector φ of all columns together; zero for small angles.
+    The attitude of the sensor is A·R(−θ)·(I − ε[axis×]), with its attitude A at table angle 0 and the rotation R(−θ) of the table. The
+    axis of the table turns with the base, so the sensor senses the rate of the table as before. turned: (3,), rad, the rotation vector
+    about which the column is linearised if the base is turned about several axes; zero if the angles are small.
     """
     earth, force = observed.site.earth_rate_enu, observed.site.specific_force_enu
     omega = observed.in_sensor_axes(secant(axis, earth, turned))

@@ -105,8 +105,8 @@ def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[A
 
 
 def weighted_inverse(matrix: Array, sigma: Array) -> Array:
-    """Change of the coefficients per standard deviation of each position's noise, (m, p, n), from sigma (m, n) of m outputs. Columns
-    are scaled because SI units would make the matrix ill-conditioned."""
+    """Change of each of p coefficients if the noise at one of n positions is one standard deviation, (m, p, n) for m outputs. sigma:
+    (m, n), standard deviations of the noise. The columns of the matrix are scaled because SI units would make it ill-conditioned."""
     size = np.abs(matrix).max(axis=0)
     size[size == 0] = 1.0
     inverse: Array = np.linalg.pinv(matrix / sigma[..., None] / size) / size[:, None]

@@ -253,9 +253,9 @@ def _assemble(
         (_residual_plot(labels, residuals),),
         (
             said(
-                "One part of the uncertainties comes from the data: the experiment is simulated many times with noise and the "
-                "declared bias instability, and this part is half the width of the central 68 % interval of the results. The other "
-                "part comes from the other inputs declared in the bench file, and is added to first order. The expected range of a "
+                "The standard uncertainties combine two parts. For the first, the experiment is simulated many times with noise and the "
+                "declared bias instability, and half the width of the central 68 % interval of the results is taken. The second part "
+                "comes from the other inputs that the bench file declares, propagated to first order. The expected range of a "
                 "ratio includes both parts."
             ),
             _CLAIM,

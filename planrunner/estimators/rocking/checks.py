@@ -154,10 +154,10 @@ def _phases(run: Run, motion: Rock) -> list[Remark]:
     hint = "write for example phases: [0 deg, 45 deg, 90 deg]"
     shown = ", ".join(f"{math.degrees(phase):g}" for phase in motion.phases)
     if differences and max(differences) - min(differences) > SMALL:
-        message = f"adjacent rings of '{run.label}' differ in phase by unequal amounts ({shown} deg)"
+        message = f"the phases of the rings of '{run.label}' ({shown} deg) are not equally spaced"
         return [Remark("physics-rocking-phases", message, hint)]
     if any(abs(difference) > LARGEST_PHASE + SMALL for difference in differences):
-        message = f"adjacent rings of '{run.label}' differ in phase by more than 45 deg ({shown} deg)"
+        message = f"the phases of the rings of '{run.label}' ({shown} deg) have steps of more than 45 deg"
         return [Remark("physics-rocking-phases", message, hint)]
     return []
 

@@ -107,7 +107,7 @@ def _on_alignment(request: DesignRequest[StrapdownNavigationParameters], stop: S
         message = f"'{stop.label}' is at rest for {still:g} s; alignment needs at least {SHORTEST:g} s"
         found.append(Remark("physics-navigation-align", message, "dwell 5 to 10 min", error=True))
     if abs(request.site.latitude) > HIGHEST_LATITUDE:
-        message = f"at latitude {math.degrees(request.site.latitude):.4g} deg north cannot be found by gyrocompassing"
+        message = f"gyrocompassing cannot find north at a latitude of {math.degrees(request.site.latitude):.4g} deg"
         found.append(Remark("physics-navigation-latitude", message, "use a bench nearer to the equator", error=True))
     return found
 

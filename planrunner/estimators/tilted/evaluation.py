@@ -198,8 +198,8 @@ def answers_of(groups: Sequence[Group], conditions: TiltedConditions, worst: Wor
 
 
 def answers_to_averages(answers: Array) -> Array:
-    """Sensitivities of the quantities of each group to `Group.averages`, (n + 1, m, 5): the rest value is subtracted from every
-    rate."""
+    """Sensitivities of the quantities of each group to `Group.averages`, (n + 1, m, 5). The last row is for the output at rest,
+    which is subtracted from the output at every rate."""
     return np.concatenate([answers, -answers.sum(axis=0)[None]])
 
 

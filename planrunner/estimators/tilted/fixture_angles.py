@@ -241,8 +241,8 @@ def _remarks(model: GainModel, azimuth: str) -> list[Remark]:
     )
     if model.directions < 2:
         hint = (
-            "add an orientation in which the table turns about another direction of the fixture, for example one of its axes, or z "
-            "tilted by a known angle"
+            "add an orientation in which the table turns about another direction of the fixture: for example about another of its "
+            "axes, or about a direction at a known angle to its z axis"
         )
     return [Remark("physics-fixture", f"the table turns about only {seen} of the fixture", hint)]
 

@@ -16,8 +16,8 @@ MOST_CHANCE = 0.05
 @dataclass(frozen=True, slots=True)
 class SharedByLot:
     """An amplitude that separates the devices of a lot from all others. difference: mean of the lot minus mean of the others, in
-    the unit of the key; expanded: half-width of its 95 % interval. A device counts with the mean of its levels. others: number of
-    the other devices. chance: 1 divided by the number of ways to choose this number of devices from all."""
+    the unit of the key; expanded: half-width of its 95 % interval. Each device contributes one value, the mean of its amplitudes.
+    others: number of the other devices. chance: 1 divided by the number of ways to choose this number of devices from all."""
 
     lot: str
     key: AmplitudeKey

@@ -103,7 +103,7 @@ def test_a_line_that_falls_silent_or_goes_away_is_reported() -> None:
         assert "no good frame" in sensor.watch().faults[0]
         unit.silent = False
         unit.unplug()
-        with pytest.raises(InstrumentError, match=r"is gone .*unplugged"):
+        with pytest.raises(InstrumentError, match=r"is no longer available .*unplugged"):
             list(sensor.stream(segment(3600.0)))
         sensor.close()
 

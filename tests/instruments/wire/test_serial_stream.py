@@ -84,7 +84,7 @@ class Unplugged:
 def test_an_unplugged_port_gives_what_it_had_and_is_reported() -> None:
     stream = SerialStream(Unplugged(), "COM7", time.monotonic)
     assert collect(stream, 3) == b"abc"
-    with pytest.raises(InstrumentError, match=r"COM7 is gone \(device gone\).*unplugged"):
+    with pytest.raises(InstrumentError, match=r"COM7 is no longer available \(device gone\).*unplugged"):
         collect(stream, 1)
     with pytest.raises(InstrumentError, match="does not accept commands"):
         stream.write(b"x")
