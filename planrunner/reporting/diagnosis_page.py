@@ -189,7 +189,7 @@ def _something_else(found: Data) -> str:
     if rest is None or not rest.get("sigma"):
         return " and something else"
     channel, sigma = max(rest["sigma"].items(), key=lambda item: item[1])
-    return f" and something else of {sigma:.2g} σ on {channel}" if sigma > 0 else " and something else"
+    return f" and something else of {float(f'{sigma:.2g}'):g} σ on {channel}" if sigma > 0 else " and something else"
 
 
 def _much(found: Data, nearly: bool) -> str:
