@@ -28,9 +28,9 @@ _STEP = 1e-3  # of the resolution 1/T of the recording, for the derivative with 
 
 @dataclass(frozen=True)
 class Apart:
-    """Effects that were found outside the coefficients. log_bayes: log BF of these effects. parameters: the parameters of these
-    effects. lines: the effects among them that are tones. removed: (N, K), SI, contribution of the effects to the samples; None if
-    nothing was found. outside: the patterns outside the basis, None if they change by the removal."""
+    """Effects that were found outside the coefficients. log_bayes: log BF of these effects. parameters: the parameters of these effects.
+    lines: the effects among them that are tones. removed: (N, K), SI, contribution of the effects to the samples; None if nothing was
+    found. outside: evidence for the patterns outside the basis; None if it must be computed again because `removed` changes it."""
 
     log_bayes: Mapping[str, float] = field(default_factory=dict)
     parameters: Mapping[str, list[ParameterEstimate]] = field(default_factory=dict)
@@ -40,7 +40,8 @@ class Apart:
 
 
 def likely_repeats(observed: Observed, effects: Sequence[Effect]) -> Repeated | None:
-    """The stuck stretches, if they are among the effects and the recording shows them clearly."""
+    """The stretches of repeated samples; None if `effects` does not contain the effect "stuck", or if the recording does not show them
+    clearly."""
     if not any(isinstance(effect, ActsOnNoise) and effect.noise == "stuck" for effect in effects):
         return None
     found = repeated(observed)
@@ -64,7 +65,8 @@ def _of_repeats(observed: Observed, effect: str, found: Repeated) -> list[Parame
 
 
 def found_apart(weighing: Weighing, effects: Sequence[Effect], repeats: Repeated | None = None) -> Apart:
-    """The effects of this kind that act. A line has a name if it is a separate cause and not a part of the noise (`open_set`)."""
+    """The effects outside the coefficients that the recording shows. A line has a name if it is a separate cause and not a part of the
+    noise (`open_set`)."""
     seen, observed = outside(weighing), weighing.observed
     log_bayes, parameters, lines = {}, {}, list[Line]()
     removed = np.zeros_like(observed.values)
@@ -100,7 +102,8 @@ def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[f
     amplitudes and standard uncertainties (P, 2), SI.
 
     frequency: where the search begins, within the resolution of the recording. Gauss–Newton in the frequency, which all channels share;
-    basis vectors of the segments are projected out of every column, because the samples are those that the basis leaves."""
+    the basis vectors of the segments are projected out of every column, because they have also been removed from the samples.
+    """
     observed = weighing.observed
     used = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])[observed.owner]
     root = np.sqrt(observed.bin_size)[observed.owner]

@@ -53,10 +53,10 @@ class ChannelClosure:
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """Result of the check on held-out data: how much of the gap the effects explain. before, after: size of the held-out gap in
-    standard deviations of the noise, root mean square over coefficients. shrinks_by: relative reduction, 1 for a closed gap.
-    interval_90: interval of that reduction. resolvable: False if the data do not determine it; the numbers are then NaN. channels:
-    those whose data determine it."""
+    """Result of the check on held-out data: how much of the gap the effects explain. before, after: size of the held-out gap in standard
+    deviations of the noise, root mean square over coefficients. shrinks_by: relative reduction, 1 for a closed gap. interval_90: 90 %
+    interval of `shrinks_by`. resolvable: False if the data do not determine it; the numbers are then NaN. channels: one entry for each
+    channel whose data determine the reduction."""
 
     before: float
     after: float
@@ -113,8 +113,8 @@ class _Fold:
 
 
 def closure(weighing: Weighing, choices: Sequence[FoldChoice], beyond: float) -> Closure:
-    """Computes the closure. The effects and pairs are those among which each fold chooses again. beyond: probability that no effect
-    or pair among them is the whole cause."""
+    """Computes the closure. choices: the effects and pairs among which each fold chooses again. beyond: probability that none of them is
+    the whole cause."""
     if len(weighing.observed) < FEWEST or not choices:
         return NOT_RESOLVABLE
     folds = [_fold(weighing, choices, held) for held in held_out(weighing)]
@@ -171,8 +171,9 @@ def _in_unit(weighing: Weighing, index: int, own: Closure, residual: Array) -> C
 def predictions(
     weighing: Weighing, choices: Sequence[FoldChoice], change: Array, worth: float = WORTH
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """For a known change of the outputs, coefficients (M, K): its effect g (m,) in held-out segments, the prediction d (m,), and
-    the channel of every row. It is used by tests with a known truth. worth: log BF from which a fold selects one of the choices."""
+    """For a known change of the outputs, coefficients (M, K): its effect g (m,) in held-out segments, the prediction d (m,), and the
+    channel of every row. Used by tests in which the true gap is known. worth: the least log BF at which a fold selects one of the
+    choices."""
     gap, difference, channels = [], [], []
     for held in held_out(weighing):
         rows = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
@@ -215,8 +216,8 @@ def _told(weighed: Weighed, number: int, folds: Sequence[_Fold]) -> float:
 
 
 def measured(residual: Array, difference: Array, known: Sequence[KnownCause] = (), beyond: float = 1.0) -> Closure:
-    """The closure from whitened held-out residuals (m,) and the known difference of the predictions (m,). beyond: the probability that the
-    cause is none of those `known`, whose own probabilities are relative to it."""
+    """The closure from whitened held-out residuals (m,) and the known difference of the predictions (m,). beyond: the probability that
+    the cause is none of `known`. Only the ratios of `beyond` and the probabilities of `known` matter; their sum need not be 1."""
     m = len(residual)
     if float(np.linalg.norm(difference)) < 1e-9 or m < 3:
         return NOT_RESOLVABLE

@@ -53,7 +53,7 @@ class GapComparison:
 
     @property
     def before_sigma(self) -> float:
-        """The value `before_sigma` of all channels together, as root mean square."""
+        """Root mean square of `before_sigma` over the channels."""
         return float(np.sqrt(np.mean([one.before_sigma**2 for one in self.channels.values()])))
 
     @property

@@ -256,8 +256,8 @@ def _parameters_of_given(
 
 
 def hypotheses(names: Sequence[str] | None, observed: Observed | None = None) -> list[Effect]:
-    """The effects with these names. Without names, all installed effects that are meant for a diagnosis, and those that state that
-    this recording can show them."""
+    """The effects with these names. Without names, the installed effects that are hypotheses. An effect that is shown only in some
+    recordings counts if it can be shown in `observed`."""
     if names is not None:
         return [plugins.load(plugins.EFFECTS, name)() for name in names]
     installed: list[Effect] = [plugins.load(plugins.EFFECTS, name)() for name in plugins.names(plugins.EFFECTS)]

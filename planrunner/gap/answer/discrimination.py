@@ -72,8 +72,8 @@ def expected_evidence(rivals: Sequence[Rival], information: Array) -> Array:
 
 
 def expected_loss(rivals: Sequence[Rival], information: Array) -> Array:
-    """The expected loss (…), which is −log of the probability of the true rival after measurements with the given information (…,
-    P, P). Measurements should be chosen so that it is small."""
+    """The expected loss (…) after measurements with the given information (…, P, P): the expectation of −log of the probability of the
+    true rival. The best measurements have the smallest loss."""
     many = information.reshape(-1, *information.shape[-2:])
     at_once = max(1, _AT_ONCE // (len(rivals) * many[0].size)) if len(many) else 1
     parts = [

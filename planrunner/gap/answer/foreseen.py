@@ -32,8 +32,9 @@ _CHANGED = 1.0  # K
 
 @dataclass(frozen=True)
 class Foreseen:
-    """Information from a segment, in units of the noise. within: (P, P), per second; means: (K, P), from the mean of the segment,
-    per channel."""
+    """Information from a segment about P columns, for K channels, in units of the noise. within: (P, P), information per second from the
+    changes within the segment. means: (K, P), mean of each column over the segment. noise: (K,), white noise density of each channel;
+    flicker: (K,), declared bias instability."""
 
     segment: Segment
     within: Array
@@ -59,8 +60,8 @@ def foresee(
 ) -> Iterator[Foreseen]:
     """Information of each segment if it were measured after the recording. white: (K,), standard deviation of a sample.
 
-    columns: computes groups of columns for a recording; widths: number of columns in each group, which are identified by their
-    order. Columns that do not affect a channel are zero there.
+    columns: computes groups of columns for a recording; widths: number of columns in each group. Columns are identified by their order. A
+    column is zero in a channel that it does not affect.
     """
     noise = white / math.sqrt(observed.sample_rate)
     flicker = np.array([channel.flicker for channel in observed.channels])
@@ -88,10 +89,11 @@ def foresee(
 def following(
     observed: Observed, segments: Sequence[Segment], near: Sequence[int] | range
 ) -> tuple[Observed, list[slice]]:
-    """The recording with additional segments without values, and the samples of each additional segment.
+    """The recording followed by additional segments, which have a motion but no outputs; and for each additional segment, the slice of
+    its samples.
 
-    Segments that are not in `near` are reduced to a few samples. Thus properties of the whole set of segments, such as its
-    orientations, do not depend on how many segments are evaluated in full.
+    Segments that are not in `near` are reduced to a few samples. Thus properties of the whole set of segments, such as its orientations,
+    do not depend on how many segments are evaluated in full.
     """
     stubs = np.concatenate([np.arange(p.start, min(p.start + _STUB, p.stop)) for p in observed.segments()])
     counts = [min(_STUB, p.stop - p.start) for p in observed.segments()]

@@ -83,8 +83,9 @@ def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[
 
 
 def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
-    """The shape of an effect without amplitude if the data require the opposite sign. It is negative, in proportion to its effect.
-    A negative delay is a delay of the table's angle."""
+    """The shape, with a negative sign, of an effect without amplitude if the data require the effect with the opposite sign. Its size is
+    the fitted amplitude times the shape of the best form. A negative delay means that the table's angle is delayed instead of the
+    outputs."""
     (share,), ((variance,),) = best.amplitudes
     size = float(best.variant.shape or 0.0)
     return [

@@ -40,8 +40,8 @@ PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
 
 @dataclass(frozen=True)
 class Member:
-    """An effect of a set in one form. candidate: with its forms, alone or together with the other effects; cost: logarithm of the
-    loss from averaging over its shape, never positive."""
+    """An effect of a set in one form. candidate: the effect with its forms, evaluated alone or beside the other effects of the set. form:
+    the chosen form. cost: logarithm of the loss from averaging over the shape of the effect, never positive."""
 
     candidate: Candidate
     form: Weighed
@@ -59,8 +59,8 @@ class Member:
 @dataclass(frozen=True)
 class EffectSet:
     """A set of effects that act together. members: the effects, in the order of the columns. weighed: the result for all columns
-    together. log_bayes: (G,), log BF. evidence: log evidence without a random walk of the gyros; walking: log evidence with a
-    random walk, −∞ if it was not evaluated."""
+    together. log_bayes: (G,), log BF at each setting of the noise. evidence: log evidence without a random walk of the gyros; walking:
+    log evidence with a random walk, −∞ if it was not evaluated."""
 
     members: tuple[Member, ...]
     weighed: Weighed = field(repr=False)

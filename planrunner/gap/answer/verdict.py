@@ -66,11 +66,11 @@ SOMETHING_ELSE = 0.90  # the probability at and above which "unknown" is reporte
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The verdict of a diagnosis. kind: none, effect, pair, several, unknown or indistinguishable. effects: the most probable ones.
-    members: effects that cannot be distinguished from them, including themselves; sets as 'a+b'. residue: an effect, or "unknown",
-    that may be only form residue of the named effect; it may also be one of the named effects. something_else: whether something
-    that the catalogue does not contain acts beside the named effects. noise: effects on the level of the noise that probably act in
-    addition."""
+    """The verdict of a diagnosis. kind: none, effect, pair, several, unknown or indistinguishable. effects: the most probable effects.
+    members: the hypotheses that this plan cannot distinguish, `effects` included; a set of effects is written 'a+b'. residue: an effect,
+    or "unknown", that may be only form residue of the named effect; it may also be one of the named effects. something_else: whether
+    something that the catalogue does not contain acts beside the named effects. noise: effects on the level of the noise that probably
+    act in addition."""
 
     kind: str
     effects: tuple[str, ...] = ()

@@ -94,8 +94,9 @@ def held_amplitude(gram: float, score: float) -> tuple[float, float]:
 
 
 def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) -> float:
-    """The change of the log BF if some amplitudes, `held`, are 1 within `GAIN` instead of N(0, s²) with s² `scales` (p,). It is the
-    ratio of the posterior density to the prior density there (Dickey, Ann. Math. Stat. 42, 1971)."""
+    """The change of the log BF if the amplitudes with the indices `held` are restricted to 1 within `GAIN`. Without the restriction, the
+    prior of all amplitudes is N(0, s²). scales: (p,), s². The change is the ratio of posterior to prior density at amplitude 1 (Dickey,
+    Ann. Math. Stat. 42, 1971)."""
     at = np.asarray(held)
     covariance = np.linalg.inv(gram + np.diag(1 / scales))
     away = 1 - (covariance @ score)[at]

@@ -22,11 +22,11 @@ LEVEL = 0.001
 
 
 def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) -> float:
-    """The ratio of one channel, at least 1. It is the larger of two ratios, of all coefficients and of the means, that fail the
-    test.
+    """The dispersion of one channel. Two sums of squares are tested against χ²: that of all coefficients and that of the means. The
+    result is the largest ratio χ²/ν among those that fail the test, and 1 if both pass.
 
-    rest: (M,), whitened residuals; degrees: of freedom; means: (S,), indices of the coefficients of order 0, in which errors of the
-    form of an effect accumulate; tests: number of tests in all channels, for Bonferroni's correction.
+    rest: (M,), whitened residuals; degrees: degrees of freedom of `rest`. means: (S,), indices of the coefficients of order 0, which
+    collect the errors in the form of an effect. tests: number of tests in all channels, for Bonferroni's correction.
     """
     from scipy.special import chdtrc
 

@@ -30,8 +30,8 @@ CERTAIN = 60.0  # log odds assigned to a lattice of counts that is seen, or not 
 
 
 def counts(observed: Observed) -> Array:
-    """The count (K,) of each channel. It is the declared count unless the recording shows a coarser one. If the values are not
-    multiples of the declared count, it is the count that is found, or 0."""
+    """The count (K,) of each channel. The declared count is returned unless the recording shows a coarser count. If the values are not
+    multiples of the declared count, the count found in the recording is returned, or 0 if there is none."""
     found = []
     for index, channel in enumerate(observed.channels):
         step = channel.resolution
@@ -52,8 +52,9 @@ Level = Literal["declared", "white", "resolution"]
 def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array) -> dict[tuple[Level, Level], float]:
     """Log densities of the white levels for all combinations of the noise states of the gyros and of the accelerometers.
 
-    If the noise of a triad, declared or measured, does not dither its count, there is no white level to compare. The triad then
-    counts like the other one, and as declared if neither can be compared.
+    If the noise of a triad, declared or measured, does not dither its count, there is no white level to compare. The white level of such
+    a triad is assumed to deviate from its declaration as much as that of the other triad. If neither can be compared, both are assumed to
+    be as declared.
     """
     declared = [channel.resolution or step for channel, step in zip(observed.channels, steps, strict=True)]
     (plain, sigma), (counted, _) = (_excess(observed, white, degrees, each) for each in (declared, steps))

@@ -36,10 +36,10 @@ _SMALLEST = (
 
 @dataclass(frozen=True)
 class NoiseWithin:
-    """Variance of the noise, relative to the white level, by channel. frequency: (B,), Hz, centres of the bands; weight: (B,),
-    their numbers of coefficients. spectrum: (2, B, K), of segments at rest and in motion. level: (S, K), of each segment; own: (S,
-    B, K), ratio of its bands to the product of spectrum and level. moving: (S,), index of the spectrum of each segment. coloured:
-    (2, K), whether a spectrum departs from white; differing: (K,), whether the segments differ."""
+    """Variance of the noise, relative to the white level, by channel. frequency: (B,), Hz, centres of the bands; weight: (B,), their
+    numbers of coefficients. spectrum: (2, B, K), of segments at rest and in motion. level: (S, K), of each segment; own: (S, B, K), ratio
+    of the variance in a band of one segment to the product of spectrum and level. moving: (S,), index of the spectrum of each segment.
+    coloured: (2, K), whether a spectrum departs from white; differing: (K,), whether the segments differ."""
 
     frequency: Array
     weight: Array
@@ -57,16 +57,17 @@ class NoiseWithin:
 
     @property
     def inefficiency(self) -> Array:
-        """Factor (K,) by which a sum of squares of the coloured noise has fewer degrees of freedom than samples."""
+        """Factor (K,) by which the coloured noise reduces the degrees of freedom of a sum of squares, compared with the number of
+        samples."""
         return np.asarray(
             (self.weight @ self.spectrum**2 * self.weight.sum() / (self.weight @ self.spectrum) ** 2).max(0)
         )
 
     def of_coefficients(self, observed: Observed, spectrum: Spectrum) -> Array:
-        """Variance (M, K) of the coefficients, which is the spectrum at their frequency. Harmonics are not cosines of the
-        transform. For them it is the mean over all frequencies that they contain, ∫ S(f)·|V(f)|² df for stationary noise. If a
-        harmonic is close to the lower orders, to which it is made orthogonal, little more than the ends of the segment remains of
-        it. These ends contain all frequencies."""
+        """Variance (M, K) of the coefficients. For a coefficient of the cosine transform, the variance is the spectrum at its frequency.
+        For a harmonic of the motion, it is the mean of the spectrum over all frequencies that the harmonic contains, ∫ S(f)·|V(f)|² df
+        for stationary noise: a harmonic is made orthogonal to the lower orders, and one that is close to them then consists mostly of the
+        ends of the segment, which contain all frequencies."""
         from scipy.fft import rfft
 
         out = self.level[spectrum.segment]

@@ -30,7 +30,8 @@ class RepeatedStretch:
 
 @dataclass(frozen=True)
 class Repeated:
-    """log_bayes: of stuck stretches against none. stretches: the likely ones, the longest first. held: (N, K), their samples."""
+    """log_bayes: of stuck stretches against none. stretches: the likely ones, the longest first. held: (N, K), true for the samples of
+    the stretches."""
 
     log_bayes: float
     stretches: tuple[RepeatedStretch, ...]

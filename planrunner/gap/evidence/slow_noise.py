@@ -19,8 +19,8 @@ OCTAVES = 2.0 ** np.arange(0, 15, 2)  # s, correlation times: from a second to h
 def ornstein_uhlenbeck(starts: Array, ends: Array, tau: float) -> Array:
     """Covariance (S, S) of the means over [start, end] of a process with unit variance and covariance exp(−|t − t'|/τ).
 
-    Within one segment of length T it is 2(x − 1 + e^−x)/x² with x = T/τ. Between disjoint segments it is e^(−gap/τ)·Π(1 −
-    e^−x_i)/x_i.
+    A segment of length T has the variance 2(x − 1 + e^−x)/x² with x = T/τ. Two disjoint segments have the covariance e^(−gap/τ)·Π(1 −
+    e^−x_i)/x_i, where gap is the time between them.
     """
     lasting = ends - starts
     x = lasting / tau
@@ -49,7 +49,7 @@ def flicker(starts: Array, ends: Array) -> Array:
 def random_walk(starts: Array, ends: Array) -> Array:
     """Covariance (S, S) of segment means of a random walk with unit density (1/√s) that begins at the first start.
 
-    For disjoint segments it is the mean time of the earlier one. Within one segment it is start + T/3.
+    The covariance of two disjoint segments is the mean time of the earlier one. The variance of a segment of length T is its start + T/3.
     """
     begin = starts - starts[0]
     middles = (begin + ends - starts[0]) / 2

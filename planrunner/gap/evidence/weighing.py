@@ -41,8 +41,8 @@ DEPENDENT = 1e-8
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Noise of one triad: flicker in units of the declared level, and a random walk, SI/√s: either its density in all axes, or the
-    scale of separate densities. prior: prior probability among the settings with, or among those without, a random walk."""
+    """Noise of one triad. flicker: in units of the declared level. walk: SI/√s; if `alike`, the density of the random walk in all axes,
+    otherwise the scale of separate densities. prior: prior probability among the settings with a random walk, or among those without."""
 
     flicker: float
     walk: float
@@ -186,7 +186,7 @@ class ChannelWeights:
         self.log_likelihood = -0.5 * (log_det + float(self.residual @ self.residual))
 
     def beside(self, columns: Array) -> ChannelWeights:
-        """The same weights with further columns (M, p) among the nominal ones, in SI like these. Their likelihood is that of the
+        """The same weights with further columns (M, p) among the nominal ones, in SI. The likelihood of the new weights is that of the
         residual alone."""
         made = copy(self)
         whitened = self.whiten(columns[:, columns.any(axis=0)])
@@ -340,8 +340,8 @@ _NOTHING = 1e-6  # smallest norm of a nominal direction that is not rounding
 class Left:
     """A channel with one setting of the noise, possibly without some rows of its coefficients.
 
-    rows: (M,), the remaining rows. basis: (M, q), orthonormal, of the whitened nominal columns on them; residual: (M,); both zero
-    elsewhere.
+    rows: (M,), the remaining rows. basis: (M, q), orthonormal, of the whitened nominal columns on these rows; residual: (M,). basis and
+    residual are zero in the removed rows.
     """
 
     def __init__(self, weight: ChannelWeights, rows: Rows, basis: Array, residual: Array):

@@ -64,9 +64,10 @@ _NUMBERS = 2_000_000  # of the matrices M that are in memory at once
 
 @dataclass(frozen=True)
 class Estimates:
-    """One amplitude in n runs. values, standard_uncertainties: (n,), in one unit, all finite and the latter positive. groups: the
-    label of every run (n) for each source except `COMMON`. since: for sources with steps, the moment of the last step of the run's
-    group before or at the run (n); empty before the first step. After each step, a group counts as a new group."""
+    """One amplitude in n runs. values, standard_uncertainties: (n,), in one unit, all finite and the latter positive. groups: the label
+    of every run (n) for each source except `COMMON`. since: for each source with steps, one text for every run (n): the moment of the
+    last step of the run's group that is not later than the run, or an empty text before the first step. After each step, a group counts
+    as a new group."""
 
     values: Array
     standard_uncertainties: Array
@@ -80,8 +81,8 @@ class Estimates:
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One or more sources that group the runs in the same way. labels: of the groups, with the moment of the step after which each
-    counts, or an empty text (m); members: (n,), index of the group of each run."""
+    """One or more sources that group the runs in the same way. labels: (m,), for each group its label and the moment of the step after
+    which it counts (empty if there is none); members: (n,), index of the group of each run."""
 
     sources: tuple[Source, ...]
     labels: tuple[tuple[str, str], ...]
@@ -103,9 +104,9 @@ class Uncertain:
 
 @dataclass(frozen=True, slots=True)
 class SourcePart:
-    """The part of one device, bench or occasion, if its source contributes. level: the sum of the part and of the part that all
-    runs have in common. The data often determine this sum better than either part. difference: from the mean of the other parts of
-    the source. Both are None if every group has one run; the difference is also None for a single group. runs: number of runs that
+    """The part of one device, bench or occasion, if its source contributes. level: the sum of the part and of the part that all runs have
+    in common. The data often determine this sum better than either part. difference: from the mean of the other parts of the source.
+    `level` and `difference` are None if every group has one run; `difference` is also None for a single group. runs: number of runs that
     contain the part. since: moment of the step after which the part counts; empty if it counts from the first run."""
 
     label: str

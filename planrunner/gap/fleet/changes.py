@@ -44,10 +44,10 @@ class ChangeKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FleetChange:
-    """A change of an amplitude. sources: with their labels; there are several if the runs cannot distinguish them. runs: indices of
-    the runs of the first source; before: number of them before a step. earliest, latest: indices into `runs` that bound the
-    beginning of a step (95 %): it began after the first and not after the second. size: of a step, or of a drift per day;
-    degrees_of_freedom: ν of its standard uncertainty; p: after the correction."""
+    """A change of an amplitude. sources: with their labels; there are several if the runs cannot distinguish them. runs: indices of the
+    runs of the first source; before: number of them before a step. earliest, latest: indices into `runs` that bound the moment of a step
+    (95 %): after the run `earliest` and not after the run `latest`. size: of a step, or of a drift per day; degrees_of_freedom: ν of its
+    standard uncertainty; p: after the correction."""
 
     kind: ChangeKind
     sources: tuple[tuple[Source, str], ...]

@@ -46,10 +46,10 @@ _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise 
 
 @dataclass(frozen=True)
 class Weighed:
-    """A whitened variant; its columns contain no samples. gram (G, p, p), score (G, p) over settings; trace: energy of its columns
-    after projection at the first setting, kept: ratio of this energy to that before projection. by_channel: whitened, projected
-    columns (M, p) at the first setting; raw: the same columns before whitening and projection, in magnitudes. held: whether physics
-    fixes the only amplitude to 1, so that only the shape is free."""
+    """A whitened variant; its columns contain no samples. gram: (G, p, p), score: (G, p), at each of the G settings of the noise; trace:
+    energy of its columns after projection at the first setting, kept: ratio of this energy to that before projection. by_channel:
+    whitened, projected columns (M, p) at the first setting; raw: the same columns before whitening and projection, in magnitudes. held:
+    whether physics fixes the only amplitude to 1, so that only the shape is free."""
 
     variant: Variant
     gram: Array = field(repr=False)
@@ -215,8 +215,8 @@ class Weighing:
         return np.column_stack(each)
 
     def fitted(self, taken: Sequence[Array] | None = None) -> Array:
-        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients. The coefficients
-        `taken` by an effect, (M,) by channel, are subtracted first."""
+        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients. taken: by channel, (M,),
+        coefficients that an effect explains; they are subtracted before the fit."""
         out = self._reference.copy()
         for index, nominal in enumerate(self.whole):
             own = [column for column in self.nominal_columns if index in column.parts]

@@ -51,8 +51,8 @@ FACTORS: Mapping[str, tuple[tuple[float, str, str], ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class WrongDeclaration:
-    """A wrong declaration in the bench file that explains the gap. effect: of the catalogue. parameters: of the effect, with which
-    a simulation shows the same mistake. message: what is wrong, for a finding; where: the channels or axes, for the remedy.
+    """A wrong declaration in the bench file that explains the gap. effect: of the catalogue. parameters: parameters of the effect that
+    make a simulation reproduce the mistake. message: what is wrong, for a finding; where: the channels or axes, for the remedy.
     alternative: another declaration that the recording cannot distinguish from this one, empty if there is none."""
 
     effect: str
