@@ -23,8 +23,8 @@ from planrunner.uncertainty.influences import Aspect
 
 @dataclass(frozen=True, slots=True)
 class BasisComparison:
-    """Comparison of the residuals of one output with its noise. F: residual variance divided by within-segment variance;
-    probability: that noise alone gives an F at least this large."""
+    """Comparison of the residuals of one output with its noise. ratio: F, the residual variance divided by the within-segment variance.
+    probability: probability that noise alone gives an F at least this large."""
 
     output: str
     ratio: float
@@ -36,7 +36,7 @@ class BasisComparison:
 
 
 def compare(fit: OutputsFit) -> tuple[BasisComparison, ...]:
-    """Comparison of the two bases for outputs that have both."""
+    """Comparison of the two bases, for each output that has both residuals and known noise."""
     from scipy.special import fdtrc
 
     return tuple(
@@ -60,8 +60,8 @@ def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
 
 
 def planned_basis(request: DesignRequest[object], blocks: Sequence[DesignBlock], basis: str) -> tuple[Remark, ...]:
-    """Makes the same check for planned segments. Raises an error if there are only as many segments as coefficients, or if the
-    segments are too short to determine their noise. Fewer segments than coefficients are reported as an error of rank."""
+    """Makes the check of `require_basis` for planned segments. Raises an error if there are only as many segments as coefficients, or if
+    the segments are too short to determine their noise. Fewer segments than coefficients are reported as an error of rank."""
     for block in blocks:
         n, p = block.matrix.shape
         if basis == "residual" and n == p:
@@ -235,8 +235,8 @@ class DriftWords:
 
 
 def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
-    """A note about a drift that the plan asks for, warnings about a drift that the segments show or do not exclude, and a note if they
-    could not show any."""
+    """A note about a drift that the plan asks for, warnings about a drift that the segments show or do not exclude, and a note if the
+    segments could not show a drift."""
     drift = fit.drift
     if not drift.courses:
         suspected = tuple(_suspected(fit, one, basis) for one in drift.suspected)

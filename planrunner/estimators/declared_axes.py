@@ -28,8 +28,8 @@ _AXES = "xyz"
 
 @dataclass(frozen=True, slots=True)
 class AxisResponse:
-    """How one output responds. axis: the declared one (0, 1, 2). unit: in which it is recorded. ratios: axis → response in that unit over
-    the true value, of each axis along which it was excited."""
+    """How one output responds. axis: the declared axis (0, 1, 2). unit: the unit in which the output is recorded. ratios: for each axis
+    along which the output was excited, the response in `unit` divided by the true value."""
 
     channel: str
     axis: int

@@ -70,8 +70,8 @@ class SuspectedDrift:
 @dataclass(frozen=True, slots=True, eq=False)
 class DoubtedDrift:
     """A course that is not fitted, although its evidence is not negligible. amplitudes: (m, r), root mean squares of the amplitudes that
-    its columns may have in each output: the fitted amplitudes combined with their standard uncertainties. probability: of amplitudes at
-    least as large as the fitted ones by chance."""
+    its columns may have in each output: the fitted amplitudes combined with their standard uncertainties. probability: probability that
+    chance alone gives amplitudes at least as large as the fitted ones."""
 
     course: DriftCourse
     amplitudes: Array
@@ -80,10 +80,11 @@ class DoubtedDrift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedDrift:
-    """The courses in a fit. judged: whether a drift could have been found in the data at all. without: (m, p), the coefficients of a
-    fit without drift; explained: (m,), share of the sum of squared residuals that the drift explains. Both only if courses were
-    adopted. suspected: only if none was adopted. rivals, nonlinear: courses that the data show but that are not adopted because a
-    nonlinearity explains the residuals as well; and the share (m,) of the squared residuals that the nonlinearity explains."""
+    """The courses in a fit. by_evidence: whether the courses were chosen because the data show them; otherwise the plan asks for them.
+    judged: whether a drift could have been found in the data at all. without: (m, p), the coefficients of a fit without drift; explained:
+    (m,), share of the sum of squared residuals that the drift explains. `without` and `explained` are None if no course was adopted.
+    suspected: only if none was adopted. rivals: courses that the data show but that are not adopted, because a nonlinearity explains the
+    residuals as well; nonlinear: (m,), share of the sum of squared residuals that the nonlinearity explains."""
 
     courses: tuple[DriftCourse, ...] = ()
     by_evidence: bool = False
@@ -131,9 +132,8 @@ def fitted_drift(
     fits: Fits,
 ) -> FittedDrift:
     """Chooses the courses of drift to fit and returns them with the results of their tests. names: (p,), of the terms. correlation: (m,
-    m), between the noise of the outputs. fits: fits all outputs by the columns of a matrix, with the noise and the declared effects as
-    weights. Its arguments come from `joined`.
-    """
+    m), between the noise of the outputs. fits: a function that fits all outputs by the columns of a matrix (as returned by `joined`),
+    with weights from the noise and the declared effects."""
     if not drift.courses:
         return NOTHING_FITTED
     if not drift.by_evidence:

@@ -132,14 +132,14 @@ class _Design:
         return _growth(self.matrix, self._courses(self.start, self.seconds)[self.rows], self.weights)
 
     def reordered(self, orders: NDArray[np.int64]) -> Array:
-        """The factor as in `growth` for k other orders, (k, p). orders: (k, n), indices of the rows that are recorded in the
-        planned places; all rows have the same dwell."""
+        """The factors of `growth` for k other orders of the segments, (k, p). orders: (k, n), indices of the rows that are recorded in
+        the planned places; all rows have the same dwell."""
         # The middle of the test and the average of a course stay, so that the courses are those of the places.
         places = self._courses(self.start, self.seconds)[self.rows[np.argsort(self.start[self.rows])]]
         return _growth(self.matrix, places[np.argsort(orders, axis=1)], self.weights)
 
     def closed(self) -> Array:
-        """The factor as in `growth` with the first segment repeated at the end."""
+        """The factors of `growth`, (p,), if the first segment is repeated at the end."""
         order = np.argsort(self.start)
         ends = (self.start + self.seconds)[order]
         pauses = np.sort(

@@ -63,7 +63,7 @@ class Coefficient:
     role: CoefficientRole = CoefficientRole.LOCATION
 
     def near(self, place: float) -> float:
-        """The value in `unit`. For a circular quantity, this is the equivalent value nearest to the given one."""
+        """The value in `unit`. For a circular quantity, this is the equivalent value that is nearest to `place`."""
         return place + math.remainder(self.value - place, self.period) if math.isfinite(self.period) else self.value
 
 

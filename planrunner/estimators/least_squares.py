@@ -22,8 +22,8 @@ class LinearFit:
     """A fit of n observations by p coefficients.
 
     coefficients: (p,). cofactor: (p, p), the covariance of the coefficients if `sigma` is the true standard uncertainty of the
-    observations. Otherwise it is their covariance divided by the variance factor. residuals: (n,), observed minus fitted. chi_squared:
-    the weighted sum of squared residuals. condition: of the scaled and weighted columns.
+    observations. If only the proportions of `sigma` are right, the covariance is `cofactor` times `variance_factor`. residuals: (n,),
+    observed minus fitted. chi_squared: the weighted sum of squared residuals. condition: of the scaled and weighted columns.
     """
 
     coefficients: Array

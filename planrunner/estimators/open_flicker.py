@@ -21,8 +21,9 @@ SUFFICIENT = 0.90
 
 @dataclass(frozen=True, slots=True)
 class OpenFlicker:
-    """Flicker of a channel that may be larger than an estimate assumes. bound: of B, in `unit`. coefficient: name of the one whose
-    interval is the most affected; widening: factor by which its interval would have to be wider with B at the bound."""
+    """Flicker of a channel that may be larger than an estimate assumes. bound: the largest B that the data do not exclude, in `unit`.
+    coefficient: name of the coefficient whose interval is most affected; widening: factor by which this interval would have to be wider
+    if B were `bound`."""
 
     channel: str
     unit: str
@@ -32,9 +33,9 @@ class OpenFlicker:
 
 
 def open_flicker(estimate: Estimate) -> tuple[OpenFlicker, ...]:
-    """The flicker that may make an interval of an estimate too narrow, one entry for each channel. The estimate has the standard
-    uncertainties and the degrees of freedom of the whole budget. Spreads and largest values are left out, because they contain the
-    flicker."""
+    """The flicker that may make an interval of an estimate too narrow, one entry for each channel. estimate: with standard uncertainties
+    and degrees of freedom of the whole budget. Coefficients that are measures of scatter or largest values are not examined, because they
+    contain the flicker."""
     found = []
     spreads = np.array([item.standard_uncertainty for item in estimate.coefficients])
     located = np.array([item.role is CoefficientRole.LOCATION for item in estimate.coefficients], dtype=bool)
@@ -56,8 +57,8 @@ def open_flicker(estimate: Estimate) -> tuple[OpenFlicker, ...]:
 
 
 def with_flicker_words(estimate: Estimate) -> Estimate:
-    """The estimate with a warning about the flicker that may make its intervals too narrow, and a note about the other channels for which
-    the bench file gives none."""
+    """The estimate with a warning about the flicker that may make its intervals too narrow, and a note about the other channels whose
+    flicker the bench file does not give."""
     if not estimate.unstated:
         return estimate
     found = open_flicker(estimate)

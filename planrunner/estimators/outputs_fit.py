@@ -37,18 +37,19 @@ _WIDEST = 1e9  # of the largest spread: what exceeds the noise then is not the m
 
 @dataclass(frozen=True, slots=True)
 class OutputsFit:
-    """m outputs fitted by p terms each from n segments. units: of the outputs; labels: of the segments; matrix: (n, p), the terms' columns.
+    """m outputs fitted by p terms each from n segments. units: of the outputs; labels: of the segments; matrix: (n, p), the terms'
+    columns.
 
-    noises: for each output, the noise within the segments. spreads: (m, n), the standard uncertainties in the weights, without the
-    effects. They are those of the noise, with or without a part between segments (`between_segments`). between: (m,), this part between
-    segments. ratios: (m,), residual variance divided by the variance expected from noise and effects. effects: the effects that are in
-    the weights; `unweighted`: the other effects, which occur if the noise of an output is not known. pooled: whether one variance
-    factor applies to all outputs, which is true if the proportions of their noise are known beforehand; pooled_freedom: its degrees of
-    freedom. drift: the courses that are fitted together with the terms, q columns; `fits` and the degrees of freedom are those of all P
-    = p + q columns. all_gains: (m, P, n), their coefficients from observations. all_cofactors: by basis, (m, P, m, P), covariance of
-    their coefficients before the variance factors. within: number of observations at the end that are no means of segments
-    (`Observations`). unstated: effects about whose size nothing is stated, per unit; they are not in the fit. names: (p,), of the
-    terms.
+    noises: for each output, the noise within the segments. spreads: (m, n), standard uncertainties from which the weights are computed,
+    without the effects: noise within the segments and, where needed, a standard deviation between segments (`between_segments`). between:
+    (m,), this standard deviation, 0 if not needed. ratios: (m,), residual variance divided by the variance expected from noise and
+    effects. effects: the effects that are in the weights; `unweighted`: the other effects, which occur if the noise of an output is not
+    known. pooled: whether one variance factor applies to all outputs, which is true if the proportions of their noise are known
+    beforehand; pooled_freedom: its degrees of freedom. drift: the courses that are fitted together with the terms, q columns; `fits` and
+    the degrees of freedom are those of all P = p + q columns. all_gains: (m, P, n), derivatives of the coefficients of all P columns with
+    respect to the observations. all_cofactors: by basis, (m, P, m, P), covariance of these coefficients before the variance factors.
+    within: number of observations at the end that are not means of segments (`Observations`). unstated: effects of unknown size, given
+    for a size of one unit; they are not in the fit. names: (p,), of the terms.
     """
 
     outputs: tuple[str, ...]
@@ -120,7 +121,7 @@ class OutputsFit:
         return np.full_like(factors, factors.mean()) if self.pooled else factors
 
     def observed(self, output: int, basis: str) -> Array:
-        """Covariance (n, n) of an output's observations on this basis, before the variance factor."""
+        """Covariance (n, n) of an output's observations on the given basis, before the variance factor is applied."""
         if basis == "within_segment":
             return np.diag(self.noises[output].sigma ** 2)
         return mixed(self.spreads[output], stacked_roots(self.effects, len(self.outputs), len(self.labels))[output])
@@ -153,8 +154,8 @@ class OutputsFit:
                     yield CorrelatedError(quantity, {output: column[:, None]})
 
     def unstated_flicker(self, functionals: Array | None = None) -> tuple[UnstatedFlicker, ...]:
-        """The flicker about which nothing is stated, as it acts on the coefficients, output after output, or on other linear functions of
-        the observations, given by functionals (q, m, n)."""
+        """The flicker of unknown size, as it acts on the coefficients, output after output. If functionals (q, m, n) are given, as it
+        acts on these linear functions of the observations."""
         if not self.unstated:
             return ()
         acting = functionals_of(self.gains) if functionals is None else functionals
@@ -182,8 +183,8 @@ class OutputsFit:
     def degrees_of_freedom(self, gradients: Array, basis: str) -> Array:
         """Effective degrees of freedom (q,) of q quantities with the given gradients (q, m·p).
 
-        By the Welch–Satterthwaite formula (JCGM 100:2008, G.4.1) over the outputs' shares of the variance; a pooled variance has the
-        degrees of freedom of all outputs, fewer where their residuals are correlated.
+        The Welch–Satterthwaite formula (JCGM 100:2008, G.4.1) combines the contributions of the outputs. A pooled variance has the
+        degrees of freedom of all outputs together, or fewer if their residuals are correlated.
         """
         m, p = self.coefficients.shape
         if basis == "residual" and self.pooled:
@@ -221,13 +222,13 @@ def fit_outputs(
     drift: DriftCourses = NO_DRIFT,
     unstated: Sequence[CorrelatedError] = (),
 ) -> OutputsFit:
-    """Fit every observed channel by the same terms. Raises `EstimationError`.
+    """Fits every observed channel by the same terms. Raises `EstimationError`.
 
-    Weights come from the noise within the segments and the effects. On the residual basis, a part between segments is added first if
-    the noise differs between segments or there are effects, and both together do not explain the residuals. Otherwise the segment with
-    the least noise would dominate the fit although its error is as large as the others'. Outputs can be pooled only if their noise is
-    known and needs no such part. equal: give all segments the same weight. drift: courses that are fitted too, or only if the data show
-    them. unstated: as in `OutputsFit`.
+    Weights come from the noise within the segments and the effects. On the residual basis, a standard deviation between segments may be
+    added to the noise. It is added in this case: the noise differs between segments or there are effects, and noise and effects together
+    do not explain the residuals. Otherwise the segment with the least noise would dominate the fit although its error is as large as the
+    others'. Outputs can be pooled only if their noise is known and nothing is added to it. equal: give all segments the same weight.
+    drift: courses that are fitted too, or only if the data show them. unstated: as in `OutputsFit`.
     """
     m = len(observations.channels)
     noises = [within_segment_noise(observations, k) for k in range(m)]
@@ -315,7 +316,8 @@ class _Weighting:
         return self._fits(self.sigma, self.whitening)
 
     def known(self, noises: Sequence[WithinSegmentNoise], residual: bool) -> _Fitted:
-        """Fit weighted by noise and effects; residual: with a part between segments if the residuals require it."""
+        """Fit weighted by noise and effects. residual: whether a standard deviation between segments may be added to the noise, if the
+        residuals require it."""
         spreads, between, whitening = self.sigma.copy(), np.zeros(len(noises)), self.whitening
         found = self.plain()
         ratios = _factors(found)
@@ -334,8 +336,8 @@ class _Weighting:
         return _Fitted(tuple(found), _gains(found, weighted), spreads, between, ratios, whitening)
 
     def equal(self) -> _Fitted:
-        """Fit with equal weights. Residuals are compared with the known noise in a fit that is weighted by it; in this fit a few large
-        residuals would decide."""
+        """Fit with equal weights. The comparison of residuals and noise comes from a second fit, which is weighted by the noise, because
+        with equal weights a few large residuals would decide."""
         spreads = np.broadcast_to(np.sqrt(np.mean(self.sigma**2, axis=1, keepdims=True)), self.sigma.shape)
         whitening = _whitening(spreads, self.roots)
         found = self._fits(spreads, None)
@@ -414,12 +416,12 @@ def exceeds_noise(found: LinearFit, noise: WithinSegmentNoise) -> bool:
 def between_segments(
     fitted: Callable[[Array], LinearFit], spread: Array, means: NDArray[np.bool_] | bool = True
 ) -> float:
-    """The standard deviation between segments that, together with `spread` (n,), makes chi²/dof equal to one (Mandel and Paule, Anal. Chem.
-    54, 1982).
+    """The standard deviation between segments that, together with `spread` (n,), makes chi²/dof equal to one (Mandel and Paule, Anal.
+    Chem. 54, 1982).
 
-    fitted: computes the fit for a given spread. means: (n,), marks the observations that have this deviation. It is found by bisection,
-    because chi²/dof decreases as it grows. It is zero if chi²/dof does not exceed one without it, and also if chi²/dof exceeds one with
-    any value of it.
+    fitted: computes the fit for a given spread. means: (n,), marks the observations to which the deviation is added. chi²/dof decreases
+    as the deviation grows, so the deviation is found by a search for the root. The result is zero if chi²/dof is at most one without any
+    deviation, or if no deviation makes it one.
     """
     from scipy.optimize import brentq
 

@@ -102,9 +102,10 @@ class Repeats:
 class Variance:
     """One-way analysis of variance of n values in k groups.
 
-    within, between, total: variances with their degrees of freedom or standard uncertainty; between can be negative; terms: (2,), mean
-    squares between and within groups, each multiplied by its factor, so that their sum is the total. ratio: F, the ratio of the mean
-    squares.
+    mean: mean of the group means, with `mean_uncertainty` and `mean_freedom` degrees of freedom. within: variance within groups; between:
+    component of variance between groups, which can be negative; total: their sum. Degrees of freedom or standard uncertainty of each have
+    its name as prefix. terms: (2,), the contributions of the mean squares between and within groups to the total. ratio: F, mean square
+    between groups divided by mean square within groups.
     """
 
     mean: float
@@ -307,8 +308,9 @@ def together(repeats: Sequence[Coefficient]) -> Array:
 def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float = math.nan) -> Variance:
     """One-way analysis of variance; with a single group, only mean and scatter.
 
-    The mean is the mean of the group means. Between groups: (M_b − M_w)/n₀ with n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i. expected: the
-    variance of the values about their mean, used in place of their scatter.
+    The mean is the mean of the group means. The component between groups is (M_b − M_w)/n₀, where M_b and M_w are the mean squares
+    between and within the k groups, and n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i values. expected: the variance of the values about
+    their mean, used in place of their scatter.
     """
     numbers = np.unique(group)
     n, k = len(value), len(numbers)

@@ -24,7 +24,8 @@ def resolution_influences(
     """One influence for each of the m outputs with a stated resolution. functionals: (q, m, n), ∂coefficient/∂(mean of output k over
     segment n); further observations are ignored.
 
-    The rounding error of a mean is that of one count if the noise is too small to dither it, otherwise the average over its samples.
+    If the noise is too small to dither the count, a mean has the rounding error of a single sample. Otherwise the rounding errors of its
+    samples average out, by the square root of their number.
     """
     found = []
     for k, name in enumerate(outputs):

@@ -1,6 +1,6 @@
-"""Findings of the screening in the samples of an estimate.
+"""Handling of the bad samples that the screening found in the samples of an estimate.
 
-The key `outliers` of the plan decides whether the estimate is made without these samples, with them, or not at all.
+The key `outliers` of the plan decides whether the estimate is made without the bad samples, with them, or not at all.
 
 If an estimate omits bad samples, it is compared with the estimate that uses them. The report then states the difference.
 """

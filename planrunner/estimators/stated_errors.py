@@ -3,8 +3,8 @@ evaluated again.
 
 Latitude and gravity change the columns of the model. They cause no scatter between segments, so their contribution is added to that of
 the data. Positions, azimuth, right angles between the table's axes, and rates differ between segments and cause scatter, so they belong
-to the weights of a fit (`correlated_errors`). The sign of each change is that for a stated value that is too large. For positions, it
-is that of the rotation error. Signs are those for a stated value that is too large; for positions, those of the rotation error.
+to the weights of a fit (`correlated_errors`). The sign of a change is that for a stated value that is too large. For positions, it is
+that of the rotation error.
 """
 
 from __future__ import annotations
@@ -59,8 +59,9 @@ def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
 def site_errors(
     model: LinearModel, segments: Sequence[Segment], site: Site, inputs: Inputs, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """Influences of latitude and gravity, if they are stated with an uncertainty. The outputs do not change. A larger expected value
-    has the same effect as a smaller reading. coefficients: (m, p), of m outputs, for SI columns and in the outputs' units."""
+    """Influences of latitude and gravity, if they are stated with an uncertainty. An error of these values changes the expected outputs,
+    not the readings. An expected output that is too large has the same effect as a reading that is too small. coefficients: (m, p), of m
+    outputs, for SI columns and in the outputs' units."""
     stated = [one for one in (inputs.get("latitude"), inputs.get("gravity")) if one]
     if not stated:
         return ()

@@ -25,10 +25,11 @@ _FLAT = 1e-3  # volume of three unit vectors below which they count as lying in 
 
 
 def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, RowFormula]:
-    """The scale factor, at the index of the direction `own`, and the misalignments, at the others, from a row of responses.
+    """Formulas of the scale factor and of the misalignments of one output from its row of responses, by direction: the scale factor for
+    the direction `own` of the output, misalignments for the other directions.
 
-    places: direction (0, 1, 2 for x, y, z) → index of its coefficient in the row. The responses of an output that was never excited along
-    its own direction are returned unchanged. A row of zeros gives zeros.
+    places: direction (0, 1, 2 for x, y, z) → index of its coefficient in the row. If the output was never excited along its own
+    direction, the formulas return the responses unchanged. A row of zeros gives zeros.
     """
     listed = list(places.values())
 

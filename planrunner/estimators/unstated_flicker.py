@@ -32,9 +32,10 @@ _LEAST = 0.01  # of a variance that flicker within the segments leaves for white
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlickerEvidence:
-    """n observations of a channel, which follow a linear model, in the unit of the channel. columns: (n, p), of the model; values: (n,).
-    sigma: (n,), noise of the observations, with its degrees of freedom. flicker: (n, r), their change per independent input of flicker with
-    B = 1; within: (n,), its part of the variance from which sigma was estimated. roots: (n, q), of declared effects (`stacked_roots`)."""
+    """n observations of a channel, which follow a linear model, in the unit of the channel. columns: (n, p), of the model; values: (n,),
+    the observations. sigma: (n,), noise of the observations, with `freedom` degrees of freedom. flicker: (n, r), change of the
+    observations per independent input of flicker with B = 1; within: (n,), part of the variance `sigma`² that flicker with B = 1
+    contributes. roots: (n, q), of declared effects (`stacked_roots`)."""
 
     columns: Array
     values: Array

@@ -75,10 +75,10 @@ def _delta(parts: Sequence[Array]) -> float:
 
 
 def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modified: bool = False) -> float:
-    """Equivalent degrees of freedom (EDF) of a fully overlapped variance. order: 2 for Allan, 3 for Hadamard; points: of the phase run;
-    0 if the run is too short for one term.
+    """Equivalent degrees of freedom (EDF) of a fully overlapped variance; 0 if the run is too short for one term. order: 2 for Allan, 3
+    for Hadamard; factor: averaging factor; points: number of phase points of the run.
 
-    If the variance does not converge for an alpha (α > 1 − 2·order), the limit replaces this alpha.
+    The variance converges only for α > 1 − 2·order, so a smaller alpha counts as 2 − 2·order.
     """
     alpha = min(2, max(alpha, 2 - 2 * order))
     terms = points - order * factor - (factor if modified else 0) + (1 if modified else 0)

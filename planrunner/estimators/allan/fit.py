@@ -42,9 +42,10 @@ _MOST_LENGTHS = 40
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Result of a fit of noise coefficients. squares: (4,), Q²/τ0², N²/τ0, B² and K²·τ0 in unit², 0 for omitted terms. A square can be
-    negative if the noise type is absent, because a fit restricted to positive values would bias the other terms. covariance: (4, 4), of
-    the squares. fitted: (k,), variances by the model. chi_square: with `freedom` degrees of freedom. terms: the fitted terms."""
+    """Result of a fit of noise coefficients. squares: (4,), Q²/τ0², N²/τ0, B² and K²·τ0 in unit², where τ0 is the time between phase
+    points; 0 for omitted terms. A square can be negative if the noise type is absent, because a fit restricted to positive values would
+    bias the other terms. covariance: (4, 4), of the squares. fitted: (k,), variances by the model. chi_square: with `freedom` degrees of
+    freedom. terms: the fitted terms."""
 
     squares: Array
     covariance: Array
@@ -185,9 +186,9 @@ def fit_noise(
     order: int = ALLAN,
     covariance: VarianceCovariance | None = None,
 ) -> NoiseFit:
-    """Fits `terms` to Allan (or Hadamard) variances (k,) at `factors`; at least one variance must be above zero. freedom: (k,),
-    degrees of freedom, for the initial weights. covariance: of these variances; by default it is computed for runs of these
-    lengths.
+    """Fits `terms` to Allan (or Hadamard) variances (k,) at `factors`; at least one variance must be above zero. freedom: (k,), degrees
+    of freedom, for the initial weights. covariance: covariance of the variances; by default it is computed for runs of `lengths` phase
+    points.
 
     Raises `ValueError` if there are fewer averaging times than terms.
     """

@@ -45,8 +45,9 @@ class ScaleFactorKind:
 class SensedBy:
     """Conversion of an output's noise coefficients to those of the sensed quantity.
 
-    units: for each of Q, N, B and K, the unit of the result and the factor to it. The factor converts from the output's unit times s,
-    √s, 1 and 1/√s. power: exponent of the scale factor in that factor, 1 or −1. quantity: the scale factor, in its own unit.
+    units: for each of Q, N, B and K, the unit of the result, and the factor by which a coefficient of the output is multiplied. The
+    coefficients of the output are in its unit times s (Q), √s (N), 1 (B) and 1/√s (K). power: 1 if this factor contains the scale factor,
+    −1 if it contains its reciprocal. quantity: the scale factor, in its own unit.
     """
 
     units: Mapping[str, tuple[str, float]]

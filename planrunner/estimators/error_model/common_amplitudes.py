@@ -20,9 +20,9 @@ from planrunner.estimators.outputs_fit import OutputsFit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonAmplitudes:
-    """Amplitudes of all outputs and which of them are common. amplitudes: the q reported ones, from the p of all outputs, output after
-    output. members: for each of the q amplitudes, its indices among these p; a single index for an amplitude of one output. outputs:
-    (p,), name of the output of each amplitude."""
+    """Amplitudes of all outputs and which of them are common. amplitudes: the q reported amplitudes. They are computed from the p
+    separately fitted amplitudes of all outputs, output after output. members: for each reported amplitude, the indices of the fitted
+    amplitudes that it combines; a single index if only one output has it. outputs: (p,), name of the output of each fitted amplitude."""
 
     amplitudes: tuple[ReportedAmplitude, ...]
     members: tuple[tuple[int, ...], ...]

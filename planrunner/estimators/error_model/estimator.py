@@ -73,7 +73,8 @@ WITHIN = "within segments"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedOutput:
-    """One fitted output. observations: its own observations; site: influences of errors of the site on them."""
+    """One fitted output. observations: the observations of this output; site: influences of errors of the latitude and of gravity on
+    these observations."""
 
     model: ModelledOutput
     observations: Observations

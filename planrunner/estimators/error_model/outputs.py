@@ -64,14 +64,14 @@ class ReportedAmplitude:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelledOutput:
-    """The linear model of one output. If the output is recorded in the unit of the measured quantity (`direct`), means =
-    own/unit.factor + matrix · amplitudes. Otherwise the amplitude of the gain is the whole scale factor, and the other columns are
-    scaled by it.
+    """The linear model of one output. If the output is recorded in the unit of the measured quantity (`direct`), means = own/unit.factor
+    + matrix · amplitudes, with `own` and `matrix` of `columns`. Otherwise the amplitude of the gain is the whole scale factor, and the
+    other columns are scaled by it.
 
-    rows: indices of its segments among those of the estimate. gain: index of the scale factor among the amplitudes, None if it is not
-    fitted. within: the fit of its samples, which gives the point of linearisation; None for an output that needs only the means.
-    followed: effect and amplitude of each column by which errors of the table and the site affect the output, if these are not
-    `columns`.
+    rows: indices of the output's segments among the segments of the estimate. gain: index of the scale factor among the amplitudes, None
+    if it is not fitted. within: the fit of the output's samples, at whose result the model is linearised; None for an output that needs
+    only the means. followed: only with `within`: effect and name of each amplitude in the model by which errors of the table and the site
+    affect the output.
     """
 
     errors: OutputErrors
@@ -104,7 +104,8 @@ class ModelledOutput:
         return 0.0 if self.gain is not None else self.columns.own / self.unit.factor
 
     def reported(self, fitted: Array) -> Array:
-        """The coefficients (p, n) in their own units, from fitted ones (p, n) in the output's unit per SI."""
+        """The reported coefficients (p, n), each in its own unit, from n sets of fitted coefficients (p, n) in the output's unit per SI
+        unit."""
         if self.direct:
             values = fitted * self.unit.factor
             if self.gain is not None:
@@ -119,8 +120,8 @@ class ModelledOutput:
         return np.asarray(values / si + origins)
 
     def ratios(self, fitted: Array) -> dict[int, float]:
-        """Maps each axis to the response along it relative to the output's own quantity, in SI, from fitted amplitudes (p,). The
-        response along the output's own axis is 1 if no scale factor is fitted."""
+        """Maps each axis to the response of the output along this axis (a ratio, SI), from fitted amplitudes (p,). The response along the
+        output's own axis is 1 if no scale factor is fitted."""
         own = {} if self.gain is not None else {self.errors.axis: 1.0}
         along = [one.along for one in self.columns.amplitudes]
         return own | {

@@ -79,8 +79,8 @@ class Shape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contrasts:
-    """Contribution of the samples within segments, in the output's unit. matrix: (r, p) and values: (r,), of the linear model;
-    sigma: (r,), standard deviations; flicker: (r, r), root of the covariance for flicker with B = 1."""
+    """Contribution of the samples within segments, in the output's unit. matrix: (r, p), the linear model of r contrasts; values: (r,),
+    the contrasts; sigma: (r,), their standard deviations; flicker: (r, r), root of their covariance due to flicker with B = 1."""
 
     matrix: Array
     values: Array
@@ -92,12 +92,13 @@ class Contrasts:
 class WithinFit:
     """An output fitted to samples.
 
-    amplitudes: p of them, those of the model and then the continuous shapes. matrix: (n, p), the linear model of the means, as in
-    `OutputColumns`; mean: (n,), observed; offset: (n,), part of the means that is not fitted, both in the unit of the output. own,
-    available: as in `OutputColumns`. shapes: effect → value. at_bound: effects whose shape is at a bound. coloured: ratio of the
-    variance of slow noise to the variance that white noise explains; 1 if the noise is white. uneven: largest ratio of the variance
-    between segments' contributions to an effect to the expected variance; 1 if they agree. moved_error: (n,), standard errors of the
-    means of segments whose motion the recording shows, from the residuals of the fit; NaN for the others.
+    amplitudes: the p amplitudes of the fit: first those of the model, then the continuous shapes. matrix: (n, p), the linear model of the
+    means, as in `OutputColumns`; mean: (n,), observed; offset: (n,), part of the means that is not fitted, both in the unit of the
+    output. own, available: as in `OutputColumns`. shapes: effect → value. at_bound: effects whose shape is at a bound. coloured: factor
+    by which slow noise exceeds the variance that white noise explains; 1 if the noise is white. uneven: factor by which the contributions
+    of the segments to an effect scatter more than expected (variance ratio, the largest of all effects); 1 if the contributions agree.
+    moved_error: (n,), standard errors of the means of segments whose motion the recording shows, from the residuals of the fit; NaN for
+    the others.
     """
 
     amplitudes: tuple[Amplitude, ...]
@@ -496,13 +497,13 @@ class _Problem:
 
 
 def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], coloured: float) -> Array:
-    """Ratio of the variance of each contrast (S,) to that of white noise, from the scatter of the contributions of the segments. It is
-    1 if the contrasts together are not significantly uneven. functionals: (S, N), orthonormal; left: (N,), residuals divided by their
-    noise; first: (n,), index of the first sample of each segment; coloured: as in `WithinFit`.
+    """Variance of each of S contrasts, divided by the variance from white noise, (S,). It is estimated from the scatter of the segments'
+    contributions, and set to 1 if the contrasts together are not significantly uneven. functionals: (S, N), orthonormal; left: (N,),
+    residuals divided by their noise; first: (n,), index of the first sample of each segment; coloured: as in `WithinFit`.
 
-    The errors of a reference differ from motion to motion, and a longer segment does not reduce them. R = Σ c²/(1 − Σ e²), where c is
-    the contribution of a segment to a contrast, and e its share of the squared length. R is unbiased for contributions with the
-    variance R·e if the fit makes Σ c = 0. Sandwich of clustered data: K.-Y. Liang, S. L. Zeger, Biometrika 73, 1986.
+    The errors of a reference differ from motion to motion, and a longer segment does not reduce them. R = Σ c²/(1 − Σ e²), where c is the
+    contribution of a segment to a contrast, and e its share of the squared length. R is unbiased for contributions with the variance R·e
+    if the fit makes Σ c = 0. Sandwich of clustered data: K.-Y. Liang, S. L. Zeger, Biometrika 73, 1986.
     """
     from scipy.special import chdtrc
 

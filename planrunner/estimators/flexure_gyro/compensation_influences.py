@@ -23,8 +23,8 @@ from planrunner.uncertainty.influences import Aspect, Influence
 def residual_influences(
     request: EstimateRequest[object], units: tuple[str, ...], matrix: Array, observed: Array, rate: float
 ) -> tuple[Influence, ...]:
-    """Influences on the residuals (sets·2·v,), set after set. Within a set, the residuals of the first rate at all positions come
-    first, then those of the second rate.
+    """Influences on the residuals at v verification positions, (sets·2·v,), set after set. Within a set, the residuals of the first rate
+    at all positions come first, then those of the second rate.
 
     units: units of the outputs. matrix: (v, p), of the verification positions, SI. observed: (v, 2), the measured outputs. rate: unit of
     the residuals, in rad/s.

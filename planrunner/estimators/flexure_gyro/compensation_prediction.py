@@ -30,12 +30,12 @@ class Prediction:
 
 
 def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[Array]) -> dict[str, Array]:
-    """Linear maps by set, (2·v, z), from z independent inputs of standard deviation one to the outputs minus their prediction by the
-    coefficients. The outputs are those at the verification positions, output after output.
+    """Linear maps by set, (2·v, z). A map converts z independent inputs with standard deviation 1 to the outputs at the v verification
+    positions, minus the outputs that the set's coefficients predict there. Rows are ordered output after output.
 
-    verification: (v, p), the verification positions' design. sets: by name, (2, p, n), coefficients from the calibration's observations.
-    roots: (N, r) by output, L with L·Lᵀ the covariance of its observations: first the v verification positions, then the sets in their
-    order.
+    verification: (v, p), design of the verification positions. sets: by name, (2, p, n), the matrices that compute the coefficients of
+    each output from the n observations of the calibration. roots: for each output, L (N, r), where L·Lᵀ is the covariance of its
+    observations: first those at the verification positions, then those of the sets in their order.
     """
     found = {}
     for name, maps in _carried(verification, sets).items():
@@ -53,8 +53,9 @@ def expected_sum(maps: Array) -> float:
 
 @kept(64)
 def expected_sums(verification: Array, sets: tuple[tuple[Array, Array], ...]) -> tuple[float, ...]:
-    """Expected sum of squared residuals of each set from noise alone. The noise is 1 at the verification positions, whose design is (v,
-    p). At the positions of each set, whose design is (n, p), it has the given ratios (2, n) to this."""
+    """Expected sum of squared residuals of each set, from noise alone. verification: (v, p), design of the verification positions, where
+    the noise has the standard deviation 1. sets: for each set, the design of its positions (n, p) and the standard deviations of the
+    noise of both outputs there (2, n)."""
     noise = np.concatenate([np.ones((2, len(verification))), *(sigma for _, sigma in sets)], axis=1)
     inverses = {str(k): weighted_inverse(matrix, sigma) for k, (matrix, sigma) in enumerate(sets)}
     maps = noise_maps(verification, inverses, [np.diag(sigma) for sigma in noise])
@@ -105,8 +106,9 @@ def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[A
 
 
 def weighted_inverse(matrix: Array, sigma: Array) -> Array:
-    """Change of each of p coefficients if the noise at one of n positions is one standard deviation, (m, p, n) for m outputs. sigma:
-    (m, n), standard deviations of the noise. The columns of the matrix are scaled because SI units would make it ill-conditioned."""
+    """The matrices that compute the coefficients from weighted observations, (m, p, n), for m outputs, p coefficients and n positions:
+    the change of a coefficient if one observation changes by its standard deviation. sigma: (m, n), standard deviations of the
+    observations. The columns of the design `matrix` (n, p) are scaled internally, because in SI units it is ill-conditioned."""
     size = np.abs(matrix).max(axis=0)
     size[size == 0] = 1.0
     inverse: Array = np.linalg.pinv(matrix / sigma[..., None] / size) / size[:, None]

@@ -36,7 +36,8 @@ class Run:
 
     @property
     def planned_lead(self) -> float:
-        """Planned time [s] from the release to the beginning of the record: settling, and the part of the rocking's fade-in before it."""
+        """Planned time [s] from the release to the beginning of the record: the settling time, and the part of the rocking's fade-in that
+        is not recorded."""
         motion = self.segment.motion
         return self.segment.settle + (motion.lead_in if isinstance(motion, Rock) else 0.0)
 

@@ -135,7 +135,7 @@ def expected_run(run: Run, times: tuple[float, float], conditions: RockingCondit
 
 def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode: float | None = None) -> float:
     """Time [s] from the release to the beginning of the record: as stated, as recorded (`in_mode`), or as planned. Raises
-    `EstimationError` if the bench plays back a recording that does not contain it."""
+    `EstimationError` if the bench plays back a recording that does not contain this time."""
     if parameters.released_before is not None:
         return parameters.released_before.value
     if in_mode is not None:
@@ -173,8 +173,8 @@ def accelerometer_drift(reduced: ReducedRun, conditions: RockingConditions) -> A
 
 
 def drift_before_rocking(reduced: ReducedRun, conditions: RockingConditions) -> Array | None:
-    """Drift [rad/s] from the first window to the window that ends when the base begins to rock, by the same steps; None without that
-    window."""
+    """Drift [rad/s] from the first window to the window that ends when the base begins to rock, by steps 2 to 5; None if there is no such
+    window. Shape (…, 2), about the two level axes."""
     return None if reduced.before is None else _drift_between(reduced, reduced.before, conditions)
 
 

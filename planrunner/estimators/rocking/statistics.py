@@ -3,8 +3,8 @@
 The rocking drift of a quadruple is the mean of its dynamic runs minus the mean of its static runs (step 6). Quadruples of one state are
 repeats of each other. For an axis that is level in several states, the result is the mean over these states.
 
-Warnings about implausible drifts of single runs. A reversed channel causes such drifts, but it hardly changes the differences
-between runs.
+The module also warns about implausible drifts of single runs. A reversed channel causes such drifts, but it hardly changes the
+differences between runs.
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ class StateDrifts:
 @dataclass(frozen=True, slots=True)
 class CombinedDrifts:
     """m rocking drifts over all states; those by the accelerometers come first. axes: the axis of each drift. by_gimbals: (m,), whether
-    each drift comes from the gimbals. share: one matrix (m, k) for each state, the weights of its columns."""
+    each drift comes from the gimbals. values: (m,), deg/h, with `covariance` (m, m). shares: one matrix (m, k) for each state: the
+    weights of the k drifts of the state in the m results."""
 
     axes: tuple[int, ...]
     by_gimbals: tuple[bool, ...]
@@ -106,7 +107,8 @@ def _freedom(variances: Sequence[float], degrees: Sequence[float]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Pairings:
-    """Pairs of a static and a dynamic run of one axis: their rocking drifts by both methods, (p,), deg/h, each."""
+    """Random pairs of a static and a dynamic run, for one axis. accelerometers, gimbals: (p,), deg/h, the rocking drift of each pair by
+    either method."""
 
     axis: int
     accelerometers: Array

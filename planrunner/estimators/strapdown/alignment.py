@@ -42,10 +42,10 @@ _MOVED = 0.1  # m/s; a unit on a floor or in a parked vehicle does not change it
 
 @dataclass(frozen=True, slots=True)
 class Aligned:
-    """Result of an alignment. alignment: the fine alignment, with the covariance used. last: (6,), the last increments. density: (6,
-    6), variance per second of the integrated sensors in navigation axes, from the scatter at rest. white: (6,), square roots of these
-    densities in body axes. seconds: duration, s. turned: whether the unit was turned from stop to stop during alignment, so that its
-    constant errors were estimated too. rest: the readings at the first stop."""
+    """Result of an alignment. alignment: the fine alignment, with the covariance used. last: (6,), the last increments. density: (6, 6),
+    covariance of the white noise as growth per second of the covariance of the integrated outputs, in navigation axes, from the scatter
+    at rest. white: (6,), square roots of these densities in body axes. seconds: duration, s. turned: whether the unit was turned from
+    stop to stop during alignment, so that the constant errors of its sensors were estimated too. rest: the readings at the first stop."""
 
     alignment: Alignment
     last: Array
@@ -59,8 +59,8 @@ class Aligned:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AtRest:
-    """Readings of the sensors at rest. means: (6, b), over consecutive spans of `length` [s], rad/s and m/s². white: (6,), rad/√s and
-    m/s/√s, with its degrees of freedom."""
+    """Readings of the sensors at rest. means: (6, b), over consecutive spans of `length` [s], rad/s and m/s². white: (6,), white noise,
+    rad/√s and m/s/√s; freedom: degrees of freedom of `white`."""
 
     means: Array
     length: float

@@ -136,9 +136,9 @@ class StrapdownNavigationParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Navigated:
-    """Result of a navigation. site: the place of the start. final: (4,), errors at the end [m, m, m/s, m/s]. seconds: duration, s.
-    start: time at which it began, s. gap: time without samples after the alignment, s. wandering: response to biases that wander; None
-    if the bench file states for each sensor that it has no bias instability."""
+    """Result of a navigation. site: the place of the start. final: (4,), errors at the end [m, m, m/s, m/s]. seconds: duration, s. start:
+    time at which the navigation began, s. gap: time without samples after the alignment, s. wandering: response to biases that wander;
+    None if the bench file states for each sensor that it has no bias instability."""
 
     site: Site
     aligned: Aligned
@@ -170,7 +170,7 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
 
 def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: RecordedSegment, factor: float) -> Site:
     """The position of the alignment. It comes from run information, otherwise from the reference channels, otherwise from the bench's
-    site. factor: ratio of the gravity to normal gravity. Raises `EstimationError`."""
+    site. factor: gravity at the site divided by normal gravity. Raises `EstimationError`."""
 
     def place(coordinate: _Coordinate) -> float | None:
         if text := request.setup.information.get(coordinate.information, "").strip():

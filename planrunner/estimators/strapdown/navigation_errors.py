@@ -57,7 +57,10 @@ class Truth:
 
 @dataclass
 class ErrorRecord:
-    """Sums over all knots, and a course with every `stride`-th knot. Times in s since navigation began, errors in m and m/s."""
+    """Sums over all knots, and a course with every `stride`-th knot. Times in s since navigation began, errors in m and m/s. knots:
+    number of knots. squares, speed_squares: sums of the squares of radial position error and of radial velocity error. time_error: sum of
+    time · radial error; time_squares: sum of time². largest: largest radial error, at the time `largest_at`; largest_speed: largest
+    radial velocity error. course: see `points`."""
 
     stride: int
     knots: int = 0

@@ -59,8 +59,8 @@ _MOMENTS = 96  # at which the effect of biases that wander is evaluated
 
 
 class Spread:
-    """Uncertainty from noise: covariance (m, m) of the coefficients in their units; radial: (n,) standard uncertainty of the radial
-    error at the points of the course [m]."""
+    """Uncertainty from noise. covariance: (m, m), of the coefficients in their units. radial: (n,), m, standard uncertainty of the radial
+    error at the points of the course."""
 
     def __init__(self, equations: ErrorEquations, found: Navigated, points: Array, turns: bool):
         start = np.zeros((SIZE, SIZE))
@@ -80,9 +80,9 @@ class Spread:
 
 
 class Wander:
-    """Uncertainty from biases that wander. influences: of each sensor with a stated bias instability. radial: (n,), standard uncertainty
-    of the radial error at the points of the course [m], from the same sensors. unstated: of the sensors for which the bench file gives
-    none."""
+    """Uncertainty from biases that wander. influences: one for each sensor with a stated bias instability. radial: (n,), m, standard
+    uncertainty that these sensors cause in the radial error at the points of the course. unstated: the flicker of each sensor whose bias
+    instability the bench file does not give."""
 
     def __init__(self, request: EstimateRequest[StrapdownNavigationParameters], found: Navigated, points: Array):
         self.influences: tuple[Influence, ...] = ()

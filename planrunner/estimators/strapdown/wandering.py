@@ -25,9 +25,10 @@ _AXES = 3
 class WanderingBias:
     """Response of a navigation to errors of its sensors in intervals of `step` [s].
 
-    aligned: (3, 6, m), remaining tilt after alignment, rad, per error of each sensor in each interval. attitude: (n, 3, 3), mean
-    attitude over each interval of the navigation, with the body axes as columns in East-North-Up. between: number of intervals from the
-    beginning of the alignment to the beginning of the navigation. span: time over which constant errors are averages, s.
+    aligned: (3, 6, m), tilt that remains after alignment, rad, for a unit error of each of the 6 sensors in each of the m intervals of
+    the alignment. attitude: (n, 3, 3), mean attitude over each interval of the navigation, with the body axes as columns in
+    East-North-Up. between: number of intervals from the beginning of the alignment to the beginning of the navigation. span: time over
+    which constant errors are averages, s.
     """
 
     equations: ErrorEquations

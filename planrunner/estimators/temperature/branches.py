@@ -45,8 +45,8 @@ def branches(temperature: Array, least: float) -> Integers:
 
 def approached(temperature: Sequence[float], least: float) -> tuple[Integers, Integers]:
     """For held temperatures (n,) in order of time: whether each was reached from below (+1) or from above (−1), and the index of its
-    sweep. The temperatures before the first change begin the first sweep; 0 and −1 if there is no change. A change of less than `least`
-    [K] does not count."""
+    sweep. The temperatures before the first change belong to the first sweep. If the temperature never changes, the directions are 0 and
+    the indices −1. A change of at most `least` [K] does not count."""
     direction = np.zeros(len(temperature), dtype=np.int64)
     for place in range(1, len(temperature)):
         change = temperature[place] - temperature[place - 1]

@@ -218,7 +218,7 @@ class CurveFit:
     """A fitted curve. spread: uncertainty of its coefficients (p,). correlation: factor by which the variance of noise was increased
     because consecutive residuals are correlated. beside, beside_spread: coefficients (q,) of the columns fitted with it. ramps: how the
     offsets and slopes of ramps differ; empty if there are too few ramps to determine it. fullest: for a chosen curve, the curve of the
-    highest order tried, if it is a different one. gains: (p, n), the coefficients from the values."""
+    highest order tried, if it is a different one. gains: (p, n), derivatives of the coefficients with respect to the n values."""
 
     curve: Curve
     coefficients: Array
@@ -260,10 +260,10 @@ class CurveFit:
 
 @dataclass(frozen=True)
 class OverTemperature:
-    """n values over temperature. temperature: degC; sigma: for weights; group: index of the temperature; series: index of the ramp that
-    contains a value, in order, −1 for a single value; ramp: index of the ramp or sweep with a common offset, −1 for none; direction: of
-    the ramp; all (n,). beside: (n, q), columns that are fitted with the curve. covariance: (n, n), of the values, if they are
-    correlated; sigma is then their uncorrelated part."""
+    """n values over temperature. temperature: degC; sigma: for weights; group: index of the temperature, common to values at the same
+    temperature; series: index of the ramp along which a value follows others, −1 for a single value; ramp: index of the ramp or sweep
+    with a common offset, −1 for none; direction: of the ramp; all (n,). beside: (n, q), columns that are fitted with the curve.
+    covariance: (n, n), of the values, if they are correlated; sigma is then their uncorrelated part."""
 
     temperature: Array
     value: Array
@@ -281,8 +281,8 @@ class OverTemperature:
         return None if self.covariance is None else least_squares.whitener(self.covariance)
 
     def white(self, columns: Array, transposed: bool = False) -> Array:
-        """Columns (n, …) after this whitening, or after division by sigma if the values are not correlated. transposed: whether to
-        multiply by Wᵀ instead of W."""
+        """Columns (n, …) multiplied by `whitening`, or divided by sigma if the values are not correlated. transposed: whether to multiply
+        by the transposed whitening matrix."""
         whitening = self.whitening
         return _white(columns, self.sigma, whitening.T if transposed and whitening is not None else whitening)
 

@@ -47,8 +47,8 @@ class TiltedConditions:
 class Group:
     """q repeats of n rates at one temperature. kelvin: measured or planned temperature, NaN if neither is known. spins: (q, n), indices
     of the segments; rest: (q, N), weights of the segments in the rest value of a repeat, half for the zeros before and half for those
-    after; between: (q, N), their weights in the end zero minus the start zero. outputs: F_j − F_r, (q, n, m). drift: end zero minus
-    start zero, (q, m)."""
+    after; between: (q, N), weights of the segments in the difference of end zero and start zero. outputs: F_j − F_r, (q, n, m). drift:
+    end zero minus start zero, (q, m)."""
 
     label: str
     kelvin: float
@@ -79,10 +79,11 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class TiltedResults:
-    """Intermediate results, which make it possible to compare different conditions. means: (g, m, 5), means over repeats, in the order
-    of `QUANTITIES`; repeats: of each group (q, m, 5); residuals: of each group (n, m), over repeats. repeatability: (g, m), s(K)/K, NaN
-    for one repeat. coefficient: (m,), slope of K over temperature, divided by K at the reference temperature; sensitivity: (m,), the
-    largest |K_T − K_0|/(K_0·|T − T_0|); NaN for one temperature."""
+    """Results of an evaluation in a form that can be compared with another evaluation under other conditions. For g temperatures and m
+    axes: means: (g, m, 5), means over repeats of the quantities `QUANTITIES`; repeats: for each temperature (q, m, 5), the quantities of
+    each repeat; residuals: for each temperature (n, m), residuals of the means over repeats. repeatability: (g, m), s(K)/K, NaN for one
+    repeat. coefficient: (m,), slope of K over temperature, divided by K at the reference temperature; sensitivity: (m,), the largest |K_T
+    − K_0|/(K_0·|T − T_0|); both are NaN for one temperature."""
 
     means: Array
     repeats: tuple[Array, ...]

@@ -103,9 +103,10 @@ def gain_basis(axes: MountedAxes, k: int, azimuth: str) -> Array:
 
 
 def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
-    """The polar form of gains near `gain` (r,), (q, n): K in output unit/(rad/s), angle and, if fitted, azimuth [rad]. The gains are
-    components along `basis` (3, r) of axis k. An output whose sign is opposite to its stated direction has a negative K. Raises
-    `EstimationError` for an axis along z, which has no azimuth."""
+    """Formula from n gain vectors (r, n) to their polar form (q, n): K in output unit/(rad/s), angle and, if fitted, azimuth [rad]. The
+    gains are components of the gain vector of axis k along the r columns of `basis` (3, r). gain: (r,), a value near which the formula is
+    used. K is negative if the output has the opposite sign of the stated direction. Raises `EstimationError` for an axis along z, which
+    has no azimuth."""
     sign = -1.0 if float(basis @ gain @ axes.directions[k]) < 0 else 1.0
     about = 0.0 if math.isnan(axes.azimuths[k]) else float(axes.azimuths[k])
     if len(gain) == 3 and math.hypot(*gain[:2]) < 1e-9 * float(np.linalg.norm(gain)):

@@ -67,8 +67,8 @@ class Situation:
 
 @dataclass(frozen=True, slots=True)
 class Rounding:
-    """Rounding error in the means of one output. share: of one count; in_scatter: whether the samples vary, so that the scatter includes
-    it."""
+    """Rounding error in the means of one output. share: in counts' rounding errors, 1 if the means have the rounding error of one count
+    and less if it averages out; in_scatter: whether the samples vary, so that their scatter includes the rounding error."""
 
     share: float
     in_scatter: bool

@@ -1,14 +1,13 @@
 """Type A uncertainty of tilted scale factors on the basis selected in the plan.
 
-repeats          scatter of each quantity from repeat to repeat: includes all effects that differ between repeats
-residual         scatter of the means over the repeats about the line, with the correlations of declared flicker
-within_segment   noise within the segments alone
+repeats scatter of each quantity from repeat to repeat: includes all effects that differ between repeats residual scatter of the means
+over the repeats about the line, with the correlations of declared flicker within_segment noise within the segments alone
 
-Drift of the zero between the readings before and after the rates, as far as the included effects do not explain it.
+The module also judges the drift of the zero between the readings before and after the rates.
 
-The type A uncertainty includes the noise of the zeros. With declared flicker it also includes the flicker, of which the drift of a
-series is one sample. A drift is added separately only if both together do not explain it. Otherwise every interval would include the
-same noise twice.
+The type A uncertainty includes the noise of the zeros. With declared flicker it also includes the flicker, of which the drift of a series
+is one sample. A drift is added separately only if noise and flicker together do not explain it. Otherwise every interval would include
+the same noise twice.
 """
 
 from __future__ import annotations
