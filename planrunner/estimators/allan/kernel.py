@@ -124,14 +124,14 @@ def second_differences(x: Array, factors: Integers) -> Array:
 
 
 def third_differences(x: Array, factors: Integers) -> Array:
-    """The sum Σ_i (x_{i+3m} − 3x_{i+2m} + 3x_{i+m} − x_i)² over all i, for each averaging factor m. x: (n,); factors: (k,); returns (k,)."""
+    """The sum Σ_i (x_{i+3m} − 3x_{i+2m} + 3x_{i+m} − x_i)² over all i, for each averaging factor m. x: (n,); factors and result: (k,)."""
     partial = np.zeros((max(1, -(-x.size // PIECE)), factors.size))
     (_third_parallel if x.size >= SHARED else _third_serial)(x, factors, partial)
     return np.asarray(partial.sum(axis=0))
 
 
 def averaged_second_differences(x: Array, factors: Integers) -> Array:
-    """The sum Σ_j (Σ_{i=j}^{j+m−1} (x_{i+2m} − 2x_{i+m} + x_i))² over all j, for each averaging factor m. x: (n,); factors: (k,); returns
+    """The sum Σ_j (Σ_{i=j}^{j+m−1} (x_{i+2m} − 2x_{i+m} + x_i))² over all j, for each averaging factor m. x: (n,); factors and result:
     (k,)."""
     sums = np.zeros(factors.size)
     (_modified_parallel if x.size >= SHARED else _modified_serial)(x, factors, sums)
