@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -91,6 +92,25 @@ def played(
     time = start + np.arange(noise.shape[1]) * (planned.dwell or 1.0) / noise.shape[1]
     channels = {name: mean + row for (name, mean), row in zip(means.items(), noise, strict=True)}
     return from_samples(planned, time, channels, dict.fromkeys(means, unit))
+
+
+def noisy(
+    planned: Segment,
+    values: Mapping[str, np.ndarray | float],
+    unit: str,
+    error: float | np.ndarray,
+    draw: np.random.Generator,
+    start: float = 0.0,
+    samples: int = 320,
+) -> RecordedSegment:
+    """A segment of samples, `values` plus white noise; planrunner computes the statistics.
+
+    values: the output without noise, a number or (samples,); error: standard uncertainty of the mean of each channel; start: s.
+    """
+    exact = np.array([np.broadcast_to(one, samples) for one in values.values()], dtype=float)
+    size = np.broadcast_to(np.asarray(error, dtype=float), len(exact))[:, None] * math.sqrt(samples)
+    made = exact + size * draw.standard_normal(exact.shape)
+    return played(planned, dict.fromkeys(values, 0.0), made, unit, start)
 
 
 def table(path: Path) -> dict[str, np.ndarray]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import simulated_imu as imu
-from recorded import from_means, from_samples, sensor
+from recorded import from_means, from_samples, noisy, sensor
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base import plugins
@@ -230,9 +230,8 @@ def test_it_gives_what_flexure_gyro_static_gives() -> None:
         rate, force = imu.felt(imu.rest(text))
         drifts = imu.DEG_H * np.array([[2.0, 1.0, -1.5, 0.5], [-1.0, 0.7, 1.1, -2.0]]) @ np.array([1, *(force / G)])
         values = sf * np.array([rate[1] + 0.003 * rate[0] + drifts[0], rate[0] - 0.002 * rate[1] + drifts[1]])
-        values += 0.01 * draw.standard_normal(2)
         means = dict(zip(("torquer_x", "torquer_y"), values, strict=True))
-        recorded.append(from_means(imu.rest(text), means, "pulse/s", 0.01, start=100.0 * place))
+        recorded.append(noisy(imu.rest(text), means, "pulse/s", 0.01, draw, 100.0 * place))
     named = FlexureGyroStatic().estimate(request_of(recorded, FlexureGyroStaticParameters(pool_outputs=False)))
     outputs = {
         "torquer_x": ("gyro_bias", "gyro_scale_factor", "gyro_misalignment.towards_x", "gyro_g_sensitivity"),
@@ -277,16 +276,19 @@ def at_all_places(degrees: Sequence[float] = (25.0,)) -> list[Segment]:
 def played(
     segments: Sequence[Segment], outputs: Any, units: str, noise: float, draw: np.random.Generator | None
 ) -> list[RecordedSegment]:
-    """outputs(rate, force, warm): (k, 3) for (k, 3) inputs about the table's way; channels are x, y, z."""
+    """outputs(rate, force, warm): (k, 3) for (k, 3) inputs about the table's way; channels are x, y, z. With `draw`, segments at rest of
+    samples, whose means scatter by `noise`; else exact means."""
     found = []
     names = imu.GYROS if units == "rad/s" else imu.ACCELS
     for place, one in enumerate(segments):
         rates, forces = around(one)
         warm = (one.temperature or 298.15) - 298.15
-        values = outputs(rates, forces, warm).mean(axis=0)
-        if draw is not None:
-            values = values + noise * draw.standard_normal(3)
-        found.append(from_means(one, dict(zip(names, values, strict=True)), units, noise, start=200.0 * place))
+        means = dict(zip(names, outputs(rates, forces, warm).mean(axis=0), strict=True))
+        if draw is None:
+            found.append(from_means(one, means, units, noise, start=200.0 * place))
+        else:
+            assert not one.rate
+            found.append(noisy(one, means, units, noise, draw, 200.0 * place))
     return found
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded import segment, sensor
+from recorded import noisy, segment, sensor
 from tilted_recording import DEG, EARTH, SITE, THETA, Gyro, estimate, plan_mounting, sampled, series, turned_label
 
 from planrunner.archive.recording import RecordedSegment
@@ -53,7 +53,8 @@ def spins(
     skew: np.ndarray | None = None,
     rate_error: dict[float, float] | None = None,
 ) -> list[RecordedSegment]:
-    """Whole turns about up: an axis along d sees (d·up)·(ω + Ω·sin φ). skew: small rotations of the fixture (orientations, 3)."""
+    """Whole turns about up: an axis along d sees (d·up)·(ω + Ω·sin φ). skew: small rotations of the fixture (orientations, 3). With
+    `noise`, samples, whose means scatter by `sigma`, deg/s."""
     up, made = np.array([0.0, 0, 1]), []
     for place, attitude in enumerate(orientations):
         for rate in RATES:
@@ -68,8 +69,8 @@ def spins(
                 real = rate * (1 + (rate_error or {}).get(rate, 0.0))
                 felt = float(d @ (attitude @ up)) * (real + EARTH * math.sin(40 * DEG) / 3600)
                 value = GYROS[axis].K * felt + GYROS[axis].bias + 0.01 * place  # a bias that depends on gravity
-                means[f"gyro_{axis}"] = value + (sigma * noise.standard_normal() if noise else 0.0)
-            made.append(sampled(planned, means, sigma))
+                means[f"gyro_{axis}"] = value
+            made.append(noisy(planned, means, "deg/s", sigma, noise, samples=360) if noise else sampled(planned, means))
     return made
 
 
@@ -144,12 +145,16 @@ def test_predicted_and_propagated_uncertainty_by_hand() -> None:
     """An axis at θ in z-up and x-up, azimuth 0: gains a = K·sin θ, c = K·cos θ of equal u give u(θ) = u/K and u(K) = u."""
     axes = {"x": (THETA, 0.0)}
     rng = np.random.default_rng(3)
-    recorded = spins([Z_UP, X_UP], {"x": (THETA, 0.0)}, rng, 1e-5)
-    result = found(recorded, axes, azimuth="stated", uncertainty="within_segment")
+    results = [
+        found(spins([Z_UP, X_UP], axes, rng, 1e-5), axes, azimuth="stated", uncertainty="within_segment")
+        for _ in range(20)
+    ]
     u = 1e-5 / math.sqrt(sum(rate**2 for rate in RATES))
-    pooled = 36.0 / (36.0 * 359 / 360)  # the pooled noise refers to the time between first and last sample
-    assert result["angle_x"].standard_uncertainty * DEG == pytest.approx(u / 1.0002, rel=2e-3 * pooled)
-    assert result["K_x"].standard_uncertainty == pytest.approx(u, rel=2e-3)
+    for name, unit, expected in (("angle_x", DEG, u / 1.0002), ("K_x", 1.0, u)):
+        stated = math.sqrt(np.mean([(unit * one[name].standard_uncertainty) ** 2 for one in results]))
+        assert stated == pytest.approx(expected, rel=0.04)  # 20 × 8 × 31 degrees of freedom: 1 %
+        scatter = np.std([unit * one[name].value for one in results], ddof=1)
+        assert scatter == pytest.approx(expected, rel=0.5)  # 20 values: 16 %
 
 
 def test_what_all_rates_share_cancels_in_the_angles_and_positions_do_not() -> None:

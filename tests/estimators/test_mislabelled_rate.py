@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from recorded import from_means, segment, sensor
+from recorded import noisy, segment, sensor
 
 from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.scale_factor import ScaleFactor, ScaleFactorParameters
@@ -13,12 +13,12 @@ from planrunner.plan.schedule import Spin
 
 def test_one_of_48_rates_with_a_wrong_label_is_named() -> None:
     rates = np.linspace(-200, 200, 48)
-    read = 1.01 * rates + np.random.default_rng(1).normal(0, 0.01, 48)
+    draw = np.random.default_rng(1)
     planned = rates.copy()
     planned[30] += 9.0  # deg/s
     recorded = tuple(
-        from_means(segment(f"R{k}", np.eye(3), Spin(float(np.radians(rate)))), {"gyro_z": float(value)}, "deg/s", 0.01)
-        for k, (rate, value) in enumerate(zip(planned, read, strict=True))
+        noisy(segment(f"R{k}", np.eye(3), Spin(float(np.radians(rate)))), {"gyro_z": 1.01 * true}, "deg/s", 0.01, draw)
+        for k, (rate, true) in enumerate(zip(planned, rates, strict=True))
     )
     site = Site(latitude=0.7, gravity=9.80665)
     request = EstimateRequest("line", recorded, ScaleFactorParameters(), site, sensor("gyro_z", unit="deg/s"))

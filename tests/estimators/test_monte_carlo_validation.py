@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded import figure, from_means, segment, sensor
+from recorded import figure, noisy, segment, sensor
 from scipy import integrate, stats
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, TRUTH, attitude, pulses
 from test_stated_inputs_move_coefficients import SETUP
@@ -25,13 +25,15 @@ FEW = MonteCarloSpec(digits=1, draws=100_000, seed=3)
 
 
 def recording(error: float = 0.03, truth: dict[str, float] = TRUTH) -> tuple:
+    """Samples; error: standard uncertainty of each mean, pulse/s."""
     rng = np.random.default_rng(1)
     return tuple(
-        from_means(
+        noisy(
             replace(segment(label, attitude(words)), orientation=words),
-            dict(zip(CHANNELS, pulses(attitude(words), truth) + rng.normal(0, error, 2), strict=True)),
+            dict(zip(CHANNELS, pulses(attitude(words), truth), strict=True)),
             "pulse/s",
             error,
+            rng,
         )
         for label, words in OPTIMAL.items()
     )

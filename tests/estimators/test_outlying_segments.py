@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from recorded import from_means, segment, sensor
+from recorded import from_means, noisy, segment, sensor
 
 from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.least_squares import fit
@@ -18,11 +18,15 @@ from planrunner.plan.schedule import Spin
 RATES = np.concatenate([np.linspace(-300, 300, 24), np.linspace(-290, 290, 24)])
 
 
-def line(rates: np.ndarray, values: np.ndarray, error: float = 1.0) -> OutputsFit:
-    recorded = [
-        from_means(segment(f"R{n}", motion=Spin(float(rate))), {"gyro": float(value)}, "deg/s", error)
-        for n, (rate, value) in enumerate(zip(rates, values, strict=True))
-    ]
+def line(rates: np.ndarray, values: np.ndarray, draw: np.random.Generator | None = None) -> OutputsFit:
+    """With `draw`, of samples whose means scatter by 1 deg/s; else of the values as means with this standard uncertainty."""
+    recorded = []
+    for n, (rate, value) in enumerate(zip(rates, values, strict=True)):
+        planned, means = segment(f"R{n}", motion=Spin(float(rate))), {"gyro": float(value)}
+        if draw is None:
+            recorded.append(from_means(planned, means, "deg/s", 1.0))
+        else:
+            recorded.append(noisy(planned, means, "deg/s", 1.0, draw, samples=64))
     matrix = np.column_stack([np.ones(len(rates)), rates])
     seen = observe(recorded, ["gyro"], sensor("gyro", unit="deg/s"))
     return fit_outputs(matrix, seen, np.array([1.0, 300.0]), ("offset", "rate"), "residual")
@@ -57,7 +61,7 @@ def test_false_alarms_are_as_seldom_as_stated(basis: str) -> None:
     """At most 1 % of sound recordings have an outlier: of 1000 not more than 21 (0.1 % of the binomial distribution beyond)."""
     draw = np.random.default_rng(3)
     rates = np.linspace(-100, 100, 10)
-    alarms = sum(bool(agreement(line(rates, rates + draw.standard_normal(10)), basis).outliers) for _ in range(1000))
+    alarms = sum(bool(agreement(line(rates, rates, draw), basis).outliers) for _ in range(1000))
     assert alarms <= 21
 
 
@@ -78,12 +82,7 @@ def test_a_mislabelled_rate_is_named_in_the_warnings() -> None:
     true[[7, 8]] = true[[8, 7]]
     draw = np.random.default_rng(5)
     recorded = tuple(
-        from_means(
-            segment(label, motion=Spin(np.radians(planned))),
-            {"gyro": float(1.001 * rate + 0.01 * draw.standard_normal())},
-            "deg/s",
-            0.01,
-        )
+        noisy(segment(label, motion=Spin(np.radians(planned))), {"gyro": 1.001 * rate}, "deg/s", 0.01, draw)
         for label, planned, rate in zip(labels, RATES, true, strict=True)
     )
     request = EstimateRequest(

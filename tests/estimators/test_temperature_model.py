@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
-from recorded import figure, from_means, from_samples, real, segment, sensor
+from recorded import figure, from_means, from_samples, noisy, real, segment, sensor
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators import method
@@ -136,6 +136,22 @@ def test_spline_is_the_natural_spline_of_scipy(knots: tuple[float, ...]) -> None
 TEMPERATURES = np.arange(-40.0, 65.0, 10.0)
 
 
+def held(celsius: np.ndarray, values: np.ndarray, sigma: float, draw: np.random.Generator) -> tuple:
+    """A segment of samples at each temperature; sigma: of each mean."""
+    return tuple(
+        noisy(
+            replace(segment(f"T{t:+.0f}"), temperature=t + KELVIN),
+            {"gyro": y},
+            "deg/s",
+            sigma,
+            draw,
+            300.0 * k,
+            samples=64,
+        )
+        for k, (t, y) in enumerate(zip(celsius.tolist(), values.tolist(), strict=True))
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("truth", "order"), [((3.0,), 0), ((3.0, 0.05), 1), ((3.0, 0.05, -1e-3), 2), ((3.0, 0.05, -1e-3, 3e-5), 3)]
@@ -144,22 +160,24 @@ def test_the_order_is_found(truth: tuple[float, ...], order: int) -> None:
     """Of 50 realisations the rule takes the true order in most, a lower one in none: each power is many standard errors large."""
     draw, found = np.random.default_rng(order), []
     for _ in range(50):
-        y = np.polynomial.polynomial.polyval(TEMPERATURES - 25, truth) + 0.05 * draw.standard_normal(TEMPERATURES.size)
-        found.append(model(given(TEMPERATURES, y)).settings["order"]["K"])
+        exact = np.polynomial.polynomial.polyval(TEMPERATURES - 25, truth) + np.zeros(len(TEMPERATURES))
+        made = model(recorded=held(TEMPERATURES, exact, 0.05, draw), channels=("gyro",))
+        found.append(made.settings["order"]["gyro"])
     assert min(found) >= order
     assert np.mean(np.array(found) == order) > 0.7
 
 
 @pytest.mark.parametrize("form", ["polynomial", "spline"])
 def test_truth_within_the_stated_uncertainty(form: str) -> None:
-    """200 realisations at fixed order: coefficients by their u, and the curve at temperatures between."""
+    """200 recordings at fixed order: coefficients by their u, and the curve at temperatures between."""
     draw, squares, between = np.random.default_rng(5), [], []
     truth = np.polynomial.Polynomial([3.0, 0.05, -1e-3]) if form == "polynomial" else None
     knots = np.quantile(TEMPERATURES, np.linspace(0, 1, 4))
     at_knots = np.array([1.0, 3.0, 2.0, 2.5])
     for _ in range(200):
         exact = truth(TEMPERATURES - 25) if truth else natural_spline(knots, TEMPERATURES) @ at_knots
-        found = model(given(TEMPERATURES, exact + 0.05 * draw.standard_normal(11)), form=form, order=2 if truth else 3)
+        recorded = held(TEMPERATURES, exact, 0.05, draw)
+        found = model(recorded=recorded, channels=("gyro",), form=form, order=2 if truth else 3)
         expected = truth.coef if truth else at_knots
         squares.append(
             [((c.value - e) / c.standard_uncertainty) ** 2 for c, e in zip(found.coefficients, expected, strict=True)]
