@@ -26,9 +26,10 @@ _PER_COLUMN = 4  # times as many means as columns that a fit needs
 
 @dataclass(frozen=True, slots=True)
 class MotionCourse:
-    """The course of a motion. columns: (c, p), its form at c short means. Weighted by the number of samples in each mean, the
-    columns are orthonormal and have zero mean. samples: (c,), number of samples of each mean that count; zero if the table is not
-    in its steady motion. products: (p, p), inner products of the same forms over single samples, without averaging."""
+    """The course of a motion. columns: (c, p), values at c short means of the p functions of which the course consists. Weighted by the
+    number of samples in each mean, the columns are orthonormal and have zero mean. samples: (c,), number of samples of each mean that
+    count; zero if the table is not in its steady motion. products: (p, p), inner products of the same functions over single samples,
+    without averaging."""
 
     columns: Array
     samples: Array

@@ -19,11 +19,11 @@ REASON = "the process ended in this segment"
 
 @dataclass(slots=True)
 class ResumePoint:
-    """The state from which an interrupted run continues. states: states that resumable instruments and the executor stored with the
-    last acknowledged segment; clock: time then, s.
+    """The state from which an interrupted run continues. states: states that resumable instruments and the executor stored with the last
+    acknowledged segment; clock: time at which they were stored, s.
 
-    instruments: descriptions that the instruments gave of themselves before. files: name → SHA-256 of everything recorded so far,
-    for the seal. attempts: how often each segment was begun.
+    instruments: descriptions that the instruments gave of themselves before. files: name → SHA-256 of everything recorded so far, for the
+    seal. attempts: how often each segment was begun.
     """
 
     clock: float = 0.0

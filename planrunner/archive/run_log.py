@@ -141,7 +141,7 @@ class LogContent:
         return self.leaves[0].hex() if self.leaves else ""
 
     def head(self) -> TreeHead:
-        """The head of all entries, made at this time."""
+        """The head of the tree of all entries, with the present time."""
         return TreeHead(len(self.entries), self.root(len(self.entries)), utc_now())
 
 

@@ -90,7 +90,7 @@ class CheckStandardRule(Record):
 
     @property
     def plan_name(self) -> str:
-        """The name of its plan in the archive."""
+        """The name under which the archive lists the check standard's plan."""
         return Path(self.plan).stem
 
     def measured_by(self, plan_name: str, info: Mapping[str, object]) -> bool:

@@ -21,8 +21,8 @@ _UPPER = np.triu_indices(9)
 
 
 def quick(rows_at: RowsAt, seed: int = 0) -> RowsAt:
-    """A fast replacement of `rows_at`, which gives rows (m, p) at attitudes (m, 3, 3); `rows_at` itself if it is not such a
-    polynomial."""
+    """A fast replacement of `rows_at`, which gives rows (m, p) at attitudes (m, 3, 3); `rows_at` itself if the rows are not polynomials
+    of second degree in the direction cosines."""
     random = np.random.default_rng(seed)
     attitudes = np.linalg.qr(random.normal(size=(_FITTED + _TRIED, 3, 3)))[0]
     attitudes = attitudes * np.linalg.det(attitudes)[:, None, None]

@@ -78,8 +78,8 @@ class PositionSet:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Bounds of the criteria. D, A, I: values that no set with this number of positions exceeds. certificate: maximum variance of
-    the D-optimal continuous design, and the number of terms, which is its lower bound."""
+    """Bounds of the criteria. D, A, I: values that no set with this number of positions exceeds. certificate: largest variance of a
+    predicted output for the D-optimal continuous design; exactly at the optimum, it equals the number of terms."""
 
     merit: Merit
     certificate: float
@@ -88,8 +88,8 @@ class Bounds:
 @dataclass(frozen=True, slots=True)
 class FoundPositions:
     """Result of a design of positions. sets: those of `planned`, `cardinal` and `free` that exist; best, bounds: by domain (free,
-    cardinal). dwells: s, of the chosen set, empty if they were not optimised; dwell_gain: efficiency of equal dwells relative to
-    them. text: the plan with the chosen set."""
+    cardinal). dwells: s, of the chosen set, empty if they were not optimised; dwell_gain: efficiency of equal dwells relative to the
+    optimised `dwells`. text: the plan with the chosen set."""
 
     sight: Sight
     places: tuple[Place, ...]
@@ -109,12 +109,12 @@ class FoundPositions:
 
 @dataclass(frozen=True, slots=True)
 class RateSet:
-    """A set of rates with their dwells. rates: (n,), rad/s, magnitudes, largest first; dwells: (n,), s. loss: −ln|M| or tr M⁻¹ of
-    the scaled terms.
+    """A set of rates with their dwells. rates: (n,), rad/s, magnitudes, largest first; dwells: (n,), s. loss: −ln|M| or tr M⁻¹ of the
+    scaled terms.
 
-    efficiency: relative to the best rates found, for the same number of observations; per_hour: relative to the best use of the
-    same time. variance: of a predicted output over the study's `course`, in units of the variance of one observation at the largest
-    rate. predicted, total: predicted results of the plan with these rates, and its duration [s].
+    efficiency: relative to the best rates found, for the same number of observations; per_hour: relative to the best use of the same
+    time. variance: variance of a predicted output at each rate of the study's `course`, in units of the variance of one observation at
+    the largest rate. predicted, total: predicted results of the plan with these rates, and its duration [s].
     """
 
     rates: tuple[float, ...]

@@ -32,7 +32,8 @@ def worst(rows: Array, region: Array, fixed: Array | None = None) -> float:
 
 
 def refine(over: Region, start: Array, region: Array, fixed: Array | None = None) -> Array:
-    """Settings (n, k) near `start` with a smaller largest variance over the rows of `region`; `start` itself if there are none."""
+    """Settings (n, k) near `start` with a smaller largest variance over the rows of `region`; `start` itself if no better settings are
+    found."""
     from scipy.optimize import minimize
 
     shape, best, least = start.shape, start, worst(over.rows_of(start), region, fixed)

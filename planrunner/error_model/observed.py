@@ -380,7 +380,8 @@ class Observed:
 
     @cached_property
     def gyro_range(self) -> Array:
-        """The smallest and the largest `gyro_output` of any gyro in each segment, (S, 2); 0 if this has the other sign."""
+        """The smallest and the largest `gyro_output` of any gyro in each segment, (S, 2). The smallest is at most 0, the largest at least
+        0: a value with the other sign is replaced by 0."""
         parts = [self.gyro_output[part] for part in self.segments()]
         return np.array([(part.min(initial=0.0), part.max(initial=0.0)) for part in parts]).reshape(-1, 2)
 
@@ -398,7 +399,8 @@ class Observed:
         return np.where(np.abs(component) > rounding, component, 0.0)
 
     def inputs(self, kind: str) -> list[tuple[int, int, Array | float]]:
-        """Input axes of a triad. Each has its axis, the channel in which it appears, and the direction cosine between both, (N,) or 1."""
+        """Input axes of a triad as (axis, channel, cosine): the index of the axis; the index of a channel that shows its input; and the
+        direction cosine between the axis and the direction of the channel, (N,) or 1."""
         if self.along is None:
             return [(self.channels[index].axis, index, 1.0) for index in self.of_kind(kind)]
         return [(axis, index, self.along[self.owner, axis]) for index in self.of_kind(kind) for axis in range(3)]

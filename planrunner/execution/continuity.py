@@ -15,7 +15,7 @@ from planrunner.instruments.interfaces import Resumable
 
 
 class Continuity:
-    """States of a bench and of `reaching` from which a run can continue."""
+    """Reads and restores the states from which a run can continue: those of the bench's simulated instruments, and that of `reaching`."""
 
     def __init__(self, bench: ConnectedBench, reaching: Reaching):
         self._bench = bench

@@ -1,4 +1,5 @@
-"""Publishes the live state of a run in its folder: position, time left, statistics and strips of the channels, prompts and notices.
+"""Publishes the live state of a run in its folder: position, time left, statistics and strips (recent course over short intervals) of the
+channels, prompts and notices.
 
 Publishing must never disturb a run. A failure to write is ignored, blocks of samples are only copied until the state is written, and the
 state is written at most once in `EVERY` seconds of real time.
@@ -106,7 +107,7 @@ class _Samples:
         self.strip.append((self.last, new))
 
     def begin(self) -> None:
-        """Forgets the samples, but not the strips."""
+        """Forgets the samples of the segment. The strips continue."""
         self.waiting, self.rows, self.moments = [], 0, None
 
 

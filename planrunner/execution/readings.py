@@ -36,8 +36,8 @@ class Readings:
     _courses: dict[str, deque[tuple[float, float]]] = field(default_factory=dict)
 
     def take(self, now: float, conditions: Mapping[str, Condition]) -> dict[str, float]:
-        """Maps each reading to its current value, SI, for all known readings. If several instruments report one, the worst value is
-        taken."""
+        """Maps each reading to its current value, SI, for all known readings. If several instruments report the same reading, the worst
+        value is taken."""
         found: dict[str, float] = {}
         for name, condition in conditions.items():
             for reading in ("position_error", "rate_error"):

@@ -162,10 +162,10 @@ class OutputModel:
 class SensorModel:
     """The sensor under test. `nominal` contains declared coefficients (name → SI value) at which predictions are linearised.
 
-    modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that only has one. one_rate: whether it
-    samples only at `sample_rate` [Hz], or also at lower rates. thermal_lag: time constant [s] of its temperature relative to the air, 0 if
-    not declared. records_angle: whether it records the table's angle about one axis, so that motion about several axes cannot be recorded.
-    nominal_supply: V, supply voltage from which effects of the supply count.
+    modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that only has one. one_rate: True if
+    the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. thermal_lag: time constant [s] of its
+    temperature relative to the air, 0 if not declared. records_angle: whether it records the table's angle about one axis, so that motion
+    about several axes cannot be recorded. nominal_supply: V, supply voltage from which effects of the supply count.
     """
 
     kind: str

@@ -194,13 +194,13 @@ class HeldRecording:
         return ()
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """The same as `rows` of a recording file, in at most one batch."""
+        """The rows in a span, as described in `RecordingFile.rows`, in at most one batch."""
         part = span.of(self.time, self.interval)
         if part.start < part.stop:
             yield self.time[part], {name: values[part] for name, values in self.columns.items()}
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """The same as `all_rows` of a recording file, in at most one batch."""
+        """All rows, as described in `RecordingFile.all_rows`, in at most one batch."""
         if len(self.time):
             yield 1, self.time, dict(self.columns)
 
@@ -264,9 +264,9 @@ class _Spooled:
         return ()
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """Rows as `RecordingFile.rows` gives them for a file."""
+        """The rows in a span, as described in `RecordingFile.rows`."""
         return self.file.rows(span)
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Rows as `RecordingFile.all_rows` gives them for a file."""
+        """All rows, as described in `RecordingFile.all_rows`."""
         return self.file.all_rows()

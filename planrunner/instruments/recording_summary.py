@@ -26,8 +26,8 @@ _DURATION = "seconds"
 
 @dataclass(frozen=True, slots=True)
 class SummaryRow:
-    """A segment in the table. line: in the file; start: s; count: samples; means, deviations: by channel, in its unit. A stated
-    standard error is converted to the deviation of this number of independent samples."""
+    """A segment in the table. line: in the file; start: s; count: samples; means, deviations: by channel, in its unit. If the table
+    states a standard error, it is converted: a mean of `count` independent samples with this deviation has the stated standard error."""
 
     line: int
     start: float

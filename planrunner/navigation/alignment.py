@@ -35,12 +35,11 @@ _PRIOR = math.radians(10)  # standard uncertainty of the coarse attitude; so wid
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """Result of an alignment. rotation: body axes as columns in East-North-Up, (3, 3). covariance: (16, 16), of the remaining
-    errors: the states of `error_equations`, the constant sensor errors, and the gyro errors per rate of turn in body axes.
-    constant: (6,), constant errors as estimated, rad/s and m/s². consistency: root mean square of the innovations divided by the
-    value expected from the noise; 1 or less is normal. largest: the largest innovation, m/s. followed: (16, 6, m), the remaining
-    errors per error of each sensor, rad/s or m/s², in each of m intervals of the alignment; m = 0 unless the intervals are
-    requested."""
+    """Result of an alignment. rotation: body axes as columns in East-North-Up, (3, 3). covariance: (16, 16), of the remaining errors: the
+    states of `error_equations`, the constant sensor errors, and the gyro errors per rate of turn in body axes. constant: (6,), constant
+    errors as estimated, rad/s and m/s². consistency: root mean square of the innovations divided by the value expected from the noise; 1
+    or less is normal. largest: the largest innovation, m/s. followed: (16, 6, m), the remaining errors if one of the 6 sensors has an
+    error of 1 rad/s or 1 m/s² in one of m intervals of the alignment; m = 0 unless the intervals are requested."""
 
     rotation: Array
     covariance: Array

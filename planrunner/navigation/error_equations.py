@@ -28,7 +28,8 @@ _TERMS = 16
 
 @dataclass(frozen=True, slots=True)
 class ErrorEquations:
-    """The equations ẋ = dynamics·x + inputs·(ε, ∇). dynamics: (7, 7); inputs: (7, 6)."""
+    """The equations ẋ = dynamics·x + inputs·(ε, ∇) of the state x: two position errors, two velocity errors, three tilts. dynamics: (7,
+    7); inputs: (7, 6)."""
 
     dynamics: Array
     inputs: Array
@@ -90,9 +91,11 @@ class ErrorEquations:
         return found
 
     def levelled(self) -> Array:
-        """The tilt (3, 6) after alignment at rest per constant input error. It is the tilt of the stationary solution.
+        """The tilt after alignment at rest, (3, 6), for a constant input error of 1 rad/s or 1 m/s². It is the tilt of the stationary
+        solution.
 
-        φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L), the limit of gyrocompassing."""
+        φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L), the limit of gyrocompassing.
+        """
         g, rate_n, rate_u = self.dynamics[3, 4], -self.dynamics[4, 6], self.dynamics[4, 5]
         found = np.zeros((3, INPUTS))
         found[0, 4], found[1, 3] = -1 / g, 1 / g

@@ -87,7 +87,8 @@ def bins_of(size: NDArray[np.int64], parts: Sequence[Averaged]) -> Bins:
 
 
 def seen_along(bins: Bins, along: Array) -> Bins:
-    """Bins of the readings of a triad along one direction per segment, (S, 3). They have no count."""
+    """Bins of the readings of a triad, projected on one direction for each segment. along: (S, 3), unit vectors. The projected readings
+    have no count."""
     energy = np.einsum("si,sij,sj->s", along, bins.energy, along)[:, None, None]
     return replace(bins, energy=energy, spikes=bins.spikes.sum(keepdims=True), levels=(np.empty(0),))
 

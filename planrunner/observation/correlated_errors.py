@@ -23,8 +23,8 @@ _RESOLVED = (
 @dataclass(frozen=True, slots=True, eq=False)
 class CorrelatedError:
     """A correlated error. changes: (n, r) by index of the affected output: change of each observation per unit of each input. parts:
-    names of the r inputs, as for `Influence`. within: for each output, (n,), its contribution to the variance within the segments, per
-    unit² of the input. channel: the channel whose noise it is; empty for other errors."""
+    names of the r inputs, as for `Influence`. within: by index of the output, (n,), contribution of the error to the variance within the
+    segments, per unit² of the input. channel: the channel whose noise the error is; empty for errors that are not noise."""
 
     quantity: InputQuantity
     changes: Mapping[int, Array]

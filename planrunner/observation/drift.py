@@ -145,8 +145,8 @@ def drift_of(
 
 
 def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)) -> tuple[DriftCourse, ...]:
-    """Powers of the time since the middle of the test, h, up to the highest order. start, end: (n,), s; seconds: (n,), the recorded time
-    that counts."""
+    """Powers of the time since the middle of the test, h, up to the highest order. start, end: (n,), s; seconds: (n,), recorded time of
+    the used samples, s."""
     middle = (float(start.min()) + float(end.max())) / 2
     low, high = (start - middle) / _HOUR, (end - middle) / _HOUR
     made = []

@@ -69,8 +69,8 @@ def _root(covariance: Array) -> Array:
 
 
 def unstated_flicker(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
-    """Flicker with B = 1, in the output's unit, for each output whose bias instability the bench file does not give. None for expected
-    observations, which contain only declared effects. span: s."""
+    """Flicker with B = 1, in the output's unit, for each output whose bias instability the bench file does not give. There are no effects
+    for expected observations, because these contain only declared effects. span: s."""
     outputs = [] if observations.expected else [*enumerate(observations.channels)]
     silent = {k: of_unit_size(name, observations.units[k]) for k, name in outputs if name in inputs.without_flicker}
     return _effects(observations, silent, span)

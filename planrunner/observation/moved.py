@@ -22,9 +22,9 @@ _UNIT = 0.05  # deviation of the norm of a quaternion from 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionShown:
-    """A motion from recorded channels. table: angle, rate and acceleration of an axis with an encoder, (n,) each, zero for other
-    motions. course: of other motions. averaging: number of samples to average. usable: (n,), samples with neighbours on both sides.
-    differences: whether rates are differences over both neighbours."""
+    """A motion from recorded channels. table: angle, rate and acceleration of an axis with an encoder, (n,) each, zero without an
+    encoder. course: the motion, if other channels show it; None with an encoder. averaging: number of samples to average. usable: (n,),
+    samples with neighbours on both sides. differences: whether rates are differences between the two neighbours of a sample."""
 
     table: Mapping[str, Array]
     course: BodyMotion | None

@@ -101,9 +101,9 @@ def _moves(values: Array, samples: int, chance: float) -> bool:
 
 
 def leaves_count(noise: float, count: float, samples: int, chance: float) -> bool:
-    """Whether white noise of this standard deviation leaves one count within this number of samples, except with a small probability.
-    Up to 0.3 count² of its variance may come from the counts: a channel that alternates between two counts without any noise has this
-    variance."""
+    """Whether white noise of this standard deviation leaves one count within this number of samples. The probability that it does not is
+    at most `chance`. Up to 0.3 count² of its variance may come from the counts: a channel that alternates between two counts without any
+    noise has this variance."""
     beyond = noise**2 - 0.3 * count**2
     if beyond <= 0:
         return False

@@ -177,7 +177,8 @@ def _least(ways: list[Angles], values: list[float]) -> list[Angles]:
 def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
     """Time [s] of a rest-to-rest move with a trapezoidal rate profile.
 
-    Accelerating to rate w takes w/a and covers w²/2a, so a move of |angle| < w²/a is triangular: 2·√(|angle|/a).
+    With the rate w and the acceleration a, the acceleration to w takes w/a and covers w²/2a. A move with |angle| < w²/a therefore does
+    not reach w. Its profile is a triangle, and it takes 2·√(|angle|/a).
     """
     distance = abs(angle)
     if distance < max_rate**2 / max_acceleration:

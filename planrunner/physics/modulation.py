@@ -24,12 +24,12 @@ def schuler_rate(site: Site) -> float:
 
 def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
     """Growth of the free Schuler oscillation under a constant gyro drift: its largest amplitude within `seconds`, divided by the
-    amplitude that the same drift causes without rotation. It is 0 if the cycle is too short for any harmonic to lie near the
+    amplitude that the same drift causes without rotation. The result is 0 if the cycle is too short for any harmonic to lie near the
     Schuler rate.
 
     A drift ε(t) leaves an oscillation of size |∫ ε·exp(−iωt) dt| at each of the two free rates ω, and their sum is the semi-major axis of
-    the ellipse that the velocity describes. Without rotation it is 2·|ε|/ω_s. Over n cycles the integral is that of one cycle times
-    |sin(nx)/sin(x)|, x = ω·period/2: near a harmonic it grows with every cycle.
+    the ellipse that the velocity describes. Without rotation this axis is 2·|ε|/ω_s. Over n cycles the integral is that of one cycle
+    times |sin(nx)/sin(x)|, x = ω·period/2: near a harmonic it grows with every cycle.
     """
     natural = schuler_rate(site)
     if round(natural * cycle.period / (2 * math.pi)) == 0:

@@ -16,11 +16,11 @@ from planrunner.physics.earth import Site
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyMotion:
-    """The input of a moving sensor at n samples, in its own axes.
+    """The input of a moving sensor at n samples, along the sensor's axes.
 
-    attitude: (n, 3, 3), takes site vectors to these axes; zeros if the recording does not show it. turn: (n, 3), rad/s, its
-    rotation rate, relative to the Earth if the attitude is known; swing: (n, 3), rad/s², its angular acceleration. omega: (n, 3),
-    rad/s, against inertial space. force: (n, 3), m/s²; zeros if the recording does not show it.
+    attitude: (n, 3, 3), transforms site vectors to the sensor's axes; zeros if the recording does not show it. turn: (n, 3), rad/s,
+    rotation rate of the sensor, relative to the Earth if the attitude is known; swing: (n, 3), rad/s², angular acceleration. omega: (n,
+    3), rad/s, rotation rate relative to inertial space. force: (n, 3), m/s², specific force; zeros if the recording does not show it.
     """
 
     attitude: Array
@@ -84,9 +84,9 @@ def by_force(force: Array) -> BodyMotion:
 def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
     """Attitudes (n, 3, 3) of a body that rotates with omega (n, 3) in its axes, beginning with `start`.
 
-    Between two samples the body rotates by the mean of both rates. Its attitude relative to inertial space is the product of these
-    rotations. The site rotates below it with the Earth's rate. The products of the first k rotations are computed from those of
-    half as many by one multiplication.
+    Between two samples the body rotates by the mean of both rates. The attitude relative to inertial space is the product of these
+    rotations. The site turns with the Earth's rate meanwhile. All partial products are computed in about log₂ n steps, each of which
+    doubles the number of rotations in a product.
     """
     from scipy.spatial.transform import Rotation
 

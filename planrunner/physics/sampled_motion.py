@@ -44,8 +44,8 @@ def period_of(motion: Motion) -> float:
 
 
 def fading(motion: Motion, size: int, rate: float) -> float:
-    """Factor by which averaging over a bin reduces the rate of a rocking table: Dirichlet's kernel sin(kx)/(k·sin x), with x half the phase
-    of a sample."""
+    """Factor by which averaging over a bin of `size` samples reduces the rate of a rocking table: Dirichlet's kernel sin(k·x)/(k·sin x)
+    with k = `size` and x half of the phase [rad] from one sample to the next. rate: samples per second."""
     if size == 1 or not isinstance(motion, Rock):
         return 1.0
     half = np.pi * motion.frequency / rate

@@ -119,9 +119,9 @@ class Stability:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """Conditions while a segment records. limits: as for `Stability`; lost, corrupt: permitted fraction of the frames, None for
-    any; doubts: whether an instrument's doubts about its samples count as an exceeded limit; retakes: how often the segment is then
-    repeated."""
+    """Conditions while a segment records. limits: as for `Stability`; lost, corrupt: permitted fraction of the frames, None for any;
+    doubts: whether an instrument's doubts about its samples count as an exceeded limit; retakes: how often the segment may be repeated
+    after a limit was exceeded."""
 
     limits: Mapping[str, float] = field(default_factory=dict)
     lost: float | None = None
@@ -136,7 +136,7 @@ class Segment:
 
     attitude: shape (3, 3), rows are the sensor's x, y, z axes in site East-North-Up, so v_sensor = attitude @ v_site; at the start
         of the motion; None if the plan says `unknown`.
-    temperature, ramp_to: K; a ramp has no temperature. kept_temperature: temperature [K] at which the chamber has kept the sensor
+    temperature, ramp_to: K; `temperature` is None for a ramp. kept_temperature: temperature [K] at which the chamber has kept the sensor
         since an earlier segment. None before the first such segment, and on a bench that plays back a recording.
     supply_voltage: V; ambient_pressure: Pa; None if the plan does not state them.
     soak, settle, dwell, transition, start: s. `dwell` is None for the length of the recording; `transition` is the planned time to

@@ -69,7 +69,9 @@ def propagate(
     most: int = 1_000_000,
     heavy: Sequence[bool] = (),
 ) -> Propagated:
-    """Draws until 2·s of every result is below its tolerance, or until `most` draws are made.
+    """Makes draws in blocks until the numerical spread of every result is below its tolerance, or until `most` draws are made. The spread
+    is twice the standard deviation of the average over the blocks. The results are mean, standard deviation and both ends of the
+    interval.
 
     tolerances: (m,), in the coefficients' units; heavy: (m,), True for coefficients whose standard deviation the rule omits.
     """

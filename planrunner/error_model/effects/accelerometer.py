@@ -31,7 +31,7 @@ class AccelBiasTemperature:
 
 
 class AccelScaleTemperature:
-    """Scale factor × (1 + k·ΔT) per axis."""
+    """Scale factor × (1 + k·ΔT) per axis, ΔT from 25 degC."""
 
     id, stage = "accel_scale_temperature", "sensor"
     about = About(
@@ -48,7 +48,7 @@ class AccelScaleTemperature:
 
 
 class AccelSecondOrder:
-    """Output + k·f² per axis."""
+    """Output + k·f² per axis, f the specific force along the axis (K2)."""
 
     id, stage = "accel_second_order", "sensor"
     about = About(
@@ -64,7 +64,7 @@ class AccelSecondOrder:
 
 
 class AccelThirdOrder:
-    """Output + k·f³ per axis (K3)."""
+    """Output + k·f³ per axis, f the specific force along the axis (K3)."""
 
     id, stage, hypothesis = "accel_third_order", "sensor", False
     about = About(
@@ -80,7 +80,7 @@ class AccelThirdOrder:
 
 
 class AccelAsymmetry:
-    """Output + k·|f| per axis: a scale factor that differs between the senses of specific force."""
+    """Output + k·|f| per axis, f the specific force along the axis: a scale factor that differs between the two senses of f."""
 
     id, stage, hypothesis = "accel_asymmetry", "sensor", False
     about = About(
@@ -96,7 +96,7 @@ class AccelAsymmetry:
 
 
 class AccelCrossCoupling:
-    """Output + K·[f_x·f_y, f_y·f_z, f_z·f_x], K a 3×3 matrix."""
+    """Output + K·[f_x·f_y, f_y·f_z, f_z·f_x], f the specific force in sensor axes, K a 3×3 matrix."""
 
     id, stage, hypothesis = "accel_cross_coupling", "sensor", False
     about = About(
@@ -115,7 +115,7 @@ class AccelCrossCoupling:
 
 
 class AccelMisalignmentTemperature:
-    """Output + m·ΔT·(specific force along another axis of the sensor), six per triad."""
+    """Output + m·ΔT·(specific force along another axis of the sensor), ΔT from 25 degC; six amplitudes m per triad."""
 
     id, stage, hypothesis = "accel_misalignment_temperature", "sensor", False
     about = About(
@@ -131,7 +131,7 @@ class AccelMisalignmentTemperature:
 
 
 class AccelThermalGradient:
-    """Output + k·dT/dt per axis."""
+    """Output + k·dT/dt per axis, T the temperature of the sensor."""
 
     id, stage, hypothesis = "accel_thermal_gradient", "sensor", False
     about = About(

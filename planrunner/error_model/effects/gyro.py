@@ -33,7 +33,7 @@ class GyroBiasTemperature:
 
 
 class GyroScaleTemperature:
-    """Scale factor × (1 + k·ΔT) per axis."""
+    """Scale factor × (1 + k·ΔT) per axis, ΔT from 25 degC."""
 
     id, stage = "gyro_scale_temperature", "sensor"
     about = About(
@@ -50,7 +50,7 @@ class GyroScaleTemperature:
 
 
 class GyroScaleNonlinearity:
-    """Output + k·ω³ per axis: the lowest odd term beyond a scale factor."""
+    """Output + k·ω³ per axis, ω the rate about the axis: the lowest odd term beyond a scale factor."""
 
     id, stage = "gyro_scale_nonlinearity", "sensor"
     about = About(
@@ -66,7 +66,7 @@ class GyroScaleNonlinearity:
 
 
 class GyroScaleAsymmetry:
-    """Output + k·|ω| per axis: a scale factor that differs between the senses of rotation."""
+    """Output + k·|ω| per axis, ω the rate about the axis: a scale factor that differs between the senses of rotation."""
 
     id, stage = "gyro_scale_asymmetry", "sensor"
     about = About(
@@ -82,7 +82,7 @@ class GyroScaleAsymmetry:
 
 
 class GyroGSensitivity:
-    """Output + K·f, K a 3×3 matrix (mass unbalance and its cross axes)."""
+    """Output + K·f, f the specific force in sensor axes, K a 3×3 matrix (mass unbalance and its cross axes)."""
 
     id, stage = "gyro_g_sensitivity", "sensor"
     about = About(
@@ -144,7 +144,7 @@ class GyroThermalHysteresis:
 
 
 class GyroThermalGradient:
-    """Output + k·dT/dt per axis."""
+    """Output + k·dT/dt per axis, T the temperature of the sensor."""
 
     id, stage = "gyro_thermal_gradient", "sensor"
     about = About(
@@ -161,7 +161,7 @@ class GyroThermalGradient:
 
 
 class GyroScaleQuadratic:
-    """Output + k·ω² per axis: the lowest even term beyond a scale factor that is smooth at rest."""
+    """Output + k·ω² per axis, ω the rate about the axis: the lowest even term beyond a scale factor that is smooth at rest."""
 
     id, stage, hypothesis = "gyro_scale_quadratic", "sensor", False
     about = About(
@@ -193,7 +193,7 @@ class GyroBiasTemperatureCubic:
 
 
 class GyroMisalignmentTemperature:
-    """Output + m·ΔT·(rate about another axis of the sensor), six per triad."""
+    """Output + m·ΔT·(rate about another axis of the sensor), ΔT from 25 degC; six amplitudes m per triad."""
 
     id, stage, hypothesis = "gyro_misalignment_temperature", "sensor", False
     about = About(
@@ -225,7 +225,7 @@ class GyroBiasDrift:
 
 
 class GyroAngularAcceleration:
-    """Output + k·dω/dt per axis. To the first order, a delay of one axis by d is the same with k = −d."""
+    """Output + k·dω/dt per axis, ω the rate about the axis. To the first order, a delay d of one axis has the same effect, with k = −d."""
 
     id, stage, hypothesis = "gyro_angular_acceleration", "sensor", False
     about = About(

@@ -85,7 +85,7 @@ class GyroAxisDelay:
 
 
 class GyroDeadZone(Shaped):
-    """Lock-in: 0 for |y| < d, else sign(y)·√(y² − d²)."""
+    """Lock-in: an output y becomes 0 for |y| < d, otherwise sign(y)·√(y² − d²)."""
 
     id, stage, shape_name, shape_unit = "gyro_dead_zone", "output", "d", "deg/s"
     about = About(
@@ -182,7 +182,7 @@ class GyroSaturationAsymmetric:
 
 
 class GyroSoftSaturation(Shaped):
-    """Output L·tanh(y/L), which approaches a limit L gradually."""
+    """An output y becomes L·tanh(y/L), which approaches a limit L gradually."""
 
     id, stage, shape_name, shape_unit = "gyro_soft_saturation", "output", "limit", "deg/s"
     about = About(
@@ -205,7 +205,7 @@ class GyroSoftSaturation(Shaped):
 
 
 class GyroFoldOver(Shaped):
-    """Output beyond ±limit continues from the other end of the range, as if a counter overflows: y − 2L·floor((y + L)/2L)."""
+    """An output y beyond ±L continues from the other end of the range, as if a counter overflows: y − 2L·floor((y + L)/2L)."""
 
     id, stage, hypothesis, shape_name, shape_unit = "gyro_fold_over", "output", False, "limit", "deg/s"
     about = About(

@@ -219,8 +219,8 @@ class DependsOnPast(HasShape, Protocol):
     """An effect that depends on the temperatures before the first sample (`Observed.past`). A simulation computes it in parts."""
 
     def remembered(self, observed: Observed, value: float) -> tuple[TemperatureCourse, ...]:
-        """A shorter past that replaces these samples and the past before them. At this value of the shape, it has the same effect on
-        later samples. Its length does not grow."""
+        """A shorter past that can replace the past before `observed` and its samples: at this value of the shape, it has the same effect
+        on later samples. Its length does not grow with the number of samples."""
 
 
 @runtime_checkable

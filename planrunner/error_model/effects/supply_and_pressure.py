@@ -85,7 +85,7 @@ class _OfSurroundings:
 
 
 class _Bias(_OfSurroundings):
-    """Bias + c·excess per axis."""
+    """Bias + c·excess per axis, the excess of supply voltage or pressure over its nominal value."""
 
     @property
     def shown_by(self) -> str:
@@ -100,7 +100,7 @@ class _Bias(_OfSurroundings):
 
 
 class _ScaleFactor(_OfSurroundings):
-    """Scale factor × (1 + k·excess) per axis."""
+    """Scale factor × (1 + k·excess) per axis, the excess of supply voltage or pressure over its nominal value."""
 
     @property
     def shown_by(self) -> str:
@@ -123,21 +123,21 @@ class GyroBiasSupply(_Bias):
 
 
 class GyroScaleSupply(_ScaleFactor):
-    """Scale factor × (1 + k·ΔV) per axis."""
+    """Scale factor × (1 + k·ΔV) per axis, ΔV above the nominal supply voltage of the sensor."""
 
     id, kind, follows, natural = "gyro_scale_supply", "gyro", Follows.SUPPLY, 1e-4
     about = _about(kind, "scale factor", follows)
 
 
 class AccelBiasSupply(_Bias):
-    """Bias + c·ΔV per axis."""
+    """Bias + c·ΔV per axis, ΔV above the nominal supply voltage of the sensor."""
 
     id, kind, follows, natural = "accel_bias_supply", "accel", Follows.SUPPLY, 100.0
     about = _about(kind, "bias", follows)
 
 
 class AccelScaleSupply(_ScaleFactor):
-    """Scale factor × (1 + k·ΔV) per axis."""
+    """Scale factor × (1 + k·ΔV) per axis, ΔV above the nominal supply voltage of the sensor."""
 
     id, kind, follows, natural = "accel_scale_supply", "accel", Follows.SUPPLY, 1e-4
     about = _about(kind, "scale factor", follows)
@@ -151,21 +151,21 @@ class GyroBiasPressure(_Bias):
 
 
 class GyroScalePressure(_ScaleFactor):
-    """Scale factor × (1 + k·Δp) per axis."""
+    """Scale factor × (1 + k·Δp) per axis, Δp above the standard atmosphere of 1013.25 hPa."""
 
     id, kind, follows, natural = "gyro_scale_pressure", "gyro", Follows.PRESSURE, 1e-6
     about = _about(kind, "scale factor", follows, ", for example because the air damps a vibrating structure")
 
 
 class AccelBiasPressure(_Bias):
-    """Bias + c·Δp per axis."""
+    """Bias + c·Δp per axis, Δp above the standard atmosphere of 1013.25 hPa."""
 
     id, kind, follows, natural = "accel_bias_pressure", "accel", Follows.PRESSURE, 1.0
     about = _about(kind, "bias", follows)
 
 
 class AccelScalePressure(_ScaleFactor):
-    """Scale factor × (1 + k·Δp) per axis."""
+    """Scale factor × (1 + k·Δp) per axis, Δp above the standard atmosphere of 1013.25 hPa."""
 
     id, kind, follows, natural = "accel_scale_pressure", "accel", Follows.PRESSURE, 1e-6
     about = _about(kind, "scale factor", follows)

@@ -28,8 +28,9 @@ def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
 
 
 def secant(axis: Array, vector: Array, turned: Array) -> Array:
-    """Change of a vector per radian of rotation about an axis. Summed over the axes with the components of φ it is (R(−φ) − I)·v, by
-    Rodrigues' formula −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ × (φ × v)."""
+    """Change of a vector per radian of rotation about an axis. turned: (3,), rad, the rotation vector φ of the complete rotation. The sum
+    of the changes over the axes, weighted by the components of φ, is (R(−φ) − I)·v = −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ × (φ × v)
+    (Rodrigues)."""
     first = np.cross(axis, vector)
     angle = float(np.linalg.norm(turned)) / np.pi
     return np.asarray(-np.sinc(angle) * first + np.sinc(angle / 2) ** 2 / 2 * np.cross(turned, first))

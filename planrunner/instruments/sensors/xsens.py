@@ -147,7 +147,8 @@ def ask(link: SerialStream, clock: Clock, identifier: int, data: bytes = b"") ->
 
 @dataclass
 class MtData2:
-    """The decoder of frames with at least these outputs; other frames are refused. Frames of one shape are read together."""
+    """The decoder of frames with at least these outputs; other frames are refused. Frames with the same sequence of packets are decoded
+    together."""
 
     outputs: tuple[str, ...]
     rate: float

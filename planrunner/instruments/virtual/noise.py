@@ -125,7 +125,7 @@ class GaussMarkov:
         self.time = 0.0
 
     def begin(self, time: float, draw: np.random.Generator) -> None:
-        """Go to the time [s] of a segment's first node, by the exact transition from the last one."""
+        """Moves to the time [s] of a segment's first node, by the exact transition from the last node."""
         fresh = self.sigma * draw.standard_normal()
         if self.value is None:
             self.value = fresh

@@ -38,9 +38,9 @@ class DriftLaw:
 class Element:
     """State of the element since it was caged or released.
 
-    caged: rotation vector (3,) [rad] from the base to the element, in base axes. released: time of release, s; None while caged.
-    axes: (3, 3), rows in East-North-Up when released. left: (3,) rad, rotation while it leaves the dead region. drifted: (3,) rad
-    by the time `at` [s].
+    caged: rotation vector (3,) [rad] from the base to the element, in base axes. released: time of release, s; None while caged. axes:
+    (3, 3), rows in East-North-Up when released. left: (3,), rad, total rotation while it leaves the dead region. drifted: (3,), rad,
+    drift angle at the time `at` [s].
     """
 
     caged: Array
