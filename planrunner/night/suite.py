@@ -333,7 +333,7 @@ class Suite(Record):
     )
     benches: dict[str, SuiteBench] = key(
         MapOf(RecordOf(SuiteBench), pattern=NAME),
-        "The benches by a name of your choice.",
+        "The benches, each under a name of your choice.",
         {"a": {"bench": "virtual"}},
         fallback={},
     )
@@ -345,7 +345,7 @@ class Suite(Record):
     )
     plans: dict[str, SuitePlan] = key(
         MapOf(RecordOf(SuitePlan), pattern=NAME),
-        "The plans by a name of your choice. On each bench, the first test that can run is begun, in the order of this list.",
+        "The plans, each under a name of your choice. On each bench, the first test that can run is begun, in the order of this list.",
         {"drift": {"plan": "../flexure_gyro_eight_position.yaml"}},
     )
     known_failures: tuple[KnownFailure, ...] = key(
