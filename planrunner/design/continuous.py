@@ -1,10 +1,11 @@
 """Continuous designs: shares of the observations on each candidate, and the bound that no set of observations can exceed.
 
-By the equivalence theorem (Kiefer & Wolfowitz, Canad. J. Math. 12, 1960) a design is D-optimal exactly when the variance
-d(x) = xᵀM⁻¹x is nowhere above p. The multiplicative algorithm (Titterington 1976; Yu, Ann. Statist. 38, 2010) raises |M| with every
-step, w_i ← w_i·d_i/p, and Fedorov's and Wynn's steps towards the largest and away from the smallest d (Todd & Yıldırım 2007) end it; what
-is left above p is the certificate, and turns into a bound by the arithmetic–geometric mean: |M(η)| ≤ |M(ξ)|·(max d/p)^p for every η.
-For a linear criterion tr(W·M⁻¹) (A: W = 1) the same holds with xᵀM⁻¹WM⁻¹x against tr(W·M⁻¹), and the step is w_i ← w_i·√(·).
+By the equivalence theorem (Kiefer & Wolfowitz, Canad. J. Math. 12, 1960) a design is D-optimal exactly when the variance d(x) = xᵀM⁻¹x is
+nowhere above p. The multiplicative algorithm (Titterington 1976; Yu, Ann. Statist. 38, 2010) changes the shares w_i ← w_i·d_i/p, which
+raises |M| with every step. Steps of Fedorov and Wynn towards the candidate with the largest d and away from the one with the smallest d
+complete the search (Todd & Yıldırım 2007). The excess of max d over p is the certificate: by the inequality of arithmetic and geometric
+means, |M(η)| ≤ |M(ξ)|·(max d/p)^p for the design ξ that was found and every other design η. For a linear criterion tr(W·M⁻¹) (criterion
+A: W = 1), xᵀM⁻¹WM⁻¹x takes the place of d and tr(W·M⁻¹) that of p, and the step is w_i ← w_i·√(d_i/p).
 """
 
 from __future__ import annotations

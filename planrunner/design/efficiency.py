@@ -1,11 +1,10 @@
-"""The information in a set of observations by the four usual criteria of optimal design, and its efficiency relative to the best
-set.
+"""The information in a set of observations by the four usual criteria of optimal design, and its efficiency relative to the best set.
 
-rows: shape (n, p), one observation each, columns divided by their declared magnitudes; M = Σ w_i·x_i·x_iᵀ is the information matrix
-in units of the inverse variance of one observation. D maximises |M|. A minimises the trace of M⁻¹ (sum of the coefficients'
-variances). G minimises the largest variance xᵀM⁻¹x of a predicted output, and I its mean over a region. Efficiencies are per
-observation: at 80 % the best design needs 0.8 times as many observations for the same (Atkinson, Donev & Tobias, Optimum
-Experimental Designs, with SAS, 2007, chapters 10 and 11).
+rows: shape (n, p), one observation each, columns divided by their declared magnitudes; M = Σ w_i·x_i·x_iᵀ is the information matrix in
+units of the inverse variance of one observation. D maximises |M|. A minimises the trace of M⁻¹ (sum of the coefficients' variances). G
+minimises the largest variance xᵀM⁻¹x of a predicted output, and I its mean over a region. Efficiencies are per observation: if the
+efficiency of a set is 80 %, the best design needs 0.8 times as many observations for the same value of the criterion (Atkinson, Donev &
+Tobias, Optimum Experimental Designs, with SAS, 2007, chapters 10 and 11).
 """
 
 from __future__ import annotations

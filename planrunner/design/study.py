@@ -145,8 +145,8 @@ class FoundRates:
 
 @dataclass(frozen=True, slots=True)
 class FoundCycles:
-    """Result of a design of rotation cycles. cycles: `planned` and, if found, `same order` and `free order`. searches, reasons: the
-    searches, or the reasons against them, by the same names. text: the plan with the chosen cycle, empty if it was not found."""
+    """Result of a design of rotation cycles. cycles: `planned` and, if found, `same order` and `free order`. searches: the searches by
+    these names; reasons: by these names, why a search was not possible. text: the plan with the chosen cycle, empty if it was not found."""
 
     segment: Segment
     axis: TableAxis

@@ -1,8 +1,8 @@
 """G-optimal sets: sets that minimise the largest variance of a predicted output over a region.
 
-The largest variance is not differentiable if two places have the same variance. A local search therefore uses the k-norm of the
-variances for increasing k. Its weighting of the region is that of a linear criterion tr(W·M⁻¹), and W concentrates on the worst
-places as k grows. For lists of candidates, the candidate that minimises the largest variance replaces each position in turn.
+The largest variance is not differentiable if two places have the same variance. A local search therefore uses the k-norm of the variances
+for increasing k. The gradient of this norm is that of a linear criterion tr(W·M⁻¹), whose W concentrates on the worst places of the
+region as k grows. For lists of candidates, the candidate that minimises the largest variance replaces each position in turn.
 """
 
 from __future__ import annotations

@@ -254,13 +254,14 @@ class Observed:
 
     @cached_property
     def mean_square_rate(self) -> Array:
-        """Mean square of the angular rate of a rocking table, (N,), rad²/s²; 0 in other segments. For harmonic motion of angular
-        frequency p it is (ω² + (α/p)²)/2 at any moment."""
+        """Mean square of the angular rate of a rocking table, (N,), rad²/s²; 0 in other segments. For harmonic motion with the angular
+        frequency p, the mean square is (ω² + (α/p)²)/2, from the rate ω and the angular acceleration α at any moment."""
         return np.asarray(self.mean_square_acceleration / np.where(self.pulsation > 0, self.pulsation, 1.0) ** 2)
 
     @cached_property
     def mean_square_acceleration(self) -> Array:
-        """Mean square of the angular acceleration of a rocking table, (N,), rad²/s⁴: (α² + (p·ω)²)/2; 0 in other segments."""
+        """Mean square of the angular acceleration of a rocking table, (N,), rad²/s⁴; 0 in other segments. It is (α² + (p·ω)²)/2, with the
+        symbols of `mean_square_rate`."""
         return np.where(self.pulsation > 0, (self.acceleration**2 + (self.pulsation * self.rate) ** 2) / 2, 0.0)
 
     def _by_course(self, values: Array, part: Callable[[BodyMotion], Array]) -> Array:

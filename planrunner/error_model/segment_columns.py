@@ -1,9 +1,9 @@
 """Effects of the catalogue at the means of segments: the design matrix of an estimate, at the planned or the recorded stimulus.
 
 An effect gives its columns at single moments, but the mean of a product is not the product of means. Each segment is therefore
-represented by a few nodes: evenly spaced directions of a table that turns (over whole turns, exact up to the seventh degree in what
-turns with it), and the nodes of Gauss and Legendre along a ramp of temperature (exact up to the fifth degree in time). The weighted
-mean over the nodes is the mean over the segment.
+represented by a few nodes: evenly spaced angles of a table that turns, and the nodes of Gauss and Legendre along a ramp of temperature.
+Over whole turns, the result is exact for polynomials up to the seventh degree of quantities that turn with the table; along a ramp, for
+polynomials up to the fifth degree in time. The weighted mean over the nodes is the mean over the segment.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Checks that planned rates act on the fitted outputs and stay within their full scale.
+"""Checks that planned rates act on the fitted outputs and stay within the full scale of these outputs.
 
-If an output saturates, the line for its scale factor bends. If an output has its input axis perpendicular to the rotation axis, it
-senses only its misalignment.
+If an output saturates, the line for its scale factor bends. If an output has its input axis perpendicular to the rotation axis, it senses
+only its misalignment.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Segments that do not agree with the others, and segments whose errors the others would not reveal.
 
-The test uses the mean-shift model: segment i of an output has an error δ, which an additional column with a one in row i describes. Its
-t value is the externally studentised residual (Cook and Weisberg, Residuals and Influence in Regression, 1982, 2.2.2; for correlated
-observations Baarda, A Testing Procedure for Use in Geodetic Networks, 1968). The largest t value of all segments is tested with
-Bonferroni's bound. The search is repeated among the others until none is significant, so that two wrong labels do not hide each other.
+The test uses the mean-shift model: segment i of an output has an error δ, which an additional column describes that is 1 in row i and 0
+elsewhere. The t value of δ is the externally studentised residual (Cook and Weisberg, Residuals and Influence in Regression, 1982, 2.2.2;
+for correlated observations Baarda, A Testing Procedure for Use in Geodetic Networks, 1968). The largest t value of all segments is tested
+with Bonferroni's bound. If it is significant, the search is repeated among the other segments, so that two wrong labels do not hide each
+other.
 
 The redundancy of a segment is the share of its error that appears in its residual. If it is small, the segment alone determines a
 coefficient: its error enters the result without a trace in the residuals (Baarda, ibid.).

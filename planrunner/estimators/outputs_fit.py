@@ -226,9 +226,9 @@ def fit_outputs(
 
     Weights come from the noise within the segments and the effects. On the residual basis, a standard deviation between segments may be
     added to the noise. It is added in this case: the noise differs between segments or there are effects, and noise and effects together
-    do not explain the residuals. Otherwise the segment with the least noise would dominate the fit although its error is as large as the
-    others'. Outputs can be pooled only if their noise is known and nothing is added to it. equal: give all segments the same weight.
-    drift: courses that are fitted too, or only if the data show them. unstated: as in `OutputsFit`.
+    do not explain the residuals. Without it, the segment with the least noise would dominate the fit, although its error is as large as
+    the errors of the other segments. Outputs can be pooled only if their noise is known and nothing is added to it. equal: give all
+    segments the same weight. drift: courses that are fitted too, or only if the data show them. unstated: as in `OutputsFit`.
     """
     m = len(observations.channels)
     noises = [within_segment_noise(observations, k) for k in range(m)]

@@ -196,12 +196,13 @@ def pair_parts(table: TableModel) -> tuple[str, ...]:
 def orthogonality_tilts(
     axes: Sequence[TableAxis], attitudes: Sequence[Array | None], azimuth: float
 ) -> tuple[Array, ...]:
-    """How a table rotates the sensor when neighbouring axes are not at right angles: for each pair, (n, 3), rad per rad.
+    """Rotation of the sensor if two neighbouring axes of a table are not at right angles: for each pair of axes, a tilt vector at n
+    attitudes, (n, 3), rad per rad of deviation.
 
-    A vector v in the sensor's axes becomes v + tilt × v per radian of deviation of the inner axis of the pair from its right angle,
-    about c = outer × inner. The error is zero at the position where the table is aligned. At joint angle q of the inner axis, it is
-    therefore c − R(inner, −q)·c in the frame of that axis. The joints farther inside rotate it into the sensor's axes. The joints move
-    from one attitude to the next by the fastest path. Raises `Unreachable`.
+    For a deviation of 1 rad, a vector v in the sensor's axes becomes v + tilt × v. A deviation turns the inner axis of the pair about c =
+    outer × inner. The tilt is zero at the position where the table is aligned. At joint angle q of the inner axis, it is therefore c −
+    R(inner, −q)·c in the frame of that axis. The joints farther inside transform it into the sensor's axes. The joints move from one
+    attitude to the next by the fastest path. Raises `Unreachable`.
     """
     if any(attitude is None for attitude in attitudes):
         raise Unreachable("the orientation is unknown")

@@ -1,14 +1,14 @@
-"""Alignment at rest: coarse alignment from the directions of gravity and Earth rotation, fine alignment from the velocity, which should be
-zero.
+"""Alignment at rest: coarse alignment from the directions of gravity and Earth rotation, fine alignment from the velocity, which should
+be zero.
 
 Coarse: the mean specific force points up, its cross product with the mean rate points east (Britting, "Inertial Navigation Systems
-Analysis", 1971, chapter 9). Fine: the navigator runs from the coarse attitude. Its velocity is then only error. It is the
-measurement of a Kalman filter with the linear error equations, which gives tilt and azimuth with their covariance (gyrocompassing).
-Swaying is permitted, because the gyros measure it.
+Analysis", 1971, chapter 9). Fine: the navigator runs from the coarse attitude. As the unit does not move, the computed velocity is an
+error. This velocity is the measurement of a Kalman filter with the linear error equations, which gives tilt and azimuth with their
+covariance (gyrocompassing). Swaying is permitted, because the gyros measure it.
 
-While the unit keeps its attitude, constant sensor errors cannot be distinguished from tilt and azimuth (`ErrorEquations.levelled`).
-If the unit is turned about the vertical from stop to stop, they can be distinguished. The filter then includes them as states,
-together with the gyro errors that the turns cause through scale factor and misalignment, in proportion to the rate of turn.
+While the unit keeps its attitude, constant sensor errors cannot be distinguished from tilt and azimuth (`ErrorEquations.levelled`). If
+the unit is turned about the vertical from stop to stop, they can be distinguished. The filter then includes them as states, together with
+the gyro errors that the turns cause through scale factor and misalignment, in proportion to the rate of turn.
 """
 
 from __future__ import annotations

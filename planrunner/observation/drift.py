@@ -1,9 +1,9 @@
 """Courses of a slow drift of the outputs during a test: in time, with temperature, and with its rate of change.
 
-A drift is a nuisance: its courses are fitted together with the coefficients, so that the uncertainties of the coefficients include that
-the drift is unknown. Each course is the mean over each segment, minus its average over the recorded time of all segments of the
-estimate. A constant is therefore the value for the whole test: at the average time, at the average temperature and at its average rate
-of change. It has the same meaning for outputs that use only some of the segments.
+A drift is a nuisance: its courses are fitted together with the coefficients, so that the uncertainties of the coefficients include a
+contribution of the unknown drift. Each course is the mean over each segment, minus its average over the recorded time of all segments of
+the estimate. A constant is therefore the value for the whole test: at the average time, at the average temperature and at its average
+rate of change. It has the same meaning for outputs that use only some of the segments.
 """
 
 from __future__ import annotations

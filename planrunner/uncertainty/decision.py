@@ -81,10 +81,11 @@ def decide(
 ) -> Decision:
     """The verdict on lower ≤ true value ≤ upper, all in one unit. role: kind of quantity, which determines its distribution.
 
-    simple: the value is within the limits (simple acceptance, JCGM 106, 8.2). guarded: the value lies inside the limits by at least the
-    guard band w = r·U (guarded acceptance, JCGM 106, 8.3.2), with r = `factor` and U = k·u for a coverage probability of `confidence`. For
-    a scale, U is the distance from the limit at which the χ² interval of the value ends at the limit. A value or uncertainty that is not
-    finite never passes. Raises ValueError if both limits are missing or the lower limit exceeds the upper.
+    rule: with `simple`, the value passes if it is within the limits (simple acceptance, JCGM 106, 8.2). With `guarded`, it passes if it
+    lies inside the limits by at least the guard band w = r·U (guarded acceptance, JCGM 106, 8.3.2), with r = `factor` and U = k·u for a
+    coverage probability of `confidence`. For the role SCALE, U is the distance from the limit at which the χ² interval of the value ends
+    at the limit. A value or uncertainty that is not finite never passes. Raises ValueError if both limits are missing or the lower limit
+    exceeds the upper.
     """
     if lower > upper or (math.isinf(lower) and math.isinf(upper)):
         raise ValueError("a limit needs a lower or an upper bound, the lower not above the upper")

@@ -1,8 +1,8 @@
 """Interface of effects: the physics of a sensor's errors, and of its surroundings, as columns over the samples of a recording.
 
-An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds it, the estimator `error_model` fits
-its amplitudes to the means of segments, and the diagnosis decides whether the data support it. It may act on several channels at once,
-have a shape, or change the noise. An estimate fits effects without a shape, and effects with a shape that last longer than a segment.
+An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds it, the estimator `error_model` fits its
+amplitudes to the means of segments, and the diagnosis decides whether the data support it. It may act on several channels at once, have a
+shape, or change the noise. An estimate fits effects without a shape, and effects with a shape that last longer than a segment.
 
     class MyEffect:
         id = "my_effect"                      # the entry point's name
@@ -12,13 +12,13 @@ have a shape, or change the noise. An estimate fits effects without a shape, and
         def variants(self, observed) -> list[Variant]
 
 A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect that
-acts on the noise states the kind in `noise`, such as 'random walk', 'white' or 'resolution'; of stage covariance, it has no columns.
-`each = "orientation"`: its amplitudes are independent for every orientation; its columns are then those of each orientation in turn, in the
-order of first use.
+acts on the noise states the kind in `noise`, such as 'random walk', 'white' or 'resolution'. If its stage is covariance, it has no
+columns. With `each = "orientation"`, an effect has independent amplitudes for every orientation. Its columns are then those of each
+orientation in turn, in the order of first use.
 
 An effect that becomes nonlinear when large also has a method `around` (see `Curved`). `hypothesis = False`: the diagnosis evaluates the
-effect only if it is named. Additional hypotheses change the probability of all others, so an effect becomes a hypothesis only after
-blind trials.
+effect only if it is named. Additional hypotheses change the probability of all others, so an effect becomes a hypothesis only after blind
+trials.
 """
 
 from __future__ import annotations
@@ -169,8 +169,8 @@ NoiseKind = Literal["white", "resolution", "random walk", "gauss-markov", "line"
 
 @runtime_checkable
 class ActsOnNoise(Effect, Protocol):
-    """An effect that changes the noise of the gyros: a diagnosis finds it outside the coefficients on which other effects act. Of stage
-    covariance, it has no columns; a line has columns, which a simulation adds."""
+    """An effect that changes the noise of the gyros: a diagnosis finds it outside the coefficients on which other effects act. An effect
+    of stage covariance has no columns. A line of interference has columns, which a simulation adds."""
 
     noise: NoiseKind
 
@@ -207,9 +207,10 @@ class HasShape(Effect, Protocol):
 class ChangesWithinSegments(HasShape, Protocol):
     """An effect that changes an output within segments, so that an estimate fits it to samples.
 
-    acts_on: 'rate' if the effect replaces the angular rate by an earlier or a smoothed rate; 'output' if the output is a function of
-    the output without the effect at the same moment (`Observed.fitted`). In both cases, the only column of the effect gives the change.
-    'amplitudes' if columns with amplitudes are given for each of a few values of the shape."""
+    acts_on: 'rate' if the effect replaces the angular rate by an earlier or a smoothed rate; 'output' if the effect computes each output
+    from the output without the effect at the same moment (`Observed.fitted`). In both cases, the effect has one column, which is the
+    change of the output. 'amplitudes' if columns with amplitudes are given for each of a few values of the shape.
+    """
 
     acts_on: Literal["rate", "output", "amplitudes"]
 

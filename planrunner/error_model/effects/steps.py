@@ -111,9 +111,9 @@ class MountShift(Shaped):
 
 
 class SamplesDropped(Shaped):
-    """Samples of the sensor are lost at a moment, a time since power-on, and the times of later samples do not include the lost
-    samples. From then on, the gyros show a later motion. lost: lost time [s] at which the columns are exact. If it is small, the change
-    is the lost time multiplied by the angular acceleration."""
+    """Samples of the sensor are lost at a moment, a time since power-on, and the times of later samples do not include the lost samples.
+    From then on, the gyros show a later motion. lost: lost time [s] at which the columns are exact. For a short lost time, the change of
+    the rate is the lost time multiplied by the angular acceleration."""
 
     id, stage, hypothesis, shape_name, shape_unit = "samples_dropped", "acquisition", False, "time", "s"
     about = About(

@@ -71,7 +71,8 @@ def _response_to_field(observed: Observed, kind: str, unit: str, factor: float) 
 
 
 class SiteLatitude:
-    """The Earth rate was computed for the wrong latitude: Ω·(0, −sin φ, cos φ) per rad where the error is small."""
+    """The Earth rate was computed for the wrong latitude. A small error changes the rate by Ω·(0, −sin φ, cos φ) per radian, in
+    East-North-Up."""
 
     id, stage = "site_latitude", "stimulus"
     about = About(

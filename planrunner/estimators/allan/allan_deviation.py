@@ -1,6 +1,7 @@
 """Allan deviations of outputs at rest, and the noise coefficients Q, N, B, K of IEEE Std 952 fitted to the Allan variance.
 
-Reading and gaps are in `phase`, sums in `allan_kernel`, confidence in `confidence`, the fit in `fit`.
+The module `phase` reads samples and treats gaps, `kernel` computes sums, `confidence` degrees of freedom and intervals, and `fit` the
+coefficients.
 """
 
 from __future__ import annotations

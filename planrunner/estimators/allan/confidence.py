@@ -34,12 +34,11 @@ _GRID = 600  # terms of a sum over lags
 
 
 def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None) -> int | None:
-    """The noise exponent α of averages over `factor` samples, from the phase runs; None if there are fewer than `LEAST_POINTS`
-    averages.
+    """The noise exponent α of averages over `factor` samples, from the phase runs; None if there are fewer than `LEAST_POINTS` averages.
 
-    before: α at the next shorter averaging time. It is kept unless the α of the averages differs from it by more than half a step and
-    by more than two of its standard deviations, because thirty averages alone mistake white noise for a neighbouring type one time in
-    four.
+    before: α at the next shorter averaging time. This value is returned unless the α of the averages differs from it by more than half a
+    step and by more than two standard deviations of the α of the averages, because thirty averages alone mistake white noise for a
+    neighbouring type one time in four.
     """
     averages, count = [], 0
     for run in runs:

@@ -5,15 +5,16 @@ The model (IEEE Std 952, annex C; τ in s, the output in its unit):
     σ²(τ) = 3·Q²/τ² + N²/τ + (2·ln2/π)·B² + K²·τ/3
 
 Q quantisation, N random walk of the integrated output (angle random walk), B bias instability (the flat part lies at 0.664·B), K rate
-random walk. The Hadamard variance, of third instead of second differences, does not respond to a steady drift of the output (NIST SP 1065,
-5.2.8); its model has the same four terms with other factors:
+random walk. The Hadamard variance, of third instead of second differences, does not respond to a steady drift of the output (NIST SP
+1065, 5.2.8); its model has the same four terms with other factors:
 
     Hσ²(τ) = (10/3)·Q²/τ² + N²/τ + ((8·ln2 − 3·ln3)/(2π))·B² + K²·τ/6
 
 The overlapping variances at two averaging times share their data. Their covariance is the covariance of sums of squares of Gaussian
-differences, 2·Σ_p Σ_q C(q − p)²/(M_i·M_j), where C is the covariance of a difference at one averaging time with one at the other; it
-follows from the generalised autocovariance of the phase, which is a sum over the four kinds of noise (Greenhall and Riley, 2003). It
-depends on the coefficients, so fit and covariance are iterated until they agree.
+differences, 2·Σ_p Σ_q C(q − p)²/(M_i·M_j). Here M_i and M_j are the numbers of differences at the two averaging times, and C(q − p) is
+the covariance of difference p at one averaging time with difference q at the other. C follows from the generalised autocovariance of the
+phase, which is a sum over the four kinds of noise (Greenhall and Riley, 2003). The covariance depends on the coefficients, so fit and
+covariance are iterated until they agree.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Steady drift of an output: whether a record contains more of it than its noise explains, and how large it is.
 
 The halves of a run differ by the drift over half the run and by the noise, whose variance is twice the Allan variance at half the run.
-That variance is taken from a fit of Hadamard variances, which a steady drift does not change. That variance is uncertain, mainly
-because the random walk is poorly known. The differences are therefore judged by its upper bound, two standard uncertainties above the
-estimate.
+The Allan variance is computed from a fit of Hadamard variances, which a steady drift does not change. It is uncertain, mainly because the
+random walk is poorly known. The test therefore uses an upper bound of this variance, two standard uncertainties above the estimate.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Each output is fitted by itself. The values z of all amplitudes have the joint covariance C. Least squares then adjusts them so that the
 values of a common amplitude agree: z − C·Rᵀ(R·C·Rᵀ)⁻¹·R·z, where R·z = 0 states the agreement (H. Theil, Principles of Econometrics,
-1971, 6.8). This is equivalent to a joint fit of all outputs. It also adjusts their other amplitudes, as far as they are correlated with
-the common one.
+1971, 6.8). This is equivalent to a joint fit of all outputs. It also adjusts the amplitudes that are not common, as far as they are
+correlated with a common one.
 """
 
 from __future__ import annotations

@@ -92,8 +92,9 @@ def encoder_attitude(
 class LevelState:
     """A state in which two axes are level.
 
-    nominal: (3, 3), the planned attitude. vertical: the axis along the vertical; sign: +1 if it points up. sine: the axis whose tilt is
-    computed by an arc sine, rotated second to last; other: the other level axis, rotated last: C = R_other·R_sine·R_vertical·nominal.
+    nominal: (3, 3), the planned attitude. vertical: the axis along the vertical; sign: +1 if it points up. sine: the level axis whose
+    tilt is computed by an arc sine, and about which the second to last rotation takes place; other: the other level axis, about which the
+    last rotation takes place: C = R_other·R_sine·R_vertical·nominal.
     """
 
     nominal: Array

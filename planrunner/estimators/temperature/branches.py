@@ -60,8 +60,8 @@ def approached(temperature: Sequence[float], least: float) -> tuple[Integers, In
 
 @dataclass(frozen=True)
 class Difference:
-    """The difference between rising and falling temperature. curve: of D; low, high: degC, the range that both directions cover.
-    Outside this range, D has its value at the nearer end."""
+    """The difference D between values at rising and at falling temperature. curve: form of D over temperature; low, high: degC, the range
+    that both directions cover. Outside this range, D has its value at the nearer end."""
 
     curve: Curve
     low: float

@@ -1,8 +1,9 @@
 """Comparison of one tilted mounting with one mounting per axis: duration of the test, and uncertainty.
 
-An axis along the rotation axis senses the whole rate, so noise has a smaller effect on it, by the factor cos θ. If it is misaligned by
-a small δ, its relative error is only 1 − cos δ, while that of the tilted axis is δ·tan θ. Each mounting takes the same schedule,
-including its temperature cycle, and additional time for mounting.
+A tilted axis is at the angle θ from the rotation axis and senses the rate times cos θ. An axis along the rotation axis senses the whole
+rate, so the relative effect of noise is smaller by the factor cos θ. A small misalignment δ causes a relative error of 1 − cos δ for the
+axis along the rotation axis, and of δ·tan θ for the tilted axis. Each mounting takes the same schedule, including its temperature cycle,
+and additional time for mounting.
 """
 
 from __future__ import annotations

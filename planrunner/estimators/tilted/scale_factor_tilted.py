@@ -1,9 +1,9 @@
 """Scale factors of several axes in one tilted mounting (提高标度因数测试效率的方法, Xi'an Aerospace Precision Electromechanical, 2022).
 
-Per temperature and repeat F_r is the mean of the zeros before and after the rates, and F_j − F_r = K·cos θ·ω_j + F_0 + ν_j is fitted by
-ordinary least squares over the rates. Metrics in the wording of IEEE 952 and 1431. The source does not treat the Earth's rotation: its
-component along the rotation axis cancels with F_r; the rest turns with the table and is averaged out by whole turns, but remains in the
-zeros at home, so F_0 contains it unless it is corrected for.
+For each temperature and repeat, F_r is the mean of the zero readings before and after the rates. F_j − F_r = K·cos θ·ω_j + F_0 + ν_j is
+fitted by ordinary least squares to the outputs F_j at the rates ω_j. The metrics have the wording of IEEE 952 and 1431. The source does
+not treat the Earth's rotation. Its component along the rotation axis cancels with F_r. The other components turn with the table, so whole
+turns average them out of F_j. They remain in the zero readings at the home position, so F_0 contains them unless they are corrected for.
 """
 
 from __future__ import annotations

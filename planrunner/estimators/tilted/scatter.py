@@ -251,9 +251,10 @@ def _correlation(products: Array) -> Array:
 
 
 def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -> float:
-    """Half of the drift of an axis's zero, in root mean square over temperatures and repeats, without the contribution of its noise.
+    """Half of the drift of an axis's zero: the root mean square over temperatures and repeats, without the contribution of noise.
 
-    sigma: (N,), standard uncertainty of each segment's mean. shared: only the part common to all repeats, including noise.
+    sigma: (N,), standard uncertainty of each segment's mean. shared: whether to return only the part that is common to all repeats; this
+    part includes noise.
     """
     drifts = [group.drift[:, axis] for group in groups]
     if shared:

@@ -171,9 +171,9 @@ def _in_unit(weighing: Weighing, index: int, own: Closure, residual: Array) -> C
 def predictions(
     weighing: Weighing, choices: Sequence[FoldChoice], change: Array, worth: float = WORTH
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """For a known change of the outputs, coefficients (M, K): its effect g (m,) in held-out segments, the prediction d (m,), and the
-    channel of every row. Used by tests in which the true gap is known. worth: the least log BF at which a fold selects one of the
-    choices."""
+    """The gap g (m,) that a known change causes in the held-out segments, its prediction d (m,), and the channel of every row. change:
+    (M, K), coefficients of the change of the outputs. Used by tests in which the true gap is known. worth: the least log BF at which a
+    fold selects one of the choices."""
     gap, difference, channels = [], [], []
     for held in held_out(weighing):
         rows = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]

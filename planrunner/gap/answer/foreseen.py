@@ -1,4 +1,4 @@
-"""The information about given columns that segments would provide which are not yet measured.
+"""The information about given columns that further segments would provide, computed before these segments are measured.
 
 A segment is sampled like the recording, but only for a few seconds of whole turns and periods. The rest of its length counts as a
 repetition.

@@ -1,13 +1,13 @@
 """Bayes factors: evidence for amplitudes compared with none.
 
-The strength of an effect is its energy λ: the energy of its signature, without the part that the nominal parameters absorb, in
-units of the noise. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to `STRONGEST`. Weaker
-effects cannot be distinguished from none and count as none. Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same
-directions and any λ, so the evidence is that of the Gaussian model, log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c
-with G the signatures' Gram matrix and c their product with the data, times the posterior probability that λ = θᵀGθ is `WEAKEST` or
-more, integrated over log s². λ is then a sum of scaled non-central χ²; its distribution is approximated by a scaled χ² with the
-same mean and variance (Patnaik, Biometrika 36, 1949). Above `STRONGEST` the density continues, because a stronger effect is still
-that effect.
+The strength of an effect is its energy λ: the energy of its signature, without the part that the nominal parameters absorb, in units of
+the noise. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to `STRONGEST`. Weaker effects cannot be
+distinguished from none and count as none. Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same directions and any λ. The Bayes
+factor is therefore computed in three steps. For given s² it is that of the Gaussian model, log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I +
+s²D½GD½)⁻¹D½c, with G the signatures' Gram matrix and c their product with the data. It is multiplied by the posterior probability that λ
+= θᵀGθ is at least `WEAKEST`. The product is averaged over log s². For given s², λ is a sum of scaled non-central χ² variables; its
+distribution is approximated by a scaled χ² with the same mean and variance (Patnaik, Biometrika 36, 1949). Above `STRONGEST` the density
+continues, because a stronger effect is still that effect.
 """
 
 from __future__ import annotations

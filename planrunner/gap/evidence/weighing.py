@@ -258,8 +258,9 @@ class ChannelWeights:
         return float((gap**2).sum()), whole - float((basis**2).sum())
 
     def whitened_rows(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-        """For columns (n, P) in some rows (n,) of the coefficients, zero elsewhere: the rows on which they act after whitening, and
-        their whitened values there. Means are whitened jointly, so each mean affects all later ones."""
+        """Whitens columns that are zero except in a few rows. columns: (n, P), their values in the rows `rows` (n,). Returns the rows in
+        which the whitened columns are not zero, and their values there. Means are whitened jointly, so each mean affects all later means.
+        """
         own = self._order_0[rows]
         if self._inverse is None or not own.any():
             return rows, columns * self.scale[rows, None]
@@ -361,8 +362,9 @@ class Left:
         return Left(self.weight, rows, basis, residual - basis @ (basis.T @ residual))
 
     def whitened(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-        """For columns (n, P) in some rows (n,), zero elsewhere: the rows on which they act after whitening, and their whitened values
-        there."""
+        """Whitens columns that are zero except in a few rows, as `ChannelWeights.whitened_rows` does, without the removed rows. columns:
+        (n, P), their values in the rows `rows` (n,). Returns the rows in which the whitened columns are not zero, and their values there.
+        """
         at, whitened = self.weight.whitened_rows(columns, rows)
         here = self.rows[at]
         return (at, whitened) if here.all() else (at[here], whitened[here])

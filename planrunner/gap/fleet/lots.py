@@ -31,8 +31,8 @@ class SharedByLot:
 def shared_by_lots(
     key: AmplitudeKey, levels: Mapping[str, Sequence[Uncertain]], lots: Mapping[str, str]
 ) -> Iterator[SharedByLot]:
-    """The lots whose devices all lie on one side of all other devices, with intervals that do not overlap. levels: amplitudes of
-    each device; one, or one before and one after every step of it; lots: device → its lot, if known."""
+    """The lots whose devices all have larger amplitudes than all other devices, or all have smaller ones, with intervals that do not
+    overlap. levels: amplitudes of each device; one, or one before and one after every step of it; lots: device → its lot, if known."""
     for lot in sorted(set(lots.values())):
         own = [name for name in levels if lots.get(name) == lot]
         others = [name for name in levels if lots.get(name) != lot]

@@ -64,7 +64,7 @@ class WrongDeclaration:
 
 @dataclass(frozen=True)
 class _Reading:
-    """The input that a channel shows: that of an axis (0, 1, 2), with a sign, times a factor."""
+    """The input that a channel shows: the input along an axis (0, 1, 2), times a sign and a factor."""
 
     axis: int
     sign: float

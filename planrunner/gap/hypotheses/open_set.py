@@ -241,7 +241,7 @@ class _Scan:
     coloured: bool
 
     def energy(self, samples: Array) -> float:
-        """SI², sum over raw samples, of samples (n,) divided by the level of the noise."""
+        """Energy [SI²], summed over the raw samples, of samples (n,) that are divided by the level of the noise."""
         return float(self.weight @ samples**2)
 
 
