@@ -237,9 +237,9 @@ class Observed:
         return change
 
     def turn_lagged(self, tau: float) -> Array:
-        """`turn` after a first-order lag, minus `turn`, (N, 3). The lag is in steady state at the beginning of each segment. The rate
-        is taken as linear between samples: with q = exp(−h/τ) and g = τ/h, y₁ = q·y₀ + (1 − g·(1 − q))·x₁ + (g·(1 − q) − q)·x₀ for a
-        step h."""
+        """`turn` after a first-order lag, minus `turn`, (N, 3). The lag is in steady state at the beginning of each segment. The rate x
+        is taken as linear between samples. For a step h, the lagged rate y is y₁ = q·y₀ + (1 − g·(1 − q))·x₁ + (g·(1 − q) − q)·x₀ with q
+        = exp(−h/τ) and g = τ/h."""
         from scipy.signal import lfilter
 
         change = np.zeros((len(self.time), 3))

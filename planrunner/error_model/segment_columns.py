@@ -181,8 +181,8 @@ class ErrorsAtSegments:
 
     def columns(self, stimulus: Stimulus) -> Array:
         """Columns of all outputs, (k·n, P), output after output. For each output, its own input comes first, then its amplitudes.
-        stimulus: the planned one with small changes, once or k times for all segments. A change of a mean stimulus applies to all nodes
-        of the segment."""
+        stimulus: k·n rows, the planned stimulus of the n segments, k times, each time with other small changes; k may be 1. A change of a
+        mean stimulus applies to all nodes of the segment."""
         n, found = len(self.segments), []
         for low in range(0, len(stimulus), n):
             part = slice(low, low + n)

@@ -33,8 +33,8 @@ _ALONG_UP = np.eye(3)
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """An estimator's knowledge about outputs, by name. responses: coefficients of its terms, as declared for the sensor; directions:
-    (3,), input axes of the outputs in the sensor's frame, if the estimator's keys assign them."""
+    """An estimator's knowledge about outputs, by name. responses: coefficients of the terms of the estimator's model, as declared for the
+    sensor; directions: (3,), input axes of the outputs in the sensor's frame, if the estimator's keys assign them."""
 
     responses: Responses = field(default_factory=dict)
     directions: Mapping[str, Array] = field(default_factory=dict)

@@ -82,18 +82,19 @@ class Unpredicted:
 class Estimate:
     """Coefficients, their covariance (m, m) in the products of their units, and the information needed to judge them.
 
-    An estimator gives the covariance of its data (type A) and the `influences`, which the data cannot show. The analysis adds both to
-    get the covariance of the coefficients, and writes the `budgets`.
+    An estimator gives the covariance of its data (type A) and the `influences`, which the data cannot show. The analysis adds both to get
+    the covariance of the coefficients, and writes the `budgets`.
 
     headline: names of the coefficients that the terminal shows first. settings: choices made (such as the basis of the uncertainties).
-    extra: plain data for estimates that use this one; coefficients that are known at several temperatures, or at the common temperature
-    of all segments, are in extra["by_temperature"] as {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...],
-    "unit": "..."}}, with the type A uncertainty, for `temperature_model`, and optionally the mean times of the data, "time_s": [...].
+    extra: plain data for estimates that use this one. Coefficients that are known at several temperatures, or at the common temperature
+    of all segments, are in extra["by_temperature"], where `temperature_model` reads them, as {name: {"temperature_degC": [...], "value":
+    [...], "standard_uncertainty": [...], "unit": "..."}}. The uncertainties there are of type A. The mean times of the data may be added
+    as "time_s": [...].
 
-    data_covariance: the type A part alone. The analysis keeps it when it adds the influences. An estimate that uses this one starts
-    from `data_covariance` and propagates the influences (`Influence.through`). An input that acts on both estimates therefore counts
-    once and with its sign. expected: whether the estimate comes from a schedule instead of a recording. unstated: flicker for which the
-    bench file gives no size, as it acts on the coefficients; the analysis warns of it.
+    data_covariance: the type A part alone. The analysis keeps it when it adds the influences. An estimate that uses this one starts from
+    `data_covariance` and propagates the influences (`Influence.through`). An input that acts on both estimates therefore counts once and
+    with its sign. expected: whether the estimate comes from a schedule instead of a recording. unstated: flicker for which the bench file
+    gives no size, as it acts on the coefficients; the analysis warns of it.
     """
 
     name: str

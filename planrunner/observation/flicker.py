@@ -95,11 +95,12 @@ def mean_covariance(start: Array, end: Array, span: float) -> Array:
 
 
 def weighted_covariance(weights: Array, step: float, span: float) -> Array:
-    """Covariance (…, q, q) of sums of the means of flicker with B = 1 over n intervals of `step` [s], one after the other, less its average
-    over `span` [s] around them. weights: (…, q, n).
+    """Covariance (…, q, q) of q weighted sums of means over n consecutive intervals of `step` [s]. The means are those of flicker with B
+    = 1 minus its average over `span` [s] around the intervals. weights: (…, q, n).
 
-    The result is that of `mean_covariance` for intervals of equal length. The covariance then depends only on their distance, so its
-    product with the weights is a convolution (Toeplitz matrix in a circulant one), and n may be thousands.
+    The result is that of `mean_covariance` for intervals of equal length. The covariance of two means then depends only on the distance
+    of their intervals. Its product with the weights is therefore a convolution (a Toeplitz matrix embedded in a circulant one), and n may
+    be thousands.
     """
     n = weights.shape[-1]
     low: Array = step * np.arange(n, dtype=np.float64)

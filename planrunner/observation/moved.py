@@ -33,8 +33,8 @@ class MotionShown:
     differences: bool = False
 
     def as_shown(self, values: Array) -> Array:
-        """Outputs (n, k) with the same averaging as the motion: over the interval of a difference by Simpson's rule, so that the
-        outputs do not contain more of a fast motion than the reference."""
+        """Outputs (n, k) with the same averaging as the motion. If rates are differences, the outputs are averaged by Simpson's rule over
+        the interval of each difference, so that they do not contain more of a fast motion than the reference."""
         if not self.differences:
             return values
         found = values.copy()

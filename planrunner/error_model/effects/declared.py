@@ -1,7 +1,7 @@
 """Wrong declarations: axes, signs, units and senses of rotation that a plan or a bench file states differently from the recording.
 
-A diagnosis does not evaluate effects that change a whole output; `gap/hypotheses/declarations.py` finds them before it evaluates
-effects of the sensor. If they are added to a simulation, its recordings contain these mistakes.
+A diagnosis does not evaluate these effects like others, because they change a whole output; `gap/hypotheses/declarations.py` finds them
+before the effects of the sensor are evaluated. If they are added to a simulation, its recordings contain these mistakes.
 """
 
 from __future__ import annotations

@@ -132,10 +132,10 @@ class TableRateRipple:
 
 
 class TableWobble:
-    """While the table turns, attitude = (I + [δ×])·R(θ), δ = a·(cos(θ + φ), sin(θ + φ), 0) in site axes, and the corresponding rate.
+    """While the table turns, attitude = (I + [δ×])·R(θ), δ = a·(cos(θ + φ), sin(θ + φ), 0) in site axes; the rate changes accordingly.
 
-    With δ = R·δ₀, (I + [δ×])·R = R·(I + [δ₀×]): seen from the turning table the payload is tilted by the constant δ₀ = a·(cos φ, sin φ, 0),
-    and the whole stimulus of the sensor, including the rate of the table, is rotated by −δ₀ in its axes.
+    With δ = R·δ₀, (I + [δ×])·R = R·(I + [δ₀×]): seen from the turning table the payload is tilted by the constant δ₀ = a·(cos φ, sin φ,
+    0), and the whole stimulus of the sensor, including the rate of the table, is rotated by −δ₀ in its axes.
     """
 
     id, stage = "table_wobble", "stimulus"

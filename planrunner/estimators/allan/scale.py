@@ -3,7 +3,7 @@
 The scale factor is a quantity in the plan, such as `0.2012 (deg/h)/(pulse/s)`, or a coefficient of an estimate in `uses`, such as
 `drift.SF_Y`. Its unit decides whether it is sensed quantity per output or output per sensed quantity.
 
-The units in which the field states its noise coefficients: deg/√h and deg/h for rates, m/s/√h and µg for accelerations.
+The results are in the units that are usual in the field: deg/√h and deg/h for rates, m/s/√h and µg for accelerations.
 """
 
 from __future__ import annotations

@@ -501,9 +501,10 @@ def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], col
     contributions, and set to 1 if the contrasts together are not significantly uneven. functionals: (S, N), orthonormal; left: (N,),
     residuals divided by their noise; first: (n,), index of the first sample of each segment; coloured: as in `WithinFit`.
 
-    The errors of a reference differ from motion to motion, and a longer segment does not reduce them. R = Σ c²/(1 − Σ e²), where c is the
-    contribution of a segment to a contrast, and e its share of the squared length. R is unbiased for contributions with the variance R·e
-    if the fit makes Σ c = 0. Sandwich of clustered data: K.-Y. Liang, S. L. Zeger, Biometrika 73, 1986.
+    The errors of a reference differ from motion to motion, and a longer segment does not reduce them. The ratio is R = Σ c²/(1 − Σ e²),
+    where c is the contribution of a segment to a contrast, and e the segment's share of the squared length of the contrast. R is unbiased
+    for contributions with the variance R·e if the fit makes Σ c = 0. This is the sandwich estimator for clustered data (K.-Y. Liang, S.
+    L. Zeger, Biometrika 73, 1986).
     """
     from scipy.special import chdtrc
 

@@ -43,9 +43,9 @@ _MOVED = 0.1  # m/s; a unit on a floor or in a parked vehicle does not change it
 @dataclass(frozen=True, slots=True)
 class Aligned:
     """Result of an alignment. alignment: the fine alignment, with the covariance used. last: (6,), the last increments. density: (6, 6),
-    covariance of the white noise as growth per second of the covariance of the integrated outputs, in navigation axes, from the scatter
-    at rest. white: (6,), square roots of these densities in body axes. seconds: duration, s. turned: whether the unit was turned from
-    stop to stop during alignment, so that the constant errors of its sensors were estimated too. rest: the readings at the first stop."""
+    the white noise in navigation axes, from the scatter at rest: the covariance that it adds to the integrated outputs per second. white:
+    (6,), square roots of these densities in body axes. seconds: duration, s. turned: whether the unit was turned from stop to stop during
+    alignment, so that the constant errors of its sensors were estimated too. rest: the readings at the first stop."""
 
     alignment: Alignment
     last: Array

@@ -1,8 +1,8 @@
 """Pure inertial navigation of a recording: alignment during a stop, then attitude, velocity and position by strapdown mechanisation, and
 the errors relative to the true position.
 
-The module `alignment` contains conditions for alignment, `reading` units, gaps and the clock, `navigation_errors` and `results` the
-figures, and `design` predictions. docs/navigation.md gives conventions and definitions.
+The module `alignment` contains the conditions for an alignment; `reading` handles units, gaps and the clock; `navigation_errors` and
+`results` compute the reported figures; `design` predicts the errors. docs/navigation.md gives conventions and definitions.
 """
 
 from __future__ import annotations

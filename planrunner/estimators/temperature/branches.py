@@ -21,7 +21,8 @@ _BACK = 0.1  # of the range of temperatures: less is the ripple of a chamber's c
 def branches(temperature: Array, least: float) -> Integers:
     """The index of the branch, from 0 ascending, of each of n successive temperatures [degC] (n,).
 
-    A branch ends at an extreme if the temperature then returns by more than `least` [K] and by more than a tenth of its whole range.
+    A branch ends at an extreme if the temperature then returns by more than `least` [K] and by more than a tenth of the range of all
+    temperatures.
     """
     number = np.zeros(len(temperature), dtype=np.int64)
     if not len(temperature):

@@ -5,20 +5,20 @@
                  and Friedman, The Elements of Statistical Learning, 2nd ed., 5.2.1)
 
 The order is chosen by leaving out whole temperatures, never single values, because values at one temperature have common errors. The
-one-standard-error rule takes the simplest curve whose held-out error is within one standard error of the smallest (the same book, 7.10.1).
-No more coefficients are tried than half of the temperatures: with few temperatures, one of many curves fits by chance.
+one-standard-error rule takes the simplest curve whose held-out error is within one standard error of the smallest (the same book,
+7.10.1). No more coefficients are tried than half of the temperatures: with few temperatures, one of many curves fits by chance.
 
 If the data select the order, the usual interval is too narrow, because terms of about one standard deviation that were not selected are
-missing. The uncertainty of a selected curve is therefore that of the highest order tried, which does not depend on the selection; its
-distance from that curve is added as an uncorrected systematic error (JCGM 100:2008, F.2.4.5).
+missing. The uncertainty of a selected curve is therefore that of the curve of the highest order tried, which does not depend on the
+selection. The distance between both curves is added as an uncorrected systematic error (JCGM 100:2008, F.2.4.5).
 
-The noise of values may be correlated over time, by flicker that the bench declares. Values and columns are then whitened by its covariance,
-and held-out errors are those of whitened values.
+The noise of values may be correlated over time, by flicker that the bench declares. Values and columns are then whitened by its
+covariance, and held-out errors are those of whitened values.
 
 Beside the curve, further columns may be fitted, such as those of the difference between rising and falling temperature (`branches`).
-Ramps differ from one another by more than noise: each has an offset and a slope of random size, whose variances come from the reduction of
-the sum of squares by separate ones (Henderson's method 3: Searle, Casella and McCulloch, Variance Components, 5.5) and are part of all
-uncertainties.
+Ramps differ from one another by more than noise: each ramp has an offset and a slope of random size. Their variances are part of all
+uncertainties. They are estimated from the decrease of the sum of squares when every ramp has its own offset and slope in the fit
+(Henderson's method 3: Searle, Casella and McCulloch, Variance Components, 5.5).
 """
 
 from __future__ import annotations
@@ -69,10 +69,11 @@ def curve(form: str, order: int, reference: float, temperatures: Array) -> Curve
 
 
 def natural_spline(knots: Array, at: Array) -> Array:
-    """Values of a natural cubic spline at `at` (n,) from its values at `knots` (k,): a matrix (n, k). Two knots make a straight line.
+    """The matrix (n, k) that converts the values of a natural cubic spline at `knots` (k,) to its values at `at` (n,). Two knots make a
+    straight line.
 
-    With h the distances of the knots and M the second derivatives there, zero at both ends, h_i·M_i + 2·(h_i + h_{i+1})·M_{i+1} +
-    h_{i+1}·M_{i+2} = 6·(difference of adjacent slopes).
+    With h_i the distances between neighbouring knots and M_i the second derivatives at the knots, zero at both ends, h_i·M_i + 2·(h_i +
+    h_{i+1})·M_{i+1} + h_{i+1}·M_{i+2} = 6·(difference of adjacent slopes).
     """
     k, h = len(knots), np.diff(knots)
     slopes = np.zeros((k - 1, k))
@@ -150,8 +151,8 @@ def fold_of(group: Integers, folds: int) -> Integers:
 def correlation_time(residuals: Sequence[Array]) -> float:
     """Factor, at least one, by which correlation between consecutive residuals increases the variance of the fit.
 
-    1 + 2·Σ r_k over the lags up to the first at which the autocorrelation r, pooled over the series, is not positive (Geyer, Statistical
-    Science 7, 1992, 473).
+    The factor is 1 + 2·Σ r_k over the lags k up to the first at which the autocorrelation r, pooled over the series, is not positive
+    (Geyer, Statistical Science 7, 1992, 473).
     """
     total = sum(float(one @ one) for one in residuals)
     longest = max((len(one) for one in residuals), default=0)

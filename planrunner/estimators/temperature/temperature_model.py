@@ -69,9 +69,9 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class HiddenDrift:
-    """A linear drift in time that the order of the temperatures hides. power: the power of the temperature whose coefficient the drift
-    affects most; growth: factor by which the standard uncertainty of this coefficient grows if the drift is fitted, infinite if drift and
-    coefficient cannot be separated."""
+    """A linear drift in time that the order of the temperatures hides. power: index of the coefficient that the drift affects most, for a
+    polynomial the power of the temperature; growth: factor by which the standard uncertainty of this coefficient grows if the drift is
+    fitted, infinite if drift and coefficient cannot be separated."""
 
     power: int
     growth: float

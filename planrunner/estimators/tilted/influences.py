@@ -67,8 +67,8 @@ class Situation:
 
 @dataclass(frozen=True, slots=True)
 class Rounding:
-    """Rounding error in the means of one output. share: in counts' rounding errors, 1 if the means have the rounding error of one count
-    and less if it averages out; in_scatter: whether the samples vary, so that their scatter includes the rounding error."""
+    """Rounding error in the means of one output. share: rounding error of a mean divided by that of a single sample, 1 if the rounding
+    does not average out; in_scatter: whether the samples vary, so that their scatter includes the rounding error."""
 
     share: float
     in_scatter: bool

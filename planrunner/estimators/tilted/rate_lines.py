@@ -1,8 +1,9 @@
 """Straight lines through series of rates, many at once: F_j = K·x_j + F_0 + ν_j by ordinary least squares.
 
-Also the two half-lines that meet at zero rate, for asymmetry, and the change of output between the lowest rates.
+The module also fits the two half-lines that meet at zero rate, for the asymmetry, and computes the change of output between the lowest
+rates.
 
-Units of a scale factor: an output over a rate.
+It also gives the units of a scale factor, which is an output divided by a rate.
 """
 
 from __future__ import annotations

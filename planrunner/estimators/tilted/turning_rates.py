@@ -1,7 +1,7 @@
 """Mean input of the axes of a fixture over each segment, including the Earth's rotation, in the fixture's frame.
 
-Recording begins at the angle that the table reaches by spin-up and settling: half of rate × spin-up time, because its acceleration is
-constant, plus rate × settling time. For whole turns the initial angle makes no difference.
+Recording begins at the angle through which the table turns during spin-up and settling: half of rate × spin-up time (the acceleration is
+constant), plus rate × settling time. For whole turns the initial angle makes no difference.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ def expected_loss(rivals: Sequence[Rival], information: Array) -> Array:
 def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
     """Expected probability of the true rival among all, after measurements with the given information (P, P).
 
-    The log evidence is assumed to be normal with expectation D and variance 2D, as for two known signals.
+    The log evidence is assumed to be normal with the expectation D of `expected_evidence` and the variance 2D, as for two known signals.
     """
     return float(_averaged(rivals, expected_evidence(rivals, information), lambda odds: 1 / (1 + odds)))
 

@@ -1,8 +1,8 @@
 """What to measure next: the segments that a bench can execute and that separate the remaining explanations in the shortest time.
 
 The choice is greedy: the next segment is the one with the most expected evidence per second of test time, including moves and temperature
-changes. It ends when the true explanation is expected to be identified, or when nothing helps. For comparison, repeating the recorded
-segments is evaluated in the same way.
+changes. The search ends when the true explanation is expected to be identified, or when nothing helps. For comparison, repeating the
+recorded segments is evaluated in the same way.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Instruments that a bench lacks and that could separate explanations when its own segments cannot.
 
-They are evaluated like segments.
+Such an instrument is evaluated in the same way as a further segment.
 
-Effects of the table and the site act on every instrument on the table. Effects of the sensor and of its data act only on the
-sensor.
+Effects of the table and the site act on every instrument on the table. Effects of the sensor under test and of its data do not act on
+other instruments.
 """
 
 from __future__ import annotations

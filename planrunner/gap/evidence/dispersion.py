@@ -1,11 +1,11 @@
 """Dispersion: the ratio of the residuals to the noise, if a test shows that noise alone does not explain the residuals.
 
-If no explanation leaves only noise, differences of evidence are too large by the ratio χ²/ν of the residuals. The reason is that
-all samples repeat the same errors of the explanation, as if they were independent. Evidence is then computed with the noise
-enlarged by that ratio. This is the dispersion of quasi-likelihood (McCullagh and Nelder, Generalized Linear Models, 1989, section
-4.5), in metrology the squared Birge ratio (Birge, Physical Review 40, 1932), and corresponds to a likelihood raised to the power
-ν/χ² (Miller and Dunson, Journal of the American Statistical Association 114, 2019). If chance explains the ratio, it is set to 1,
-so that evidence without misfit does not change.
+If no explanation leaves only noise, differences of evidence are too large by the ratio χ²/ν of the residuals. The reason is that all
+samples contain the same errors of the explanation, but count as independent. Evidence is then computed with the noise enlarged by that
+ratio. This is the dispersion of quasi-likelihood (McCullagh and Nelder, Generalized Linear Models, 1989, section 4.5), in metrology the
+squared Birge ratio (Birge, Physical Review 40, 1932), and corresponds to a likelihood raised to the power ν/χ² (Miller and Dunson,
+Journal of the American Statistical Association 114, 2019). If chance explains the ratio, it is set to 1, so that evidence without misfit
+does not change.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Stretches of repeated samples: where outputs keep one value for longer than their noise allows.
 
 White noise repeats a count with a probability r, so that the number of equal samples is geometric: P(L) = (1 − r)·r^(L−1). r is the share
-of the samples of a segment that repeat the one before, without the longest run. A stuck stretch may have any length, equally likely in its
-logarithm. The evidence compares both, with one stretch expected in the recording. Real noise is correlated, so √r stands for r. Channels
-with coarse counts are not used, because their noise stays within a count for long. Means over bins do not show repeated samples.
+of the samples of a segment that repeat the one before, without the longest run. A stuck stretch may have any length, equally likely in
+its logarithm. The evidence compares stuck stretches with the repeats of white noise; one stuck stretch is expected in the recording. Real
+noise is correlated, so √r is used instead of r. Channels with coarse counts are not used, because their noise stays within a count for
+long. Means over bins do not show repeated samples.
 """
 
 from __future__ import annotations
