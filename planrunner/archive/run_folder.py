@@ -124,13 +124,13 @@ class RunWriter:
     ) -> RunWriter:
         """Makes a new run folder in `root`, which is created if it does not exist.
 
-        identity: the last part of its name, hexadecimal digits; random by default. A caller states it in order to find the folder
-        again, even if it is killed.
+        identity: the last part of the folder's name, hexadecimal digits; random by default. A caller that states it can find the folder
+        even if this process is killed.
 
         info: JSON data given with the run (device serial, operator, ambient …). approvals: content of approvals.json, if the bench
-        requires approvals. check_standard: state of the check standard of the bench, if it has one. parameters: values that were
-        given for parameters of the plan. If the folder has a log, the run is entered as begun. Raises `InputError` if the folder
-        cannot be written, and `IntegrityError` for a log that was changed.
+        requires approvals. check_standard: state of the check standard of the bench, if it has one. parameters: values that were given
+        for parameters of the plan. If the folder has a log, the run is entered as begun. Raises `InputError` if the folder cannot be
+        written, and `IntegrityError` for a log that was changed.
         """
         storage = storage or Storage(durability)
         now = datetime.now(UTC)

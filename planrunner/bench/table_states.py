@@ -73,8 +73,8 @@ class TableState:
     def ended(
         self, axes: Sequence[TableAxis], joint: int, angle: float, misses: tuple[float, float], stopping: float
     ) -> TableState:
-        """The state after a motion that turns a joint by `angle` [rad]. misses: possible deviations of its end [rad], negative and
-        positive."""
+        """The state after a motion that turns a joint by `angle` [rad]. misses: possible deviations of the angle [rad] at the end of the
+        motion, negative and positive."""
         turn = np.zeros(len(self.joints))
         turn[joint] = angle
         low, high = list(self.below or (0.0,) * len(axes)), list(self.above or (0.0,) * len(axes))

@@ -181,9 +181,10 @@ def combined(estimate: Estimate) -> Estimate:
 def coarse_counts(
     segments: Sequence[RecordedSegment], channels: Collection[str], sensor: SensorModel
 ) -> tuple[Said, ...]:
-    """A warning for each of these channels (by default each output of the sensor) whose noise does not dither the counts in some segment.
+    """A warning for each channel whose noise does not dither the counts in some segment. channels: the channels to check; all outputs of
+    the sensor if empty.
 
-    Equal inputs then have equal rounding errors, so neither the noise within the segments nor the scatter of repeats shows them.
+    Equal inputs then have equal rounding errors, so neither the noise within the segments nor the scatter of repeats shows these errors.
     """
     found = []
     for output in sensor.outputs:

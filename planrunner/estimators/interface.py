@@ -155,8 +155,8 @@ class EstimateRequest(Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class DesignRequest(Generic[P]):
-    """The request before anything is recorded. If `detection` is given, the spans are not known yet. `uses` holds the designs of the
-    estimates that this one uses."""
+    """The request before anything is recorded. If `detection` is given, the spans are not known yet. uses: designs of the estimates that
+    the requested estimate uses, by their names in the plan."""
 
     name: str
     segments: tuple[Segment, ...]

@@ -205,9 +205,9 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class SummaryChannels:
-    """The meaning of the channels of a summary. In a summary, one sample stands for a whole segment: its channels are means, and
-    the channels named here state their scatter. deviations: channel → channel of the standard deviation of its samples, which count
-    as independent. count: channel of the number of samples; seconds: of the duration."""
+    """The meaning of the channels of a summary. In a summary, one sample stands for a whole segment: its channels are means, and the
+    channels named here state their scatter. deviations: channel → channel of the standard deviation of its samples, which count as
+    independent. count: channel of the number of samples; seconds: channel of the duration."""
 
     deviations: Mapping[str, str]
     count: str

@@ -129,10 +129,11 @@ class NoiseModel:
     def chance_of_no_change(self, seconds: float, rate_hz: float) -> float:
         """Upper bound of the probability that all samples of a constant input over `seconds` at `rate_hz` are equal.
 
-        Without carried remainders, the probability is largest for a mean in the middle of a count. With them, the sum of the noise, a
-        random walk that starts anywhere in a count, must stay within the count: exp(−π²·n·σ²/(2·a²)) after n steps of σ between walls a
-        apart bounds the series of H. S. Carslaw and J. C. Jaeger, Conduction of Heat in Solids, 3.3; walls that are checked only once per
-        step act as if 2·0.5826·σ farther apart (D. Siegmund, Sequential Analysis, 10.2).
+        Without carried remainders, the probability is largest for a mean in the middle of a count. With carried remainders, the sum of
+        the noise is a random walk that starts anywhere in a count, and it must stay within the count. The probability that a walk of n
+        steps of σ stays between walls at the distance a is at most exp(−π²·n·σ²/(2·a²)), from the series of H. S. Carslaw and J. C.
+        Jaeger, Conduction of Heat in Solids, 3.3. The walls are checked only once per step, so a is larger than the count by 2·0.5826·σ
+        (D. Siegmund, Sequential Analysis, 10.2).
         """
         if self.resolution == 0 or self.white == 0:
             return 0.0 if self.white else 1.0
@@ -179,7 +180,7 @@ class SensorModel:
     nominal_supply: float = NOMINAL_SUPPLY
 
     def rate_refused(self, asked: float | None) -> str:
-        """The reason why it cannot be sampled at `asked` Hz; empty if it can, or if no rate is requested."""
+        """The reason why the sensor cannot be sampled at `asked` Hz; empty if it can, or if no rate is requested."""
         return rate_refused(asked, self.sample_rate, self.one_rate)
 
     def output(self, name: str) -> OutputModel | None:

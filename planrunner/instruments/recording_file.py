@@ -73,7 +73,7 @@ class RecordingFile(Protocol):
         """The rows and bytes that were skipped, in words. They are known after a pass over all rows."""
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Every row unchanged, in batches: number of the first, counted from 1; times [s], which may be missing or decrease;
+        """Every row unchanged, in batches: number of the first row, counted from 1; times [s], which may be missing or decrease;
         channels. Raises `InstrumentError` if the file cannot be read."""
 
 

@@ -3,13 +3,13 @@
 Samples are read in pieces of fixed size from the segment's beginning, so that the findings do not depend on the division into blocks,
 and memory does not grow with the data. A piece needs only a few sums. Only a piece with a large change between neighbours is examined.
 
-*Spikes and bursts.* A sample is an outlier if it lies more than g scale estimates from the median of the samples around it: the
-identifier of Hampel (1985), with g chosen for the number of samples as by Davies and Gather, "The Identification of Multiple Outliers",
-J. Am. Stat. Assoc. 88 (1993) 782-792: a white Gaussian sample exceeds it with the probability `CHANCE`. The local median follows motion,
-so that a turning or rocking sensor is compared with its own course. The scale is the median absolute deviation from that course
-(Rousseeuw and Croux, "Alternatives to the Median Absolute Deviation", ibid. 1273-1283, for why it is not used alone): it vanishes where
-more than half of the samples have one value, so it is never less than a trimmed mean of the deviations, half a count, or a part of the
-usual change from sample to sample.
+*Spikes and bursts.* A sample is an outlier if it lies more than g scale estimates from the median of the samples around it (the identifier
+of Hampel, 1985). The factor g is chosen for the number of samples so that a white Gaussian sample is an outlier with the probability
+`CHANCE` (Davies and Gather, "The Identification of Multiple Outliers", J. Am. Stat. Assoc. 88 (1993) 782-792). The local median follows
+motion, so that a turning or rocking sensor is compared with its own course. The scale is the median absolute deviation from that course
+(Rousseeuw and Croux, "Alternatives to the Median Absolute Deviation", ibid. 1273-1283). This deviation vanishes where more than half of
+the samples have one value. The scale is therefore never less than a trimmed mean of the deviations, half a count, or a part of the usual
+change from sample to sample.
 
 *Stuck.* Runs of equal samples are compared with the other runs of the same segment: a stretch is stuck if it is more than `RUN` times as
 long as 99 % of them, and if noise as large as that of the segment would leave the count in which it stands. Coarse counts, in which the

@@ -71,7 +71,7 @@ class _Anchored:
 
 
 def variant_name(plan: str, parameters: Mapping[str, str]) -> str:
-    """The name of the plan in the archive if it runs with these values. Values of different plans do not belong in one history. It
+    """The name of the plan in the archive if it runs with these values. Values of different plans do not belong in one history. The name
     does not depend on the order in which the values were given."""
     if not parameters:
         return plan

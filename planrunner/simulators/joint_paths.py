@@ -46,8 +46,8 @@ class Glide:
 
 @dataclass(frozen=True, slots=True)
 class Swing:
-    """A sine about `centre` whose amplitude [rad] fades from one value to another in the first period. zero: s, when its phase was
-    `phase` [rad]; frequency: Hz."""
+    """A sine about `centre` whose amplitude [rad] fades from one value to another in the first period. zero: s, time at which the phase
+    was `phase` [rad]; frequency: Hz."""
 
     begin: float
     centre: float
@@ -150,7 +150,8 @@ class Path:
         return path.then(start, (up, level, slow, rest), rest.begin)
 
     def swing(self, now: float, amplitude: float, frequency: float, phase: float, zero: float, about: float) -> Path:
-        """Starts a sine about an angle. A change of only its amplitude fades; any other change begins from rest."""
+        """Starts a sine about an angle. If only the amplitude of a present sine changes, it changes gradually. Any other change begins
+        from rest."""
         piece = self.current(now)
         same = isinstance(piece, Swing) and (piece.frequency, piece.phase, piece.zero) == (frequency, phase, zero)
         before = piece.amplitude if isinstance(piece, Swing) and same else 0.0

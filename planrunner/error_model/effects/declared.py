@@ -141,7 +141,8 @@ class TableSenseReversed:
 
 
 class MountTurned:
-    """The sensor is mounted in another orientation: turned by a rotation vector in its own axes, which need not be small."""
+    """The sensor is mounted in another orientation than declared. The amplitudes are the components of a rotation vector in sensor axes;
+    the rotation need not be small."""
 
     id, stage, hypothesis = "mount_turned", "stimulus", False
     of_declaration: Literal[True] = True

@@ -316,7 +316,8 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
 
 
 def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
-    """Parts of a column that changes the rate sensed by the gyros by `omega` (N, 3). Their fitted response is used if it is known."""
+    """Parts of a column that changes the rate sensed by the gyros by `omega` (N, 3). The fitted response of the gyros is used if it is
+    known."""
     gyros = observed.of_kind("gyro")
     if observed.response is None:
         return {index: observed.seen(index, omega) for index in gyros}

@@ -1,9 +1,9 @@
 """Errors of a navigation relative to the true position, collected knot by knot, and the usual performance figures.
 
-Position errors are arcs on the ellipsoid between the navigated and the true position. The radial error rate of a run is the slope of
-the straight line through the origin that fits radial error over time by least squares. The CEP rate of one run is √(ln 2) = 0.8326
-times this slope. This is the median of the radial error if its two components are normal with equal variances and zero mean (Titterton
-and Weston, "Strapdown Inertial Navigation Technology", 2nd ed., appendix B). For several runs, √(ln 2) times the root mean square has
+Position errors are arcs on the ellipsoid between the navigated and the true position. The radial error rate of a run is the slope of the
+straight line through the origin that fits radial error over time by least squares. The CEP rate of one run is √(ln 2) = 0.8326 times this
+slope. This is the median of the radial error if its two components are normal with equal variances and zero mean (Titterton and Weston,
+"Strapdown Inertial Navigation Technology", 2nd ed., appendix B). For several runs, √(ln 2) times the root mean square of their slopes has
 the same meaning.
 """
 

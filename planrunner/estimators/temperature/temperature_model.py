@@ -53,8 +53,8 @@ _WIDEST = 150.0  # K; a width written in degC comes out larger
 
 @dataclass(frozen=True)
 class Loop:
-    """Differences between rising and falling temperature. celsius: (n,), degC; width, uncertainty, freedom: (n,), rising minus falling,
-    in the value's unit."""
+    """Differences between rising and falling temperature. celsius: (n,), degC. width: (n,), value at rising minus value at falling
+    temperature, in the value's unit; uncertainty, freedom: (n,), standard uncertainty of `width` and its degrees of freedom."""
 
     celsius: Array
     width: Array

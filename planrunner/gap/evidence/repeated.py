@@ -31,8 +31,8 @@ class RepeatedStretch:
 
 @dataclass(frozen=True)
 class Repeated:
-    """log_bayes: of stuck stretches against none. stretches: the likely ones, the longest first. held: (N, K), true for the samples of
-    the stretches."""
+    """The stuck stretches of a recording. log_bayes: log BF of stuck stretches against none. stretches: the likely ones, the longest
+    first. held: (N, K), true for the samples of the stretches."""
 
     log_bayes: float
     stretches: tuple[RepeatedStretch, ...]

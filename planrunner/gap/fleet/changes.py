@@ -5,12 +5,12 @@ changes:
 
     y_r = d[device of r] + b[bench of r] + Σ_j x_j·h_j(r) + e_r,    e_r ~ N(0, c²·s_r²)
 
-A step of a device, of a bench or of all runs has h = 1 in its runs from one of them on, and 0 elsewhere; a drift has h = the days
-since its first run. The parts are fitted without priors (analysis of covariance), so a constant difference between devices or
-benches does not count as a change. The change with the smallest p-value is added to the model if its p-value, multiplied by the
-number of changes that were tried (Bonferroni), is at most `LEVEL`. This is repeated until no change qualifies. The p-value is that
-of Student's t of its amplitude (forward selection; Hawkins, Journal of the American Statistical Association 72, 1977, for the place
-of a step). c² is χ²/ν of the fit with the change, at least 1. Scatter from run to run that the s_r do not contain therefore makes
+A step of a device, of a bench or of all runs has h = 1 in its runs from one of them on, and 0 elsewhere; a drift has h = the days since
+its first run. The parts are fitted without priors (analysis of covariance), so a constant difference between devices or benches does not
+count as a change. The change with the smallest p-value is added to the model if its p-value, multiplied by the number of changes that
+were tried (Bonferroni), is at most `LEVEL`. This is repeated until no change qualifies. The p-value of a change is that of Student's t
+test of the amplitude x_j of the change (forward selection; Hawkins, Journal of the American Statistical Association 72, 1977, for the
+place of a step). c² is χ²/ν of the fit with the change, at least 1. Scatter from run to run that the s_r do not contain therefore makes
 changes less significant, never more. A drift is preferred to a step only if it has the smaller p-value.
 """
 

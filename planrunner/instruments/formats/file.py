@@ -182,7 +182,7 @@ class FormatFile(ABC, Generic[Keys]):
                 return
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Every row unchanged, in batches: number of the first, counted from 1; times [s], which may be missing or decrease;
+        """Every row unchanged, in batches: number of the first row, counted from 1; times [s], which may be missing or decrease;
         channels. Raises `InstrumentError` if the file cannot be read."""
         for first, rows, time in self._timed(EVERYTHING):
             yield first, time, {name: rows.numbers(column) for name, column in self.channels.items()}

@@ -1,7 +1,7 @@
 """Single-axis tables of Ideal Aerosmith in their table language ATL, over a serial line. Experimental.
 
 Written from open-source drivers only. A command is a mnemonic with a number; the reply is a line and a prompt. Jogging and rocking reply
-only when they end, and this driver does not wait for that. These sources mention no limit that stops the table.
+only when they end, and this driver does not wait for that. The open-source drivers mention no limit that stops the table.
 """
 
 from __future__ import annotations

@@ -329,7 +329,8 @@ def _monitors(parameters: VirtualImuParameters) -> list[OutputModel]:
 
 
 def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
-    """Angle [rad] and rate [rad/s] of the table about the axis of the segment's motion, since the orientation was reached, (n,) each.
+    """Angle [rad] through which the table has turned about the axis of the segment's motion since the orientation was reached, and its
+    rate [rad/s], (n,) each.
 
     Rocking is included if only the outermost axis rocks.
     """

@@ -77,8 +77,8 @@ class Element:
     def follow(
         self, world: World, times: Array, step: float, base: Array, law: DriftLaw, draw: np.random.Generator
     ) -> tuple[Array, Element]:
-        """Its axes as rows in East-North-Up at `times`, `step` s apart beginning at `at`, shape (n, 3, 3), and the element after
-        these times.
+        """The element's axes as rows in East-North-Up at `times`, `step` s apart beginning at `at`, shape (n, 3, 3), and the element
+        after these times.
 
         base: (n, 3, 3), the base's axes at the same times.
         """

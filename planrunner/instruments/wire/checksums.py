@@ -51,8 +51,9 @@ class Checksum:
         return rows
 
     def by_position(self, length: int, padding: int = 0) -> tuple[NDArray[np.uint32], int]:
-        """Tables for a CRC of exactly `length` bytes followed by `padding` zero bytes. The CRC is the exclusive-or of the second
-        result and of row k of the first, (length, 256), at each byte k, because a division of polynomials is linear."""
+        """Tables for a CRC of exactly `length` bytes followed by `padding` zero bytes. Returns a table (length, 256) and a constant. The
+        CRC is the exclusive-or of the constant and of one entry for each byte: the entry in row k whose index is the value of byte k.
+        This holds because a division of polynomials is linear."""
         rows = np.zeros((length, 256), np.uint32)
         lowest, initial = self.tables[0], np.array([(self.initial << (32 - self.width)) & _ALL], np.uint32)
         registers = lowest
