@@ -55,7 +55,8 @@ class Round:
 
 @dataclass(frozen=True, slots=True)
 class FoundCycle:
-    """Result of the searches. cycle: the best cycle with zero residual, or None; rounds: the searches; the last one was successful."""
+    """Result of the searches. cycle: the best cycle with zero residual, or None; rounds: the searches in order; if a cycle was found, the
+    last search found it."""
 
     cycle: RotationCycle | None
     rounds: tuple[Round, ...]
@@ -63,8 +64,8 @@ class FoundCycle:
 
 @dataclass(frozen=True, slots=True)
 class StudiedCycle:
-    """A cycle of the study. cycle: in the plan's sense; moves: as a plan writes them; drive: growth of the Schuler oscillation
-    relative to the oscillation without rotation."""
+    """A cycle of the study. cycle: with the same positive sense of angles as the plan; moves: as a plan writes them; drive: growth of the
+    Schuler oscillation relative to the oscillation without rotation."""
 
     cycle: RotationCycle
     moves: tuple[str, ...]

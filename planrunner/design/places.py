@@ -211,8 +211,8 @@ def reachable(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float
 
 
 def quick_order(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float) -> list[int]:
-    """A short order of the attitudes for the table: the nearest next attitude each time, then exchanges of two as long as they
-    shorten the path."""
+    """An order of the attitudes that gives the table a short path: the nearest next attitude each time, then exchanges of two as long as
+    they shorten the path."""
 
     def travel(order: Sequence[int]) -> float:
         joints, total = np.zeros(len(axes)), 0.0

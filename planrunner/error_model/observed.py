@@ -348,7 +348,7 @@ class Observed:
 
     @cached_property
     def table_axis(self) -> Array:
-        """The axis about which the table turns in sensor axes, (N, 3): fixed within a segment."""
+        """Direction, in sensor axes, of the axis about which the table turns, (N, 3); constant within a segment."""
         felt: Array = np.einsum("sij,sj->si", self.attitude, self.turning)[self.owner]
         return felt
 
@@ -361,7 +361,7 @@ class Observed:
 
     @cached_property
     def force(self) -> Array:
-        """Nominal specific force in sensor axes on the axis of rotation, (N, 3), m/s²."""
+        """Nominal specific force in sensor axes, (N, 3), m/s², for a sensor on the axis of rotation."""
         if self.felt is not None:
             return self.felt[1]
         return self._by_course(self.in_sensor_axes(self.site.specific_force_enu), lambda course: course.force)

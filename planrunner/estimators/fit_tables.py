@@ -23,7 +23,7 @@ def mean_and_residual(observations: Observations, fit: OutputsFit, output: int) 
 
 
 def residual_table(title: str, observed: str, observations: Observations, fit: OutputsFit) -> Table:
-    """Means, residuals and each mean's uncertainty from its own segment. observed: name of a row, such as `position`."""
+    """Means, residuals, and the uncertainty of each mean from the noise within its segment. observed: name of a row, such as `position`."""
     columns: list[FilledColumn] = [(TableColumn(observed), observations.labels)]
     for k, (name, unit) in enumerate(zip(observations.channels, observations.units, strict=True)):
         within = TableColumn(f"{name} u within segment", Role.STANDARD_UNCERTAINTY, unit)

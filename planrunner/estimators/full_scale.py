@@ -114,8 +114,7 @@ def shares_by_name(segments: Sequence[Segment], mounting: Mapping[str, MountedAx
 
 
 def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]) -> Array:
-    """The fraction of the rate along input axes that are given in the sensor's frame, (3,) each; the fraction is one for the axis
-    None."""
+    """The fraction of the rate along input axes that are given in the sensor's frame, (3,) each; the fraction is one if an axis is None."""
     shares = np.zeros((len(segments), len(directions)))
     for row, segment in enumerate(segments):
         about = _axis(segment.motion)

@@ -63,7 +63,7 @@ def coarse(rate: Array, force: Array) -> Array:
 
 
 class FineAlignment:
-    """The filter. It takes velocities knot by knot and gives the attitude at the end."""
+    """The Kalman filter of the fine alignment. It takes velocities knot by knot and gives the attitude at the end."""
 
     def __init__(
         self,

@@ -71,8 +71,8 @@ def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> A
 
 
 def mixed(spread: Array, roots: Array) -> Array:
-    """Covariance (…, n, n) of outputs' observations: noise of standard uncertainty `spread` (…, n), and the contribution of the effects by
-    `roots` (…, n, r)."""
+    """Covariance (…, n, n) of outputs' observations: noise of standard uncertainty `spread` (…, n), and the contribution of the effects,
+    from `roots` (…, n, r)."""
     covariance = np.asarray(roots @ roots.swapaxes(-1, -2))
     i = np.arange(spread.shape[-1])
     variances = covariance[..., i, i] + spread**2

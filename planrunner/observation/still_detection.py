@@ -72,7 +72,8 @@ _CHANNELS = "name the accelerometers of the sensor under `channels` of `segments
 
 
 def detection_limits(detection: Detection, units: Mapping[str, str], what: str) -> Array:
-    """The threshold in the unit of each channel, shape (k,). units: those of the channels of `what`. Raises `EstimationError`."""
+    """The threshold in the unit of each channel, shape (k,). units: units of the recorded channels; what: name of the recording, for
+    messages. Raises `EstimationError`."""
     limits = []
     for channel in detection.channels:
         if channel not in units:

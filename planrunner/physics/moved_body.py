@@ -112,5 +112,5 @@ def rates_of(time: Array, attitude: Array) -> Array:
 
 
 def slope(time: Array, values: Array) -> Array:
-    """Differences over the neighbours of each sample, (n, …), per second."""
+    """Time derivative, (n, …), of values (n, …), from the neighbours of each sample (`numpy.gradient`)."""
     return np.asarray(np.gradient(values, time, axis=0))

@@ -76,7 +76,8 @@ def spin_excess(
 
 
 def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | None, motion: Rock) -> list[Excess]:
-    """Requirements beyond the limits of the rings, for rocking about `joints` [rad]; None if these angles are unknown."""
+    """Requirements beyond the limits of the rings, for a rocking motion. joints: rad, the angles about which the rings rock; None if
+    unknown."""
     found: list[Excess] = []
     if len(motion.phases) > len(axes):
         found.append(Excess("rings", f"{len(motion.phases)} rings are planned to rock, but the table has {len(axes)}"))
@@ -97,7 +98,7 @@ def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | Non
 
 
 def cycle_excess(axis: TableAxis, start: float | None, motion: Cycle) -> list[Excess]:
-    """Requirements beyond the limits of the axis for a cycle that begins with the joint at `start` [rad]; None if this angle is unknown."""
+    """Requirements beyond the limits of the axis for a cycle. start: rad, angle of the joint when the cycle begins; None if unknown."""
     found = _beyond(axis, "turning", motion.rate)
     low, high = RotationCycle.of(motion, axis.max_acceleration).reach
     if high - low > axis.highest - axis.lowest + SLACK:

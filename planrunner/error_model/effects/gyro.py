@@ -101,7 +101,7 @@ class GyroGSensitivity:
 
 
 class GyroG2Sensitivity:
-    """Output + K·[f_x², f_y², f_z², f_x·f_y, f_y·f_z, f_z·f_x], K a 3×6 matrix (anisoelasticity)."""
+    """Output + K·[f_x², f_y², f_z², f_x·f_y, f_y·f_z, f_z·f_x], f the specific force in sensor axes, K a 3×6 matrix (anisoelasticity)."""
 
     id, stage = "gyro_g2_sensitivity", "sensor"
     about = About(

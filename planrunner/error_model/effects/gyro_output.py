@@ -56,7 +56,7 @@ def lagging(observed: Observed, tau: float) -> Array:
 
 
 class GyroAxisDelay:
-    """Each gyro has its own delay, negative if it is early. Its output is the output for an earlier rate."""
+    """Each gyro has its own delay: its output at a moment is the output for an earlier rate. The delay is negative if the gyro is early."""
 
     id, stage = "gyro_axis_delay", "acquisition"
     about = About(

@@ -11,7 +11,7 @@ from planrunner.error_model.observed import Observed
 
 
 class SamplesStuck:
-    """Outputs that keep the value of one sample, with its noise, from a time since power-on on."""
+    """Outputs that keep the value of one sample, including its noise. They are stuck from a moment on, which is a time since power-on."""
 
     id, stage, noise, shape_name, shape_unit = "samples_stuck", "covariance", "stuck", "time", "s"
     about = About(
@@ -26,7 +26,8 @@ class SamplesStuck:
 
 
 def sticking(time: Array, values: Array, begin: float, lasting: float, before: float) -> Array:
-    """Values (n,) at times (n,), s, that keep the last one before `begin` for `lasting` s. before: the value before the first of them."""
+    """Values (n,) at times (n,), s, of which those from `begin` on repeat, for `lasting` s, the last value before `begin`. before: the
+    value before the first of `values`."""
     inside = np.flatnonzero((time >= begin) & (time < begin + lasting))
     if not len(inside):
         return values

@@ -226,7 +226,7 @@ class DependsOnPast(HasShape, Protocol):
 
 @runtime_checkable
 class InEveryWorld(Effect, Protocol):
-    """An effect that every simulated world contains: the share 1 changes nothing, and the share 0 removes it."""
+    """An effect that every simulated world contains. It has a share as parameter: 1 changes nothing, 0 removes the effect."""
 
     in_every_world: Literal[True]
 

@@ -42,12 +42,12 @@ def _about(triad: str) -> About:
 
 
 class GyroBiasGaussMarkov(_GaussMarkov):
-    """Bias of each gyro with the covariance σ²·exp(−|t − t'|/τ)."""
+    """A change of the bias of each gyro over time, at random, with the covariance σ²·exp(−|t − t'|/τ)."""
 
     id, about = "gyro_bias_gauss_markov", _about("gyro")
 
 
 class AccelBiasGaussMarkov(_GaussMarkov):
-    """Bias of each accelerometer with the covariance σ²·exp(−|t − t'|/τ)."""
+    """A change of the bias of each accelerometer over time, at random, with the covariance σ²·exp(−|t − t'|/τ)."""
 
     id, of_accelerometers, about = "accel_bias_gauss_markov", True, _about("accelerometer")

@@ -85,7 +85,7 @@ class _OfSurroundings:
 
 
 class _Bias(_OfSurroundings):
-    """Bias + c·excess per axis, the excess of supply voltage or pressure over its nominal value."""
+    """Bias + c·e per axis, where e is the excess of the supply voltage or the pressure over its nominal value."""
 
     @property
     def shown_by(self) -> str:
@@ -100,7 +100,7 @@ class _Bias(_OfSurroundings):
 
 
 class _ScaleFactor(_OfSurroundings):
-    """Scale factor × (1 + k·excess) per axis, the excess of supply voltage or pressure over its nominal value."""
+    """Scale factor × (1 + k·e) per axis, where e is the excess of the supply voltage or the pressure over its nominal value."""
 
     @property
     def shown_by(self) -> str:

@@ -105,7 +105,7 @@ class TablePositionError:
 
 
 class TableRateRipple:
-    """Rate × (1 + a·cos(nθ + φ)), n = 1 or 2 per turn, which the encoder does not show."""
+    """Rate × (1 + a·cos(nθ + φ)), n = 1 or 2 per turn: a ripple that the encoder does not show."""
 
     id, stage, shape_name, shape_unit = "table_rate_ripple", "stimulus", "n", "per turn"
     about = About(

@@ -133,8 +133,8 @@ def named_units(dimension: Dimension) -> Mapping[str, str] | None:
 
 
 def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
-    """For each of Q, N, B and K, the text of its unit and the factor to it from the output's unit times s, √s, 1 and 1/√s. Raises
-    `EstimationError`."""
+    """For each of Q, N, B and K, the unit in which the coefficient is reported, and the factor that converts it to this unit from the
+    output's unit times s (Q), √s (N), 1 (B) or 1/√s (K). Raises `EstimationError`."""
     try:
         own = unit(output)
     except UnknownUnitError as error:

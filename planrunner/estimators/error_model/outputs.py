@@ -179,7 +179,7 @@ def changes_within(one: OutputErrors) -> bool:
 
 
 def with_shape(group: Together, k: int, part: EffectPart) -> Together:
-    """This group with another shape of an effect in its k-th output."""
+    """The group with another shape of an effect in its k-th output."""
     old = group.outputs[k]
     errors = replace(old.errors, chosen=tuple(part if one.effect is part.effect else one for one in old.errors.chosen))
     (columns,) = replace(group.model, outputs=(errors,)).of_outputs()

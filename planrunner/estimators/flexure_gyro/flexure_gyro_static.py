@@ -192,7 +192,7 @@ def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) ->
 
 
 def local_magnitudes(model: ErrorModel, site: Site) -> Array:
-    """Sizes of the columns at the site, (p,): its Earth rate and its gravity. With these, determinants can be compared between sites."""
+    """Sizes of the columns, (p,), from the Earth rate and gravity at the site. With these, determinants can be compared between sites."""
     sizes = {0: 1.0, 1: site.gravity, 2: site.gravity**2}
     return np.array([site.earth_rate if term.unit == "rad/s" else sizes[term.degree] for term in model.terms])
 

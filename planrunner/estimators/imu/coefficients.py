@@ -76,7 +76,8 @@ class Framed:
 
 @dataclass(frozen=True, slots=True)
 class ImuResults:
-    """All reported quantities, as a formula of the fitted responses, triad after triad. frame: the frame of the fit."""
+    """All reported quantities, as a formula of the fitted responses, triad after triad. frame: the fitted responses in the reported
+    frame."""
 
     frame: Framed
     quantities: tuple[Reported, ...]

@@ -40,7 +40,7 @@ class Apart:
 
 
 def likely_repeats(observed: Observed, effects: Sequence[Effect]) -> Repeated | None:
-    """The stretches of repeated samples; None if `effects` does not contain the effect "stuck", or if the recording does not show them
+    """The stretches of repeated samples; None if stuck samples are not among `effects`, or if the recording does not show such stretches
     clearly."""
     if not any(isinstance(effect, ActsOnNoise) and effect.noise == "stuck" for effect in effects):
         return None
@@ -65,8 +65,8 @@ def _of_repeats(observed: Observed, effect: str, found: Repeated) -> list[Parame
 
 
 def found_apart(weighing: Weighing, effects: Sequence[Effect], repeats: Repeated | None = None) -> Apart:
-    """The effects outside the coefficients that the recording shows. A line has a name if it is a separate cause and not a part of the
-    noise (`open_set`)."""
+    """The effects outside the coefficients that the recording shows. A line counts as an effect only if it is a separate cause and not a
+    part of the noise (`open_set`)."""
     seen, observed = outside(weighing), weighing.observed
     log_bayes, parameters, lines = {}, {}, list[Line]()
     removed = np.zeros_like(observed.values)

@@ -90,8 +90,8 @@ class FoldChoice:
 
 @dataclass(frozen=True)
 class KnownCause:
-    """A cause from the catalogue. gram (p, p) and along (p,): inner products of its held-out signatures with each other and with d;
-    mean and covariance: of its amplitudes."""
+    """A cause from the catalogue. gram: (p, p), inner products of its held-out signatures with each other; along: (p,), inner products of
+    these signatures with d; mean: (p,) and covariance: (p, p), of its amplitudes."""
 
     probability: float
     gram: Array = field(repr=False)

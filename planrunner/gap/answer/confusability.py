@@ -43,7 +43,7 @@ def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
 
 
 def beside(together: EffectSet, name: str) -> float:
-    """The fraction of the fitted energy of one effect of a set in channels on which the other effects do not act. This energy
+    """The fraction of an effect's fitted energy that lies in channels on which the other effects of the set do not act. This energy
     cannot be a form residue of the others."""
     weighed, own = together.weighed, together.columns(name)
     amplitudes, _ = weighed.amplitudes

@@ -127,7 +127,7 @@ class Layout:
         return [nominal, *(part.on(observed) for part in self.parts)]
 
     def learnt(self, listed: Sequence[Explanation], weighing: Weighing) -> tuple[list[Rival], Array]:
-        """The explanations after the recording has been taken into account, and its information (P, P)."""
+        """The explanations after the recording has been taken into account, and the information (P, P) that the recording gives."""
         information, score = self._recorded(weighing)
         starts = np.concatenate(([0], np.cumsum(self.widths)))
         rivals = []

@@ -49,7 +49,7 @@ class MenuEntry:
 
 
 def menu(recorded: Sequence[Segment], models: BenchModels) -> list[MenuEntry]:
-    """The options after recorded segments. They state a temperature only if the recorded plan does."""
+    """The options for further segments after the recorded ones. The options state a temperature only if the recorded plan does."""
     usual = float(np.median([segment.dwell for segment in recorded if segment.dwell]))
     places = _orientations(recorded, models)
     upright = list({tuple(np.round(place[:, 2], 3)): place for place in places}.values())

@@ -81,7 +81,7 @@ class Verdict:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """The effects of the cause, and those on the noise beside it."""
+        """The effects of the cause, and the effects on the noise that act in addition."""
         return self.effects + self.noise
 
     @property

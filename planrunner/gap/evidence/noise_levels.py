@@ -120,7 +120,8 @@ def _excess(
 
 
 def excess_by_channel(observed: Observed, white: Array, degrees: Array) -> Array:
-    """The log BF (K,) of more white noise than declared in one channel, against a declaration that is right or wrong."""
+    """The log BF (K,), for each channel, of more white noise than declared, compared with a declaration that is right or that has a usual
+    error."""
     found = np.full(len(observed.channels), -np.inf)
     for index, channel in enumerate(observed.channels):
         if channel.white > 0:

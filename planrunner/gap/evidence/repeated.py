@@ -22,7 +22,8 @@ _MOST = 0.3  # r above which a channel is not used: r then differs between the m
 
 @dataclass(frozen=True, slots=True)
 class RepeatedStretch:
-    """Samples of a channel that repeat the one before: the index of the first, and their number."""
+    """Consecutive samples of a channel, each equal to the sample before it. channel: index of the channel; first: index of the first of
+    these samples; count: their number."""
 
     channel: int
     first: int

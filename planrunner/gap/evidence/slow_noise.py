@@ -60,7 +60,7 @@ def random_walk(starts: Array, ends: Array) -> Array:
 
 @dataclass(frozen=True)
 class SlowMeans:
-    """Covariances (S, S) of the segments' means, of flicker and of a random walk at unit level."""
+    """Covariances of the segments' means, (S, S) each: of flicker, and of a random walk, both at unit level."""
 
     flicker: Array
     random_walk: Array

@@ -190,8 +190,8 @@ def _roots(observed: Observed) -> Array | None:
 
 
 def band_edges(half: float) -> Array:
-    """Edges (B + 1,), Hz, of the bands up to `half` the sampling rate: octaves, the upper ones divided into four; the lowest band
-    contains all lower frequencies."""
+    """Edges (B + 1,), Hz, of the frequency bands: octaves, the upper ones divided into four; the lowest band contains all lower
+    frequencies. half: half of the sampling rate, the upper edge."""
     octaves = 2.0 ** -np.arange(OCTAVES, -1, -1)
     fine = [np.linspace(low, 2 * low, 5)[1:] for low in octaves[-FINE - 1 : -1]]
     return half * np.concatenate([[0.0], octaves[: OCTAVES - FINE + 1], *fine])

@@ -371,8 +371,8 @@ class Left:
 
 
 def eigen(left: Left, design: Array | Rows) -> Eigen:
-    """Eigenvalues and squared scores of a design: columns (M, P), or rows (M,) that are each a separate column. Empty if the design has
-    no visible part."""
+    """Eigenvalues and squared scores of a design. design: columns (M, P), or a mask (M,) of rows, each of which is a separate column.
+    Empty if the design has no visible part."""
     if design.ndim == 1:
         return _of_rows(left, np.flatnonzero(np.logical_and(design, left.rows)))
     columns = np.asarray(design[:, design.any(axis=0)], dtype=float)

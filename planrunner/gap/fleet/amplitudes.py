@@ -48,8 +48,8 @@ class AmplitudeEstimate:
 def amplitudes(
     weighing: Weighing, nominal: Sequence[str], effects: Sequence[tuple[Effect, float | None]]
 ) -> list[AmplitudeEstimate]:
-    """The amplitudes that a run determines. nominal: the terms of the nominal simulation; effects: in addition to them, each with its
-    shape, None for an effect without one."""
+    """The amplitudes that a run determines. nominal: the terms of the nominal simulation; effects: further effects, each with the value
+    of its shape, or None if it has no shape."""
     observed = weighing.observed
     listed = [(key, column) for key, column in zip(_terms(observed, nominal), weighing.nominal_columns, strict=True)]
     orientations = tuple(dict.fromkeys(map(orientation_key, observed.attitude)))

@@ -285,7 +285,8 @@ class Weighing:
 
     @cached_property
     def likeliest(self) -> tuple[int, ...]:
-        """The most probable settings without a random walk of the gyros, and with it if it is a hypothesis."""
+        """The most probable setting without a random walk of the gyros, and, if a random walk is a hypothesis, the most probable setting
+        with it."""
         return tuple(int(np.argmax(self.base + prior)) for prior in self.log_prior if np.isfinite(prior).any())
 
     def evidence(self, log_bayes: Array, walking: bool = False) -> float:
