@@ -99,8 +99,16 @@ def _catalogue_rate(s: Stimulus, faults: Faults) -> Array:
                 added += k * warm * w
             case "gyro_scale_nonlinearity":
                 added += k * w**3
+            case "gyro_scale_quadratic":
+                added += k * w**2
             case "gyro_scale_asymmetry":
                 added += k * np.abs(w)
+            case "gyro_bias_temperature_cubic":
+                added += k * warm**3
+            case "gyro_misalignment_temperature":
+                added += warm * (w @ k.reshape(3, 3).T)
+            case "gyro_bias_drift":
+                added += k * s.time[:, None]
             case "gyro_g_sensitivity":
                 added += f @ k.reshape(3, 3).T
             case "gyro_g2_sensitivity":
@@ -170,6 +178,19 @@ def _accel(s: Stimulus, device: Device, faults: Faults, gravity: float) -> Array
                 felt = felt + fault.theta * warm * s.force * gravity
             case "accel_second_order":
                 felt = felt + fault.theta * s.force**2
+            case "accel_third_order":
+                felt = felt + fault.theta * s.force**3
+            case "accel_asymmetry":
+                felt = felt + fault.theta * np.abs(s.force) * gravity
+            case "accel_cross_coupling":
+                x, y, z = s.force.T
+                felt = felt + np.stack([x * y, y * z, z * x], 1) @ fault.theta.reshape(3, 3).T
+            case "accel_misalignment_temperature":
+                felt = felt + warm * (s.force @ fault.theta.reshape(3, 3).T) * gravity
+            case "accel_bias_drift":
+                felt = felt + fault.theta * s.time[:, None]
+            case "accel_magnetic_sensitivity":
+                felt = felt + s.field @ fault.theta.reshape(3, 3).T
             case "accel_thermal_hysteresis":
                 felt = felt + fault.theta * s.last_change[:, None]
             case "accel_warm_up":

@@ -8,7 +8,7 @@ The recordings come from `tests.blind`, whose formulas are its own: attitudes st
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -26,7 +26,7 @@ from planrunner.physics.earth import Site
 from planrunner.plan import schedule as planned
 from planrunner.uncertainty.influences import Aspect, InputQuantity, Inputs
 from tests.blind.device import Device, Sensor, Triad, clean_output
-from tests.blind.motion import WORDS, Fault, Schedule
+from tests.blind.motion import Fault, Schedule, vector
 from tests.blind.noise import noise
 from tests.blind.plans import Axes, Segment
 
@@ -34,8 +34,8 @@ SITE = Site(np.radians(39.98), 9.80154, azimuth=0.0)
 NAMES = tuple(f"{kind}_{axis}" for kind in ("gyro", "accel") for axis in "xyz")
 UNITS = {name: "deg/s" if name.startswith("gyro") else "m/s^2" for name in NAMES}
 GYRO = ("gyro_bias", "gyro_scale_factor", "gyro_misalignment")
-TRIAD = Triad(0.002, 0.0, 0.0)
-SENSOR = Sensor("under test", 50.0, TRIAD, Triad(50e-6 * 9.80665, 0.0, 0.0))
+TRIAD, STEADY = Triad(0.002, 0.0, 0.0), Triad(50e-6 * 9.80665, 0.0, 0.0)
+SENSOR = Sensor("under test", 50.0, TRIAD, STEADY)
 
 
 def _axes(text: str) -> Axes:
@@ -85,15 +85,17 @@ def _planned(number: int, one: Segment) -> planned.Segment:
         motion = planned.Spin(float(np.radians(one.rate)))
     elif one.kind == "rock":
         motion = planned.Rock(float(np.radians(one.amplitude)), one.frequency, (0.0,), one.duration)
-    attitude = np.array([WORDS[word] for word in one.axes if isinstance(word, str)], dtype=float)
+    attitude = np.array([vector(axis) for axis in one.axes], dtype=float)
+    words, kelvin = " ".join(map(str, one.axes)), one.chamber + 273.15
     return planned.Segment(
-        number, one.label, attitude, " ".join(map(str, one.axes)), motion, one.duration, start=one.start
+        number, one.label, attitude, words, motion, one.duration, temperature=kelvin, start=one.start
     )
 
 
 @dataclass(frozen=True)
 class World:
-    """Segments with a device and faults. flicker: bias instability of the gyros, deg/s; truth: coefficient → value as it is reported."""
+    """Segments with a device and faults. flicker: bias instability of the gyros, deg/s; spread: standard deviation of the
+    device's scale factors and misalignments; noisy: factor of the white noise, declared and real."""
 
     segments: Sequence[Segment]
     faults: Mapping[str, Fault]
@@ -102,6 +104,9 @@ class World:
     flicker: float = 0.0
     basis: str = "residual"
     noisy: float = 1.0
+    site: Site = SITE
+    drift: tuple[str, ...] = ("by_evidence",)
+    spread: float = 3e-3
 
     @cached_property
     def schedule(self) -> Schedule:
@@ -109,7 +114,8 @@ class World:
 
     @cached_property
     def sensor(self) -> Sensor:
-        return replace(SENSOR, gyro=replace(TRIAD, instability=self.flicker))
+        gyro = replace(TRIAD, white=self.noisy * TRIAD.white, instability=self.flicker)
+        return replace(SENSOR, gyro=gyro, accel=replace(STEADY, white=self.noisy * STEADY.white))
 
     @property
     def model(self) -> SensorModel:
@@ -133,15 +139,16 @@ class World:
     def parameters(self) -> ErrorModelParameters:
         stated = {effect: dict(values) for effect, values in self.expected.items()}
         named = {output: tuple(effects) for output, effects in self.outputs.items()}
-        return ErrorModelParameters(outputs=named, expected=stated, uncertainty=self.basis)
+        return ErrorModelParameters(outputs=named, expected=stated, uncertainty=self.basis, drift=self.drift)
 
     def device(self, seed: int) -> Device:
         draw = np.random.default_rng([seed, 1])
-        return Device(np.eye(3) + 3e-3 * draw.standard_normal((2, 3, 3)), 0.05 * draw.standard_normal((2, 3)))
+        errors = self.spread * draw.standard_normal((2, 3, 3))
+        return Device(np.eye(3) + errors, 0.05 * draw.standard_normal((2, 3)))
 
     def recording(self, seed: int) -> list[RecordedSegment]:
         clean = clean_output(self.schedule, self.sensor, self.device(seed), self.faults)
-        drawn = noise(self.schedule, self.sensor, np.ones(6), np.random.default_rng([seed, 2])) * self.noisy
+        drawn = noise(self.schedule, self.sensor, np.ones(6), np.random.default_rng([seed, 2]))
         values = clean + drawn
         found = []
         for number, one in enumerate(self.segments):
@@ -153,13 +160,13 @@ class World:
 
     def estimate(self, seed: int) -> Estimate:
         request = EstimateRequest(
-            "model", tuple(self.recording(seed)), self.parameters, SITE, self.model, setup=self.setup
+            "model", tuple(self.recording(seed)), self.parameters, self.site, self.model, setup=self.setup
         )
         return ErrorModelEstimator().estimate(request)
 
     def design(self) -> DesignRequest[ErrorModelParameters]:
         segments = tuple(_planned(number, one) for number, one in enumerate(self.segments))
-        return DesignRequest("model", segments, self.parameters, SITE, self.model, setup=self.setup)
+        return DesignRequest("model", segments, self.parameters, self.site, self.model, setup=self.setup)
 
 
 def single(effect: str, *theta: float, shape: tuple[float, ...] = ()) -> dict[str, Fault]:
@@ -252,11 +259,13 @@ class Found:
     predicted: float
 
 
-def campaign(world: World, seeds: Sequence[int]) -> dict[str, Found]:
+def campaign(
+    world: World, seeds: Sequence[int], true_values: Callable[[World, int], Mapping[str, float]] = truth
+) -> dict[str, Found]:
     """By coefficient."""
     errors: dict[str, list[tuple[float, float, bool]]] = {}
     for seed in seeds:
-        true = truth(world, seed)
+        true = true_values(world, seed)
         for own in world.estimate(seed).coefficients:
             error, u = own.value - true[own.name], own.standard_uncertainty
             inside = abs(error) < float(student.ppf(0.975, own.degrees_of_freedom)) * u

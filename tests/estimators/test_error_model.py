@@ -112,12 +112,12 @@ def same_uncertainties(found: Estimate, named: Estimate, kind: str, prefix: str 
         keys = [f"{kind}_scale_factor_{a}" if a == b else f"{kind}_misalignment_towards_{b}_{a}" for b in "xyz"]
         units = np.array([1e-6 if a == b else ARCSEC for b in "xyz"])
         u = carried(found, dict(zip(keys, row / length * units, strict=True)))
-        assert u == pytest.approx(named[f"{prefix}scale_{a}"].standard_uncertainty, rel=1e-6)
+        assert u == pytest.approx(named[f"{prefix}scale_{a}"].standard_uncertainty, rel=1e-9)
         for j, b in enumerate("xyz"):
             if i != j:
                 slope = (np.eye(3)[j] - row[j] * row / length**2) / length * units
                 u = carried(found, dict(zip(keys, 1e3 * slope, strict=True)))
-                assert u == pytest.approx(named[f"{prefix}misalignment_{a}_{b}"].standard_uncertainty, rel=1e-6)
+                assert u == pytest.approx(named[f"{prefix}misalignment_{a}_{b}"].standard_uncertainty, rel=1e-9)
 
 
 # -- the named estimators --------------------------------------------------------------------------------------------
@@ -138,12 +138,12 @@ def test_it_gives_what_imu_multi_position_gives(basis: str, setup: Setup) -> Non
         for name, other, factor in (("gyro_bias", "gyro_bias", 3600.0), ("accel_bias", "accel_bias", 1.0)):
             one, same = found[f"{name}_{a}"], named[f"{other}_{a}"]
             assert one.value * factor == pytest.approx(same.value, rel=1e-9)
-            assert one.standard_uncertainty * factor == pytest.approx(same.standard_uncertainty, rel=1e-6)
-            assert one.degrees_of_freedom == pytest.approx(same.degrees_of_freedom, rel=1e-6)
+            assert one.standard_uncertainty * factor == pytest.approx(same.standard_uncertainty, rel=1e-9)
+            assert one.degrees_of_freedom == pytest.approx(same.degrees_of_freedom, rel=1e-9)
         for b in "xyz":
             one, same = found[f"gyro_g_sensitivity_K_{b}_{a}"], named[f"gyro_g_sensitivity_{a}_{b}"]
             assert one.value * 3600 == pytest.approx(same.value, rel=1e-9, abs=1e-9 * same.standard_uncertainty)
-            assert one.standard_uncertainty * 3600 == pytest.approx(same.standard_uncertainty, rel=1e-6)
+            assert one.standard_uncertainty * 3600 == pytest.approx(same.standard_uncertainty, rel=1e-9)
 
 
 def test_it_gives_what_accelerometer_multi_position_gives() -> None:
