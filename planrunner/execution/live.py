@@ -155,7 +155,7 @@ class LiveReport:
         self.notice(f"segment '{label}' was rejected: {reason}")
 
     def ask(self, prompt: str) -> Question:
-        """Shows a prompt; `answer` then returns its answer, and `asked` withdraws it."""
+        """Shows a prompt as a question. Afterwards, `answer` returns the answer to the question, and `asked` withdraws the prompt."""
         self._question = Question(os.urandom(8).hex(), prompt)
         self._activity = "waiting for the operator"
         self._publish()

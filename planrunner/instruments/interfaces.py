@@ -114,7 +114,7 @@ class Driver(Protocol[P]):
 
 
 class PlaysBack:
-    """Base of the drivers whose samples come from a recording: orientations, rates and temperatures then come from it too."""
+    """Base of the drivers whose samples come from a recording: orientations, rates and temperatures come from the recording, too."""
 
 
 class TakesEffects:

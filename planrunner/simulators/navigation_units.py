@@ -130,8 +130,8 @@ class VectorNavUnit:
         return np.frombuffer(b"".join(sent), dtype=np.uint8).reshape(len(sent), -1)
 
     def hear(self, data: bytes) -> bytes:
-        """Receives commands. Registers 1 (the model) and 3 (the serial number) can be read; others are refused (error 8). A
-        register that is written is repeated."""
+        """Receives commands. Registers 1 (the model) and 3 (the serial number) can be read; others are refused (error 8). A command that
+        writes a register is repeated as its answer."""
         self.heard += data
         replies = b""
         while b"\n" in self.heard:

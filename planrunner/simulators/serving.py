@@ -185,8 +185,8 @@ class Serving:
         raise ValueError("a request must be one of ask, inject, clear and stop")
 
     def state(self) -> Mapping[str, Json]:
-        """The true present state, for tests of a run: joint angles and rates [rad, rad/s], air, its target, set point [K], faults,
-        the counts of the line."""
+        """The true present state, for tests of a run: joint angles and rates [rad, rad/s], temperature of the air, its target and set
+        point [K], faults, the counts of the line."""
         told: JsonObject = {"now": self.live.now(), "faults": self.board.told()}
         if self.live.table is not None:
             angles, rates = self.live.world.joints(self.live.now())

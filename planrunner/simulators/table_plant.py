@@ -102,7 +102,7 @@ class TablePlant:
         self.paths.paths[index] = path.swing(now, min(amplitude, most), frequency, phase, zero, axis.centre)
 
     def stop(self, index: int, acceleration: float | None = None) -> None:
-        """Comes to rest at the angle that results."""
+        """Brings an axis to rest. The angle at rest follows from the deceleration."""
         now = self.live.before_change()
         axis, path = self.axes[index], self.paths.paths[index]
         self.paths.paths[index] = path.turn(now, 0.0, acceleration or axis.model.max_acceleration)

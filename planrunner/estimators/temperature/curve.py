@@ -96,7 +96,7 @@ def natural_spline(knots: Array, at: Array) -> Array:
 @dataclass(frozen=True, slots=True)
 class HeldOut:
     """How well a curve of one order predicts held-out values. error: mean square over the held-out temperatures, in the value's unit
-    squared; standard_error: of that mean."""
+    squared; standard_error: standard error of this mean square."""
 
     order: int
     error: float

@@ -187,7 +187,7 @@ def _worst(residuals: Sequence[Array], temperature: NDArray[np.int64]) -> Worst:
 
 
 def slope_weights(kelvin: Array) -> Array:
-    """Weights (g,) whose weighted sum of the values is the slope of the straight line through them [1/K]."""
+    """Weights (g,), 1/K. The weighted sum of g values is the slope of the straight line through them."""
     off = kelvin - kelvin.mean()
     return np.asarray(off / np.sum(off * off))
 

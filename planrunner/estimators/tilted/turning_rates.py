@@ -50,8 +50,8 @@ def recorded_seconds(recorded: RecordedSegment) -> float | None:
 def part_turns(
     segments: Sequence[Segment], durations: Sequence[float | None], intervals: Sequence[float]
 ) -> list[tuple[str, float]]:
-    """Label and number of turns of each spin that does not cover whole turns. intervals: s between samples, by which a dwell may
-    differ."""
+    """Label and number of turns of each spin that does not cover whole turns. intervals: s between samples; a dwell may differ from whole
+    turns by one interval."""
     found = []
     for segment, seconds, interval in zip(segments, durations, intervals, strict=True):
         if not isinstance(segment.motion, Spin) or seconds is None:

@@ -51,7 +51,7 @@ class EspecP300Commands(LinkedCommands):
         self.station = "" if parameters.station is None else f"{parameters.station},"
 
     def identify(self) -> Mapping[str, str]:
-        """Identification of its type: sensors, controller, highest temperature. It reports neither manufacturer nor serial number."""
+        """Type of the chamber: sensors, controller, highest temperature. The controller reports neither manufacturer nor serial number."""
         said = self._ask("TYPE?")
         self.parameters.check_identity(said, "")
         if said.count(",") not in (2, 3):
@@ -61,7 +61,7 @@ class EspecP300Commands(LinkedCommands):
         return {"manufacturer": "Espec", "model": "P300 or SCP-220", "type": said}
 
     def prepare(self, ramp: float) -> None:
-        """Prepares constant operation, in which it ramps at its largest rate."""
+        """Prepares constant operation, in which the chamber ramps at its largest rate."""
 
     def limit(self, coldest: float, hottest: float) -> Sequence[str]:
         self._do(f"TEMP,H{hottest:.1f}")

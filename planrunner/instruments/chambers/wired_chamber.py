@@ -35,14 +35,14 @@ class AirCommands(Protocol):
         """Sets the units and the rate of the set point [K/min], if the controller has these settings."""
 
     def limit(self, coldest: float, hottest: float) -> Sequence[str]:
-        """Sets the temperatures at which it stops by itself; returns a line for each limit set."""
+        """Sets the temperatures at which the chamber stops by itself; returns a line for each limit set."""
 
     def head_for(self, celsius: float) -> None:
         """Sets the set point and starts the chamber."""
 
     def air(self) -> float: ...
     def faults(self) -> Sequence[str]:
-        """The reasons why it cannot continue, in words; empty without a fault."""
+        """The reasons why the chamber cannot continue, in words; empty without a fault."""
 
     def remarks(self) -> Sequence[str]: ...
     def close(self) -> None: ...
@@ -58,7 +58,7 @@ class WiredChamber:
 
     @classmethod
     def connect(cls, commands: AirCommands, keys: ChamberKeys) -> WiredChamber:
-        """Connects and queries the identification. If that fails, it releases the link. A chamber with a fault can still be made
+        """Connects and queries the identification. If the query fails, the link is released. A chamber with a fault can still be made
         safe."""
         try:
             commands.identify()

@@ -67,8 +67,8 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True)
 class Status:
-    """Status bits at `item`. words: bit → its meaning, for bits that mark the frame as doubtful. Such a bit is doubtful if it is
-    set, or if it is clear with `set_is_good`."""
+    """Status bits at `item`. words: bit → its meaning, for bits that mark the frame as doubtful. A frame is doubtful if such a bit is
+    set; with `set_is_good`, if it is clear."""
 
     item: Field
     name: str

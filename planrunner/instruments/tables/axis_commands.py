@@ -37,7 +37,7 @@ class Sine:
 
 
 class AxisCommands(Protocol):
-    """Commands of a controller. Axes have the controller's numbers, and angles are in its degrees. Every failure is an
+    """Commands of a controller. Axes have the controller's numbers, and angles are the controller's, in degrees. Every failure is an
     `InstrumentError`."""
 
     rocks: bool
@@ -58,7 +58,7 @@ class AxisCommands(Protocol):
     def rock(self, sines: Mapping[int, Sine]) -> None: ...
     def state(self, axis: int) -> AxisState: ...
     def faults(self) -> Sequence[str]:
-        """The reasons why it cannot continue, in words; empty without a fault."""
+        """The reasons why the table cannot continue, in words; empty without a fault."""
 
     def stop(self) -> None:
         """Brings every axis to rest under control."""

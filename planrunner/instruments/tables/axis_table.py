@@ -68,8 +68,7 @@ class AxisTable:
 
     @classmethod
     def connect(cls, commands: AxisCommands, keys: WiredTableKeys, surroundings: Surroundings) -> AxisTable:
-        """Connects and queries the identification. If that fails, it releases the link. A table with a fault can still be made
-        safe."""
+        """Connects and queries the identification. If the query fails, the link is released. A faulty table can still be made safe."""
         try:
             commands.identify()
         except BaseException:
@@ -137,7 +136,8 @@ class AxisTable:
         return self._rock(motion) if isinstance(motion, Rock) else self._cycle(motion)
 
     def end_motion(self) -> float:
-        """Comes to rest. A turn of a cycle ends at its present angle; a turn that has reached its end is moved to its position."""
+        """Comes to rest. A turn of a cycle ends at its present angle; if the turn is already complete, the axis moves to the end position
+        of the turn."""
         self._timed.call_off()
         if self._rocking is not None:
             return self._end_rocking()

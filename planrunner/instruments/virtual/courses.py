@@ -247,7 +247,7 @@ def _cut(begin: float, end: float, breaks: Sequence[float], pace: Callable[[floa
 
 
 def profile(distance: float, max_rate: float, acceleration: float) -> tuple[float, float]:
-    """Time [s] of the acceleration, and of the whole, of a rest-to-rest move over `distance` [rad]."""
+    """Time [s] of the acceleration phase, and total time [s], of a rest-to-rest move over `distance` [rad]."""
     up = min(max_rate, math.sqrt(abs(distance) * acceleration)) / acceleration
     return up, move_time(distance, max_rate, acceleration)
 

@@ -54,7 +54,7 @@ def meridian_arc(latitude: Latitude) -> Any:
 
 
 def latitude_at_arc(arc: Any) -> Any:
-    """The latitude [rad] that lies `arc` m of meridian from the equator."""
+    """The latitude [rad] at the distance `arc` [m] from the equator along the meridian."""
     rectifying = arc / _ARC
     return rectifying + sum(c * np.sin(2 * k * rectifying) for k, c in enumerate(_INVERSE, start=1))
 

@@ -106,7 +106,7 @@ class InertialAxis:
         )
 
     def felt(self, rates: Components, forces: Components) -> Value:
-        """The input with its effects that do not depend on temperature or time, SI; a float if nothing moves."""
+        """The input, SI, including the errors that do not depend on temperature or time; a float if nothing moves."""
         u = _along(self.direction, rates if self.turns else forces)
         felt = u
         if self.asymmetry:

@@ -25,7 +25,7 @@ TIMES = SHORTEST * 2.0 ** np.arange(OCTAVES)
 
 
 def generator(seed: int, *occasion: int) -> np.random.Generator:
-    """The random generator for one occasion, such as a segment by its index. It always gives the same numbers."""
+    """The random generator for one occasion, such as a segment by its index. With the same arguments, it always gives the same numbers."""
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=occasion)))
 
 

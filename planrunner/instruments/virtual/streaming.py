@@ -63,6 +63,6 @@ class Sampling:
         return time
 
     def middles(self, first: int, length: int) -> Array:
-        """Times [s] of the middle of every `hold` samples."""
+        """Times [s] of the middle of each group of `hold` samples."""
         middle: Array = np.arange(0.5, -(-length // self.hold)) * self.hold
         return self.start + (first + middle) / self.rate

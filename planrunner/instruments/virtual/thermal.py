@@ -17,7 +17,7 @@ from planrunner.base.dataclass import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Lags:
-    """Rates of change. ramp: K/s of the setpoint; air, sensor: time constants, s."""
+    """Dynamics of setpoint, air and sensor. ramp: rate of the setpoint, K/s; air, sensor: time constants, s."""
 
     ramp: float
     air: float
