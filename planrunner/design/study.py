@@ -129,8 +129,8 @@ class RateSet:
 
 @dataclass(frozen=True, slots=True)
 class FoundRates:
-    """Result of a design of rates. sets: `planned` and `best`. course: rates [rad/s] at which variances are given. excess:
-    remaining distance from the certified bound. text: the plan with the best rates."""
+    """Result of a design of rates. sets: `planned` and `best`. course: rates [rad/s] at which variances are given. excess: remaining
+    distance from the certified bound. repeats: number of repeats of each rate in the plan. text: the plan with the best rates."""
 
     estimate: str
     output: str

@@ -139,9 +139,9 @@ class Setup:
 
 @dataclass(frozen=True, slots=True)
 class EstimateRequest(Generic[P]):
-    """The request to estimate from a recording. name: of this estimate in the plan. parameters: the record of the estimator's keys.
-    uses: the estimates that it uses, by their names in the plan. detection: given if the plan requires spans to be found in the data
-    (`planrunner.plan.selection.Detection`)."""
+    """The request to estimate from a recording. name: name of the requested estimate in the plan. parameters: the record of the
+    estimator's keys. uses: the estimates that the requested estimate uses, by their names in the plan. detection: given if the plan
+    requires spans to be found in the data (`planrunner.plan.selection.Detection`)."""
 
     name: str
     segments: tuple[RecordedSegment, ...]

@@ -96,8 +96,9 @@ def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> li
 
 @dataclass(frozen=True, slots=True)
 class _Shifts:
-    """The effect of one additional column for each segment. errors, drops: (n,), δ of each segment and the decrease of χ²; both are 0
-    for a segment that the model fits whatever its reading is. redundancy: (n,); chi_squared: without the column."""
+    """The effect of one additional column for each segment. errors: (n,), δ of each segment; drops: (n,), the decrease of χ²; both are 0
+    for a segment that the model fits whatever its reading is. redundancy: (n,), of each segment; chi_squared: χ² without the additional
+    column."""
 
     errors: Array
     drops: Array

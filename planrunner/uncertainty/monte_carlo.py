@@ -1,9 +1,10 @@
 """Propagation of distributions by the adaptive Monte Carlo method, and validation of an interval k·u with it (JCGM 101:2008).
 
-Draws come in blocks of 10⁴ until the results have stabilised: twice the standard deviations of the averages of estimate, standard
-uncertainty and both ends of the interval are below the numerical tolerance (7.9.4), here a fifth of that of the validation (8.2). With
-four or fewer degrees of freedom, Student's t has no fourth moment, so the standard deviation of the draws cannot be estimated. The rule
-then omits it and uses the ends of the interval, which are the values to be validated.
+Draws come in blocks of 10⁴ until the results have stabilised. The results are the estimate, the standard uncertainty and both ends of the
+interval, each averaged over the blocks. They have stabilised when twice the standard deviation of each average is below the numerical
+tolerance (7.9.4). Here this tolerance is a fifth of the tolerance of the validation (8.2). With four or fewer degrees of freedom,
+Student's t has no fourth moment, so the standard deviation of the draws cannot be estimated. In that case the rule omits the standard
+uncertainty. The ends of the interval remain, which are the values to be validated.
 """
 
 from __future__ import annotations

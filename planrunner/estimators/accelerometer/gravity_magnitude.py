@@ -39,7 +39,8 @@ class GravityFit:
 
 
 def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
-    """Fits the nine parameters to mean readings (n, 3) in m/s² of n ≥ 9 still poses with equal weights. Raises `EstimationError`."""
+    """Fits the nine parameters with equal weights. readings: (n, 3), m/s², mean readings of n ≥ 9 still poses; gravity: m/s². Raises
+    `EstimationError`."""
     if len(readings) < len(NAMES):
         raise EstimationError(too_few(len(readings)))
     values = np.array([0.0, 0, 0, 1, 1, 1, 0, 0, 0])

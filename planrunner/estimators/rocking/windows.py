@@ -50,8 +50,8 @@ class Windows:
         return tuple((max(0.0, begin - reach), min(self.end, begin + self.length + reach)) for begin in self.begins)
 
     def with_rest(self, rest: float) -> Windows:
-        """The windows of a run whose base is at rest for the first `rest` [s] of its record. There is a third window if at least one
-        filter length lies between it and the first window."""
+        """The windows of a run whose base is at rest for the first `rest` [s] of its record. A third window, at the end of this time, is
+        added if at least one filter length lies between it and the first window."""
         before = rest - self.length
         apart = before >= self.first + self.length + 1 / self.cutoff
         return replace(self, before=before) if apart else self

@@ -115,7 +115,8 @@ def held_out(
     whitening: Array | None = None,
 ) -> tuple[HeldOut, ...]:
     """Held-out errors for each order. sigma: (n,), for weights; fold: (n,), the fold in which each value is held out; beside: (n, q),
-    columns that are fitted with each curve; whitening: (n, n), of correlated values, by default 1/sigma."""
+    columns that are fitted with each curve; whitening: (n, n), matrix that whitens correlated values; by default values are divided by
+    sigma."""
     whitened = _white(value, sigma, whitening)
     further = np.zeros((len(value), 0)) if beside is None else beside
     weight = 1 / sigma**2
@@ -234,7 +235,7 @@ class CurveFit:
 
     @property
     def covariance(self) -> Array:
-        """(p, p), of the coefficients."""
+        """Covariance of the coefficients, (p, p)."""
         return self.spread.covariance
 
     def uncertainties(self) -> tuple[Array, Array]:

@@ -13,9 +13,9 @@ from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 
 
 def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
-    """The gap of each channel: root mean square over the samples of the residual of the nominal simulation (the part in the
-    coefficients), the value for noise alone, and the unit. It does not depend on the sampling rate: a constant offset contributes
-    its full size."""
+    """For each channel: the gap, which is the root mean square over the samples of the residual of the nominal simulation (the part in
+    the coefficients); the same value for noise alone; and the unit. The gap does not depend on the sampling rate: a constant offset
+    contributes its full size."""
     found = {}
     for index, channel in enumerate(weighing.observed.channels):
         gap, noise = weighing.weights[index][0].gap_and_noise()

@@ -36,8 +36,9 @@ def ornstein_uhlenbeck(starts: Array, ends: Array, tau: float) -> Array:
 def flicker(starts: Array, ends: Array) -> Array:
     """Covariance (S, S) of segment means of flicker noise with a bias instability (floor of the Allan deviation) of 1.
 
-    Density h/f has the Allan variance 2·ln 2·h (IEEE Std 952, annex C); processes of variance v whose correlation times differ by a factor
-    r have the total density v/(ln r·f) between their corner frequencies. So v = ln r/(2·ln 2).
+    Flicker noise of the density h/f has the Allan variance 2·ln 2·h (IEEE Std 952, annex C), here 1. It is represented by a sum of
+    processes of variance v whose correlation times differ by a factor r. Their total density between their corner frequencies is v/(ln
+    r·f), so v = ln r/(2·ln 2).
     """
     level = math.log(OCTAVES[1] / OCTAVES[0]) / (2 * math.log(2))
     total = np.zeros((len(starts), len(starts)))

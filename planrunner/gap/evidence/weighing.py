@@ -96,12 +96,12 @@ def _sharing(readings: Array, count: float) -> Array:
 
 
 def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]) -> tuple[list[ChannelWeights], Array]:
-    """Weights and log likelihood (G,) of a channel. They include random walks of a triad with a common scale but separate densities
-    per axis.
+    """Weights and log likelihood (G,) of a channel, for settings that include random walks of a triad with a common scale but separate
+    densities per axis.
 
-    For a scale q, the density of an axis is |N(0, q²)|. The likelihood is the mean over the levels with this prior, and the weights
-    are those of the most probable level. That level is estimated from data that include any effect that is present. In the presence
-    of a strong effect, random walks with one density in all axes are closer to the truth; they are therefore settings too.
+    For a scale q, the prior of the density of an axis is |N(0, q²)|. The likelihood is the mean over the density levels with this prior,
+    and the weights are those of the most probable level. This level is estimated from data that include any effect that is present. If a
+    strong effect is present, random walks with one density in all axes are closer to the truth, so they are settings, too.
     """
     log = np.array([weight.log_likelihood for weight in weights])
     walks = np.array([setting.walk for setting in settings])

@@ -105,9 +105,9 @@ class Uncertain:
 @dataclass(frozen=True, slots=True)
 class SourcePart:
     """The part of one device, bench or occasion, if its source contributes. level: the sum of the part and of the part that all runs have
-    in common. The data often determine this sum better than each of its two terms. difference: from the mean of the other parts of the
-    source. `level` and `difference` are None if every group has one run; `difference` is also None for a single group. runs: number of
-    runs that contain the part. since: moment of the step after which the part counts; empty if it counts from the first run."""
+    in common. The data often determine this sum better than each of its two terms. difference: the part minus the mean of the other parts
+    of its source. `level` and `difference` are None if every group has one run; `difference` is also None for a single group. runs:
+    number of runs that contain the part. since: moment of the step after which the part counts; empty if it counts from the first run."""
 
     label: str
     since: str
