@@ -242,7 +242,8 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
         suspected = tuple(_suspected(fit, one, basis) for one in drift.suspected)
         doubted = tuple(_doubted(fit, one) for one in drift.doubted)
         if drift.rivals and drift.nonlinear is not None:
-            return DriftWords(doubted, (_rivalled(fit, drift.rivals, drift.nonlinear),))
+            included = tuple(_included(fit, one) for one in drift.doubted)
+            return DriftWords(included, (_rivalled(fit, drift.rivals, drift.nonlinear),))
         if drift.judged:
             return DriftWords(doubted, suspected)
         hidden = said(
@@ -310,6 +311,15 @@ def _doubted(fit: OutputsFit, found: DoubtedDrift) -> Said:
     )
 
 
+def _included(fit: OutputsFit, found: DoubtedDrift) -> Said:
+    """A note about a drift that is part of the uncertainties, because a nonlinearity may explain the residuals instead."""
+    return said(
+        "{outputs}: the uncertainties include the change of the coefficients that the drift ({drift}) would cause.",
+        outputs=fit.outputs,
+        drift=found.course.name,
+    )
+
+
 def _rivalled(fit: OutputsFit, courses: Sequence[DriftCourse], nonlinear: NDArray[np.float64]) -> Said:
     """A warning about residuals that may be a drift or a nonlinearity."""
     return said(
@@ -333,13 +343,14 @@ def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
             "The temperature changed by {change:.3g} K during the test. In this order of the segments, a drift "
             "with temperature is hard to distinguish from {coefficient} of {output}: {size}. The data neither "
             "show nor exclude such a "
-            "drift, and the uncertainties do not cover it. Write `drift: temperature` to include it, or `drift: none` if the outputs do "
+            "drift, {consequence}. Write `drift: temperature` to include it, or `drift: none` if the outputs do "
             "not depend on the temperature. To distinguish the two, keep the temperature steadier, or record "
             "the segments a second time in the opposite order.",
             change=found.course.changed,
             coefficient=found.name,
             output=output,
             size=_size(found),
+            consequence=_consequence(fit, found),
         )
     k, p = found.output, fit.matrix.shape[1]
     spread = float(np.sqrt(np.diag(fit.covariance(basis))[k * p + found.term]))
@@ -353,10 +364,15 @@ def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
         output=output,
         change=abs(found.change) / spread,
         chance=found.probability,
-        consequence=said("but the uncertainties include the change that it would cause")
-        if fit.drift.doubted
-        else said("so no uncertainty includes it"),
+        consequence=_consequence(fit, found),
     )
+
+
+def _consequence(fit: OutputsFit, found: SuspectedDrift) -> Said:
+    """Whether the uncertainties include a drift that is not fitted."""
+    if any(one.course.name == found.course.name for one in fit.drift.doubted):
+        return said("but the uncertainties include the change that it would cause")
+    return said("so no uncertainty includes it")
 
 
 def _size(found: SuspectedDrift) -> Said:

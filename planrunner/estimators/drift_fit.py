@@ -130,10 +130,11 @@ def fitted_drift(
     noises: Sequence[WithinSegmentNoise],
     correlation: Array,
     fits: Fits,
+    basis: str,
 ) -> FittedDrift:
     """Chooses the courses of drift to fit and returns them with the results of their tests. names: (p,), of the terms. correlation: (m,
     m), between the noise of the outputs. fits: a function that fits all outputs by the columns of a matrix (as returned by `joined`),
-    with weights from the noise and the declared effects."""
+    with weights from the noise and the declared effects. basis: of the uncertainties."""
     if not drift.courses:
         return NOTHING_FITTED
     if not drift.by_evidence:
@@ -141,6 +142,7 @@ def fitted_drift(
     chosen: tuple[DriftCourse, ...] = ()
     judged = bool(drift.shown)
     hinted: tuple[DriftCourse, float] | None = None
+    by_chance: dict[str, float] = {}
     while tried := _next(matrix, magnitudes, drift, chosen, len(noises)):
         if drift.shown:
             chosen = (*chosen, tried[0])
@@ -156,10 +158,10 @@ def fitted_drift(
         if probability >= SIGNIFICANCE:
             hinted = (best, probability)
             break
-        chosen = (*chosen, best)
+        chosen, by_chance[best.name] = (*chosen, best), probability
     if not chosen:
         suspected = _suspected(matrix, magnitudes, names, drift, hinted, fits)
-        doubted = () if hinted is None else _doubted(matrix, *hinted, noises, fits)
+        doubted = () if hinted is None else _doubted(matrix, *hinted, noises, fits, basis)
         return FittedDrift(by_evidence=True, judged=judged, suspected=suspected, doubted=doubted)
     if not drift.shown and any(course.order for course in chosen):
         chosen += tuple(one for one in _next(matrix, magnitudes, drift, chosen, len(noises)) if one.order)
@@ -169,20 +171,31 @@ def fitted_drift(
         return FittedDrift(by_evidence=True, judged=True, suspected=suspected)
     bent = () if drift.shown else _nonlinear(matrix, plain, fits)
     if bent and _explained(bent, noises) and _criterion(bent, len(matrix)) < _criterion(whole, len(matrix)):
-        doubted = tuple(one for course in chosen[:1] for one in _doubted(matrix, course, 0.0, noises, fits))
+        doubted = tuple(
+            one
+            for course in chosen[:1]
+            for one in _doubted(matrix, course, by_chance.get(course.name, 0.0), noises, fits, basis)
+        )
         return FittedDrift(by_evidence=True, judged=True, rivals=chosen, nonlinear=_taken(plain, bent), doubted=doubted)
     return FittedDrift(chosen, True, True, np.array([one.coefficients for one in plain]), _taken(plain, whole))
 
 
 def _doubted(
-    matrix: Array, course: DriftCourse, probability: float, noises: Sequence[WithinSegmentNoise], fits: Fits
+    matrix: Array,
+    course: DriftCourse,
+    probability: float,
+    noises: Sequence[WithinSegmentNoise],
+    fits: Fits,
+    basis: str,
 ) -> tuple[DoubtedDrift, ...]:
-    """The course, if the degrees of freedom are few and its probability by chance is small enough."""
+    """The course, if the degrees of freedom are few and its probability by chance is small enough. On the residual basis, the standard
+    uncertainties of its amplitudes follow from the scatter about it."""
     r, found = course.columns.shape[1], fits(joined(matrix, (course,)))
     if probability >= DOUBTED or found[0].degrees_of_freedom >= FEW:
         return ()
     amplitudes = np.array([one.coefficients[-r:] for one in found])
-    scales = [1.0 if noise.known else one.variance_factor for one, noise in zip(found, noises, strict=True)]
+    by_noise = [noise.known and basis != "residual" for noise in noises]
+    scales = [1.0 if known else one.variance_factor for one, known in zip(found, by_noise, strict=True)]
     variances = np.array([scale * np.diag(one.cofactor)[-r:] for one, scale in zip(found, scales, strict=True)])
     return (DoubtedDrift(course, np.sqrt(amplitudes**2 + variances), probability),)
 

@@ -150,7 +150,8 @@ class OutputsFit:
                 for part, amplitude, column in zip(one.course.parts, own.tolist(), one.course.columns.T, strict=True):
                     label = f"drift {one.course.name} {name} {part}".strip()
                     unit = f"{self.units[output]}/{one.course.per}"
-                    quantity = InputQuantity(label, 0.0, unit, abs(amplitude), source="fitted drift, not corrected")
+                    source = "fitted drift, not corrected"
+                    quantity = InputQuantity(label, 0.0, unit, abs(amplitude), source=source, from_residuals=True)
                     yield CorrelatedError(quantity, {output: column[:, None]})
 
     def unstated_flicker(self, functionals: Array | None = None) -> tuple[UnstatedFlicker, ...]:
@@ -254,7 +255,7 @@ def fit_outputs(
     def fits(columns: Array) -> Sequence[LinearFit]:
         return weighting_of(columns, ("drift",) * (columns.shape[1] - len(names))).plain()
 
-    drifting = fitted_drift(matrix, magnitudes, names, drift, noises, observations.correlation, fits)
+    drifting = fitted_drift(matrix, magnitudes, names, drift, noises, observations.correlation, fits, basis)
     columns = joined(matrix, drifting.courses)
     weighting = weighting_of(columns, drifting.names)
     found = weighting.equal() if equal else weighting.known(noises, basis == "residual")

@@ -108,12 +108,15 @@ def effective_degrees_of_freedom(contributions: Sequence[float], degrees_of_free
 
 def _budget(one: Measured, k: int, acting: Sequence[Influence], sizes: Array, source: str) -> Budget:
     parts = [(float(size), item) for size, item in zip(sizes, acting, strict=True)]
-    added = [(size, item.quantity.degrees_of_freedom) for size, item in parts if size and not item.in_scatter]
+    added = [(size, item.quantity) for size, item in parts if size and not item.in_scatter]
     combined, freedom = one.standard_uncertainty, one.degrees_of_freedom
     if added:
         combined = math.hypot(combined, *(size for size, _ in added))
+        # Welch–Satterthwaite applies to independent contributions only, so what the residuals show counts as one.
+        shown = math.hypot(one.standard_uncertainty, *(size for size, own in added if own.from_residuals))
+        others = [(size, own.degrees_of_freedom) for size, own in added if not own.from_residuals]
         freedom = effective_degrees_of_freedom(
-            [one.standard_uncertainty, *(size for size, _ in added)], [freedom, *(own for _, own in added)]
+            [shown, *(size for size, _ in others)], [freedom, *(own for _, own in others)]
         )
     data = BudgetLine(
         "data",

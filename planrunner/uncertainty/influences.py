@@ -31,6 +31,8 @@ class InputQuantity:
     """One stated quantity. value, standard_uncertainty: in `unit`, SI-coherent. distribution: normal, rectangular, triangular, u-shaped, t.
     source: origin of the statement, for an auditor: instrument, asset number, certificate, or the key of a file. calibrated: ISO date, or
     empty. shown: unit in budgets, usually the unit of the statement, equal to `shown_factor` times `unit`; if empty, `unit`.
+    from_residuals: whether its uncertainty was estimated from the residuals of the same fit, so that it is not independent of the scatter
+    of the data.
     """
 
     name: str
@@ -43,6 +45,7 @@ class InputQuantity:
     calibrated: str = ""
     shown: str = ""
     shown_factor: float = 1.0
+    from_residuals: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,8 +15,8 @@ from tests.worlds.faults import WORLDS, Recorded
 EIGHT = CAMPAIGNS["flexure_gyro_static"]
 
 
-def with_drift(key: str, made: Recorded) -> Estimate:
-    keys = f"segments: P*, uncertainty: within_segment{key}"
+def with_drift(key: str, made: Recorded, basis: str = "within_segment") -> Estimate:
+    keys = f"segments: P*, uncertainty: {basis}{key}"
     asked = replace(EIGHT, plan=EIGHT.plan.replace("segments: P*", keys))
     one = estimated(asked, known(asked, WORLDS["warming up"]), made)
     assert isinstance(one, Estimate), one
@@ -41,6 +41,21 @@ def test_its_change_of_the_coefficients_is_an_error_that_is_not_corrected() -> N
         "drift linear torquer_y",
     }
     assert any("neither show nor exclude a drift" in note for note in doubted.notes)
+
+
+@pytest.mark.parametrize("basis", ["within_segment", "residual"])
+def test_no_expanded_uncertainty_is_smaller_for_the_doubt(basis: str) -> None:
+    """The scatter of the residuals shows the drift, too, so the doubt adds no degrees of freedom."""
+    doubts = 0
+    for run in range(6):
+        _, made = recorded(EIGHT, WORLDS["warming up"], np.random.default_rng([17, run]))
+        doubted, without = (with_drift(key, made, basis) for key in ("", ", drift: none"))
+        if any("drift linear torquer_x" in line.quantity for line in doubted.budgets[0].lines):
+            doubts += 1
+            for one, other in zip(doubted.budgets, without.budgets, strict=True):
+                wide, narrow = (own.coverage_factor * own.standard_uncertainty for own in (one, other))
+                assert wide >= narrow * (1 - 1e-9), one.coefficient
+    assert doubts
 
 
 def test_many_degrees_of_freedom_leave_no_doubt() -> None:
