@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -67,11 +67,16 @@ _SIGMA = 1e-3  # deg/s or m/s², by default
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """A parameter of an effect. natural: default value, in `unit`."""
+    """A parameter of an effect. natural: default value, in `unit`. least: the values that make sense. A time constant, a frequency or
+    another shape is above zero; a duration or a standard deviation is not below zero; an amplitude may have either sign."""
 
     name: str
     unit: str
     natural: float
+    least: Literal["above zero", "zero", "any"] = "any"
+
+    def allows(self, value: float) -> bool:
+        return {"above zero": value > 0, "zero": value >= 0, "any": True}[self.least]
 
 
 @dataclass(frozen=True)
@@ -134,7 +139,7 @@ def _optional(
     if isinstance(effect, SamplesStuck):
         return [replace(known[LASTING], name=f"{LASTING}_{channel.name}") for channel in observed.channels]
     if isinstance(effect, PerOrientation) and known:
-        return [replace(known[SIZE], name=key) for key in stated if _OF_ORIENTATION.fullmatch(key)]
+        return [replace(known[SIZE], name=key, least="any") for key in stated if _OF_ORIENTATION.fullmatch(key)]
     if isinstance(effect, Shaped) and set(known) == {effect.shape_name}:
         return [EffectParameter(SHARE, "1", 1.0)]
     return []
@@ -158,16 +163,21 @@ def _value(text: str, parameter: EffectParameter, effect: str, mark: Mark) -> fl
         raise InputError.at(mark, "effect-value", message, hint) from None
     if not math.isfinite(value):
         raise InputError.at(mark, "effect-value", f"'{text}' is not a finite number", hint)
+    if not parameter.allows(value):
+        limit = "above zero" if parameter.least == "above zero" else "zero or above"
+        message = f"the parameter '{parameter.name}' of {effect} must be {limit}, but it is '{text}'"
+        hint = f"write a value that is {limit}, such as '{parameter.natural:g} {wanted}'"
+        raise InputError.at(mark, "effect-value", message, hint)
     return value
 
 
 def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
     """Parameters of an effect; empty if it cannot act here."""
     if isinstance(effect, SamplesStuck):
-        return [EffectParameter("time", "s", 60.0), EffectParameter(LASTING, "s", 1.0)]
+        return [EffectParameter("time", "s", 60.0, "zero"), EffectParameter(LASTING, "s", 1.0, "zero")]
     if isinstance(effect, ActsOnNoise) and effect.noise == "gauss-markov":
         text = OF_TRIAD[triad_of(effect)]
-        found = [EffectParameter("tau", "s", 300.0), EffectParameter(SIGMA, text, _SIGMA)]
+        found = [EffectParameter("tau", "s", 300.0, "above zero"), EffectParameter(SIGMA, text, _SIGMA, "zero")]
         return found if observed.of_kind(triad_of(effect)) else []
     if isinstance(effect, ActsOnNoise) and effect.noise in NOISE:
         triad = triad_of(effect)
@@ -182,19 +192,20 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
             "random walk": _WALK * unit(OF_TRIAD[triad]).factor / _UNUSUAL,
         }[effect.noise]
         own = unit(OF_TRIAD[triad])
-        return [EffectParameter(name, OF_TRIAD[triad] + text, _UNUSUAL * declared / own.factor)]
+        return [EffectParameter(name, OF_TRIAD[triad] + text, _UNUSUAL * declared / own.factor, "zero")]
     if isinstance(effect, HasAlternatives):
-        return [parameter for way in effect.alternatives for parameter in parameters(way, observed)]
+        # Zero means that the effect does not act in this way.
+        return [replace(one, least="zero") for way in effect.alternatives for one in parameters(way, observed)]
     found = []
     variants = effect.variants(observed)
     if not variants:
         return []
     middle: Variant = variants[len(variants) // 2 if isinstance(effect, Shaped) else 0]
     if isinstance(effect, HasShape) and middle.shape is not None:
-        found.append(EffectParameter(effect.shape_name, effect.shape_unit, middle.shape))
+        found.append(EffectParameter(effect.shape_name, effect.shape_unit, middle.shape, "above zero"))
     if isinstance(effect, PerOrientation):
         column = middle.columns[0]
-        return [*found, EffectParameter(SIZE, column.unit, column.magnitude / column.factor)]
+        return [*found, EffectParameter(SIZE, column.unit, column.magnitude / column.factor, "zero")]
     if not is_whole(middle.columns) or not found:
         found += [
             EffectParameter(column.name, column.unit, column.magnitude / column.factor) for column in middle.columns

@@ -101,6 +101,17 @@ def test_an_orientation_has_the_same_error_whenever_it_is_taken() -> None:
         ("gyro_warm_up", {"tau": "600 K"}, "effect-value", "600 K"),
         ("gyro_warm_up", {"tau": "soon"}, "effect-value", "soon"),
         ("table_tilt", {"": "nan"}, "effect-value", "nan"),
+        ("gyro_bias_gauss_markov", {"tau": "0 s"}, "effect-value", "is above zero, such as '300 s'"),
+        ("gyro_bias_gauss_markov", {"tau": "-5 s"}, "effect-value", "'-5 s'"),
+        ("gyro_bias_gauss_markov", {"sigma": "-1 deg/s"}, "effect-value", "zero or above"),
+        ("gyro_line_interference", {"frequency": "-3 Hz"}, "effect-value", "'-3 Hz'"),
+        ("gyro_warm_up", {"tau": "0 min"}, "effect-value", "above zero"),
+        ("gyro_saturation", {"limit": "-100 deg/s"}, "effect-value", "above zero"),
+        ("gyro_saturation_asymmetric", {"upper": "-100 deg/s"}, "effect-value", "zero or above"),
+        ("gyro_noise_excess", {"white_x": "-1"}, "effect-value", "zero or above"),
+        ("samples_stuck", {"time": "-5 s", "lasting": "3 s"}, "effect-value", "'-5 s'"),
+        ("samples_stuck", {"lasting_gyro_x": "-3 s"}, "effect-value", "zero or above"),
+        ("table_position_error", {"size": "-20 arcsec"}, "effect-value", "zero or above"),
     ],
 )
 def test_what_is_wrong_is_said(name: str, values: dict[str, str], code: str, words: str) -> None:
@@ -111,6 +122,13 @@ def test_what_is_wrong_is_said(name: str, values: dict[str, str], code: str, wor
     (finding,) = caught.value.findings
     assert finding.code == code
     assert words in f"{finding.message} {finding.hint}"
+
+
+def test_amplitudes_may_be_negative_and_durations_zero() -> None:
+    assert _stated("table_tilt", about_east="-3 arcsec").values["about_east"] == -3.0
+    assert _stated("table_position_error", size="0", orientation_1_x="-3").values["orientation_1_x"] == -3.0
+    assert _stated("samples_stuck", time="0 s", lasting="0 s").values == {"time": 0.0, "lasting": 0.0}
+    assert _stated("gyro_saturation_asymmetric", upper="0").values["upper"] == 0.0
 
 
 def test_what_cannot_act_is_refused() -> None:

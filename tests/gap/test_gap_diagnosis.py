@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
+from planrunner.error_model.effects.interface import Shaped, effect_named
 from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.apart import fitted_line
 from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
 from planrunner.gap.answer.posterior import PRIORS
 from planrunner.gap.answer.where import levels
@@ -122,6 +124,25 @@ def test_a_tone_is_a_line_of_its_frequency_and_amplitude() -> None:
     true = {"frequency": 3.3, "sin_x": 2e-3, "cos_x": 0.0, "sin_y": 0.0, "cos_y": 0.0}
     for name, value in true.items():
         assert abs(estimates[name].value - value) < 4 * estimates[name].standard_uncertainty, name
+
+
+def test_the_uncertainty_of_a_line_does_not_grow_with_the_line() -> None:
+    """A line of 0.02 and 2 deg/s in x alone. Limits on both sides: the errors are neither larger nor smaller than stated."""
+    line, away, stated = effect_named("gyro_line_interference"), [], []
+    assert isinstance(line, Shaped)
+    for seed in range(40, 45):
+        noise = record(seed=seed)
+        for size in (0.02, 2.0):
+            values = noise.values.copy()
+            values[:, 0] += size * DEG * np.sin(2 * np.pi * 3.3 * noise.time)
+            _, u, columns, found = fitted_line(Weighing(replace(noise, values=values)), line, 3.3)
+            at = [column.name for column in columns]
+            cosine, sine = found[at.index("cos_x")], found[at.index("sin_x")]
+            away += [cosine[0] / cosine[1], (sine[0] - size * DEG) / sine[1]]
+            stated.append([u * size, cosine[1], sine[1]])
+    # Both sizes are seen in the same noise, so five seeds have ten independent errors.
+    assert 1e-3 < chi2.cdf(np.square(away).sum() / 2, len(away) / 2) < 1 - 1e-3
+    assert np.array(stated) == pytest.approx(np.broadcast_to(stated[0], (len(stated), 3)), rel=0.1)
 
 
 def test_a_tone_beside_an_effect_leaves_both_with_their_names() -> None:

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from planrunner.base.arrays import Array
+from planrunner.error_model.added import LASTING
+from planrunner.error_model.effects.held import sticking
 from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.apart import repeated_parameters
 from planrunner.gap.evidence.repeated import repeated
 from tests.gap.turntable import record
 
@@ -40,6 +43,8 @@ def test_noise_is_never_stuck(still: Observed, count: float, smoothing: float) -
         values = np.round(values / count) * count
     found = repeated(_with(still, values))
     assert found.log_bayes <= 0 and not found.stretches
+    if count <= SIGMA / 10:
+        assert found.log_bayes < 0, "the channels were used; those with coarse counts may be left out"
 
 
 def test_samples_that_come_twice_are_a_slower_sensor(still: Observed) -> None:
@@ -58,3 +63,20 @@ def test_a_stretch_is_found_with_its_first_sample_and_its_length(still: Observed
     (one,) = found.stretches
     assert (one.channel, one.first) == (1, part.start + 100) and 30 <= one.count <= 31
     assert found.held.sum() == one.count
+
+
+def test_the_errors_of_time_and_duration_of_a_stretch_are_those_stated(still: Observed) -> None:
+    """Stretches that begin and end anywhere between samples, held in all outputs by the simulation."""
+    draw, away = np.random.default_rng(4), []
+    part, step = still.segments()[4], 1 / still.sample_rate
+    for _ in range(60):
+        begin = float(still.time[part.start]) + draw.uniform(2, 8)
+        lasting = draw.uniform(2, 8)
+        observed = _with(still, _noise(still, draw))
+        values = sticking(still.time, observed.values[:, 0], begin, lasting, 0.0)
+        found = repeated(_with(still, values))
+        when, duration = repeated_parameters(observed, "samples_stuck", found)
+        assert (when.name, duration.name) == ("time", LASTING)
+        away.append([(when.value - begin) / step, (duration.value - lasting) / step])
+        stated = [when.standard_uncertainty / step, duration.standard_uncertainty / step]
+    assert np.sqrt(np.mean(np.square(away), axis=0)) == pytest.approx(stated, rel=0.25)

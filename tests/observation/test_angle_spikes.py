@@ -106,6 +106,15 @@ def test_spikes_in_a_long_record_with_missing_numbers() -> None:
     assert [one.first for one in watcher.finds() if one.kind is FindKind.SPIKE] == rows
 
 
+@pytest.mark.parametrize(("rows", "screened"), [(16, False), (19, False), (20, True), (24, True)])
+def test_spikes_are_found_in_every_segment_of_twenty_samples_and_in_no_shorter_one(rows: int, screened: bool) -> None:
+    draw = np.random.default_rng(12)
+    for row in range(3, rows - 3):
+        values = resting()[:rows] + ARCSEC * draw.standard_normal(rows)
+        values[row] += 400 * ARCSEC
+        assert [one.first for one in found(values)] == ([row] if screened else [])
+
+
 def test_a_step_is_no_spike() -> None:
     values = resting() + ARCSEC * np.random.default_rng(11).standard_normal(ROWS)
     values[3000:] += 0.2

@@ -80,6 +80,7 @@ def test_effects_fit_into_every_shipped_bench(bench: Path) -> None:
         (["table_tlit"], None, "effect-unknown"),
         (["table_tilt", "table_tilt=2"], None, "effect-twice"),
         (["table_tilt="], None, "effect-value"),
+        (["gyro_bias_gauss_markov=tau:0 s"], None, "effect-value"),
         (["table_tilt=about_east:1,about_east:2"], None, "effect-value"),
         (["gyro_bias"], "imu_recording", "simulate-bench"),
     ],

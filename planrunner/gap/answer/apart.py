@@ -48,18 +48,19 @@ def likely_repeats(observed: Observed, effects: Sequence[Effect]) -> Repeated | 
     return found if found.log_bayes > PLAIN and found.stretches else None
 
 
-def _of_repeats(observed: Observed, effect: str, found: Repeated) -> list[ParameterEstimate]:
-    """Time and duration of the longest stretch, of all outputs in common if all of them repeat their values."""
+def repeated_parameters(observed: Observed, effect: str, found: Repeated) -> list[ParameterEstimate]:
+    """Time and duration of the longest stretch, of all outputs in common if all of them repeat their values. Begin and end are each
+    uniform within one interval between samples, so the duration has the triangular distribution of their difference."""
     step = 1 / observed.sample_rate
     longest = found.stretches[0]
     alike = {one.channel: one for one in reversed(found.stretches) if abs(one.first - longest.first) <= 1}
-    sigma = step / float(np.sqrt(12))
+    of_time, of_duration = step / float(np.sqrt(12)), step / float(np.sqrt(6))
     begin = float(observed.time[longest.first]) - step / 2
-    listed = [ParameterEstimate(effect, "time", begin, "s", sigma)]
+    listed = [ParameterEstimate(effect, "time", begin, "s", of_time)]
     if len(alike) == len(observed.channels):
-        return [*listed, ParameterEstimate(effect, LASTING, longest.count * step, "s", sigma)]
+        return [*listed, ParameterEstimate(effect, LASTING, longest.count * step, "s", of_duration)]
     return listed + [
-        ParameterEstimate(effect, f"{LASTING}_{observed.channels[c].name}", one.count * step, "s", sigma)
+        ParameterEstimate(effect, f"{LASTING}_{observed.channels[c].name}", one.count * step, "s", of_duration)
         for c, one in sorted(alike.items())
     ]
 
@@ -73,7 +74,7 @@ def found_apart(weighing: Weighing, effects: Sequence[Effect], repeats: Repeated
     for effect in effects:
         if repeats is not None and isinstance(effect, ActsOnNoise) and effect.noise == "stuck":
             log_bayes[effect.id] = repeats.log_bayes
-            parameters[effect.id] = _of_repeats(observed, effect.id, repeats)
+            parameters[effect.id] = repeated_parameters(observed, effect.id, repeats)
         if not (isinstance(effect, ActsOnNoise) and effect.noise == "line" and isinstance(effect, Shaped)):
             continue
         members = observed.of_kind(triad_of(effect))
@@ -102,11 +103,18 @@ def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[f
     amplitudes and standard uncertainties (P, 2), SI.
 
     frequency: where the search begins, within the resolution of the recording. Gauss–Newton in the frequency, which all channels share;
-    the basis vectors of the segments are projected out of every column, because they have also been removed from the samples.
+    the basis vectors of the segments are projected out of every column, because they have also been removed from the samples. The noise
+    level of a channel is that of the samples without the line.
     """
     observed = weighing.observed
     used = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])[observed.owner]
     root = np.sqrt(observed.bin_size)[observed.owner]
+    taken = sum(
+        basis.vectors.shape[1]
+        for basis, at in zip(weighing.spectrum.bases, observed.segments(), strict=True)
+        if used[at.start]
+    )
+    free = int(used.sum()) - taken
     step = _STEP / float(np.ptp(observed.time))
     found = frequency
     for _ in range(_ROUNDS):
@@ -116,7 +124,7 @@ def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[f
         normal, right = np.zeros((size, size)), np.zeros(size)
         for channel in sorted({index for column in columns for index in column.parts}):
             own = [k for k, column in enumerate(columns) if channel in column.parts]
-            level = weighing.white[channel] * np.sqrt(weighing.noise.level[observed.owner, channel])[used]
+            level = np.sqrt(weighing.noise.level[observed.owner, channel])[used]
             remainder = weighing.spectrum.remainder[used, channel] / level
             waves = [
                 _outside(weighing, np.column_stack([one[k].parts[channel] * root for k in own]))
@@ -124,6 +132,9 @@ def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[f
             ]
             waves = [wave[used] / level[:, None] for wave in waves]
             amplitudes = np.linalg.lstsq(waves[0], remainder, rcond=None)[0]
+            rest = remainder - waves[0] @ amplitudes
+            white = np.maximum(np.sqrt(rest @ rest / (free - len(own))), weighing.steps[channel] / np.sqrt(12))
+            waves, remainder = [wave / white for wave in waves], remainder / white
             slope = (waves[1] - waves[2]) @ amplitudes / (2 * step)
             design = np.column_stack([waves[0], slope])
             at = [*own, size - 1]
