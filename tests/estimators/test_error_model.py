@@ -179,19 +179,21 @@ def test_it_gives_what_scale_factor_gives() -> None:
 
 
 @pytest.mark.parametrize("thermometer", [None, "inside"])
-def test_it_gives_what_temperature_model_gives(thermometer: str | None) -> None:
-    """At the planned temperatures, and at those of a thermometer, which are up to 2 K away."""
+@pytest.mark.parametrize("cycles", [1, 2])
+def test_it_gives_what_temperature_model_gives(thermometer: str | None, cycles: int) -> None:
+    """At the planned temperatures, and at those of a thermometer, which are up to 2 K away; rising once, and again after cooling."""
     draw = np.random.default_rng(6)
-    celsius = np.array([-30.0, -10.0, 10.0, 30.0, 50.0, 70.0])
+    celsius = np.array([-30.0, -10.0, 10.0, 30.0, 50.0, 70.0] * cycles)
     warm = celsius - 25
     values = 0.3 + 2e-3 * warm - 1e-5 * warm**2 + 1e-4 * draw.standard_normal(len(warm))
-    away = [1.5, -0.7, 2.0, -1.2, 0.4, -1.9] if thermometer else [0.0] * 6
+    away = ([1.5, -0.7, 2.0, -1.2, 0.4, -1.9] if thermometer else [0.0] * 6) * cycles
     scatter = 1e-4 * draw.standard_normal(480)
     recorded = []
     for place, (one, off, value) in enumerate(zip(celsius, away, values, strict=True)):
-        segment = replace(imu.rest("east north up", temperature=one - off + 273.15), label=f"T{place}")
+        start, kelvin = 100.0 * place, one - off + 273.15
+        segment = replace(imu.rest("east north up", temperature=kelvin), label=f"T{place}", start=start)
         channels = {"gz": value + scatter, "inside": np.full(len(scatter), one)}
-        time = 100.0 * place + np.arange(len(scatter)) / 8
+        time = start + np.arange(len(scatter)) / 8
         recorded.append(from_samples(segment, time, channels, {"gz": "deg/s", "inside": "degC"}))
     parameters = TemperatureModelParameters(channels=("gz",), order=2, temperature_channel=thermometer)
     named = TemperatureModel().estimate(request_of(recorded, parameters))
