@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
@@ -56,3 +57,36 @@ def test_a_fold_over_is_only_given_with_its_limit() -> None:
     with pytest.raises(ObservationError, match="gyro_fold_over can only be given with its values") as raised:
         diagnose(record(seed=5), DiagnosisOptions(effects=("gyro_warm_up",), given=("gyro_fold_over",)))
     assert "limit" in raised.value.hint
+
+
+def elsewhere(latitude: float) -> Fault:
+    """The rate of the Earth at another latitude, in degrees; beyond 90, no place on the Earth."""
+
+    def fault(
+        seen: Observed, omega: np.ndarray, force: np.ndarray, draw: np.random.Generator
+    ) -> tuple[np.ndarray, float]:
+        phi, assumed = np.deg2rad(latitude), seen.site.latitude
+        change = np.array([0.0, np.cos(phi) - np.cos(assumed), np.sin(phi) - np.sin(assumed)])
+        change *= np.deg2rad(15.041067 / 3600)
+        back = Rotation.from_rotvec(-seen.angle[:, None] * AXIS).apply(change)
+        return np.einsum("nij,nj->ni", seen.attitude[seen.owner], back), 0.0
+
+    return fault
+
+
+@pytest.mark.parametrize("latitude", [-70.0, 85.0])
+def test_another_latitude_is_named(latitude: float) -> None:
+    seen = record(seed=5, fault=elsewhere(latitude))
+    found = diagnose(seen, DiagnosisOptions(effects=("site_latitude", "gyro_g_sensitivity")))
+    assert found.verdict.effects == ("site_latitude",)
+    (error,) = found.parameters
+    assert np.rad2deg(seen.site.latitude) + error.value == pytest.approx(latitude, abs=4 * error.standard_uncertainty)
+
+
+@pytest.mark.parametrize(
+    ("latitude", "effects"), [(-130.0, ("site_latitude", "gyro_g_sensitivity")), (120.0, ("site_latitude",))]
+)
+def test_a_latitude_beyond_a_pole_is_not_named(latitude: float, effects: tuple[str, ...]) -> None:
+    found = diagnose(record(seed=5, fault=elsewhere(latitude)), DiagnosisOptions(effects=effects))
+    assert found.verdict.kind == "unknown"
+    assert sum(p for name, p in found.posterior.probability.items() if "site_latitude" in name) < 0.01

@@ -9,7 +9,7 @@ import pytest
 
 from planrunner.base import plugins
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.diagnosis import diagnose
+from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import candidates_of
 from planrunner.plan.schedule import Rock
@@ -43,6 +43,7 @@ def test_an_effect_that_cannot_act_takes_no_part_of_the_prior() -> None:
 
 
 ON_NOISE = {"gyro_noise_excess", "gyro_quantization", "accel_noise_excess", "accel_quantization"}
+QUICK = (*sorted(ON_NOISE), "gyro_g_sensitivity")
 
 
 def cause(name: str) -> set[str]:
@@ -67,6 +68,18 @@ def test_noise_is_reported_beside_a_cause_and_is_no_rival_of_it() -> None:
     assert (said.kind, said.effects, said.noise) == ("effect", ("gyro_g_sensitivity",), ("gyro_noise_excess",))
     assert found.noise["gyro_noise_excess"] > 0.99
     assert "gyro_noise_excess" in {one.effect for one in made.parameters}
+
+
+def test_noise_is_reported_beside_something_else() -> None:
+    """Noise six times as strong as declared, beside an offset of every segment, which no effect of the catalogue explains."""
+
+    def offsets(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        return draw.normal(0.0, 0.05 * DEG, (len(observed), 3))[observed.owner], 0.0
+
+    found = diagnose(record(seed=11, fault=offsets, noise=6.0), DiagnosisOptions(effects=QUICK))
+    assert (found.verdict.kind, found.verdict.noise) == ("unknown", ("gyro_noise_excess",))
+    assert found.posterior.noise["gyro_noise_excess"] > 0.99
+    assert found.posterior.noise["accel_noise_excess"] < 0.5
 
 
 def test_a_walk_is_found_beside_more_noise() -> None:

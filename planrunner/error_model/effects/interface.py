@@ -51,7 +51,7 @@ class Column:
     axis: the axis (0, 1, 2) if the column belongs to one axis alone, whose letter then ends its name after "_"; None for an
         amplitude of the whole sensor or of its surroundings. An effect must always state it, because a column of one axis is
         reported for each output, and a column without axis once for all outputs.
-    largest: the largest amplitude, SI, that is physically possible.
+    smallest, largest: the limits of the amplitude, SI, that are physically possible.
     """
 
     name: str
@@ -64,6 +64,7 @@ class Column:
     along: int | None = None
     plain: str = ""
     axis: int | None = field(kw_only=True)
+    smallest: float = field(default=-np.inf, kw_only=True)
     largest: float = field(default=np.inf, kw_only=True)
 
 

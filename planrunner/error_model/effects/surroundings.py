@@ -91,7 +91,10 @@ class SiteLatitude:
         phi = observed.site.latitude + half  # the secant of a circle is parallel to the tangent halfway
         change = observed.site.earth_rate * np.sinc(half / np.pi) * np.array([0.0, -np.sin(phi), np.cos(phi)])
         parts = on_stimulus(observed, observed.in_sensor_axes(change), None)
-        return single([Column("error", "deg", DEG, DEG, parts, axis=None)] if parts else [])
+        pole = np.pi / 2
+        latitude = observed.site.latitude
+        error = Column("error", "deg", DEG, DEG, parts, axis=None, smallest=-pole - latitude, largest=pole - latitude)
+        return single([error] if parts else [])
 
 
 class LeverArm:
@@ -118,7 +121,7 @@ class LeverArm:
             felt = turn * turn[:, [axis]] + spin_up @ np.cross(np.eye(3), arm)
             felt[:, axis] -= squared
             parts = on_stimulus(observed, None, felt)
-            columns.append(Column(f"r_{name}", "mm", 1e-3, 1e-2, parts, axis=None, largest=largest))
+            columns.append(Column(f"r_{name}", "mm", 1e-3, 1e-2, parts, axis=None, smallest=-largest, largest=largest))
         return single(columns)
 
 

@@ -11,11 +11,11 @@ probabilities are added. The probability of each effect on the noise is stated i
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from itertools import product
 from math import comb
-from typing import get_args
+from typing import TypeVar, get_args
 
 import numpy as np
 
@@ -36,6 +36,7 @@ NAMEABLE = 0.05  # the probability of none above which no effect is named
 LIKELY = 1e-3  # smallest probability of a set beside which something else may act
 WORTH = 3.0  # log BF of something else from which it may be the cause of what some of the effects follow
 UNKNOWN = "unknown"
+_Key = TypeVar("_Key", str, tuple[str, ...])
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ def posterior(
         levels | noise.apart.keys(),
         kinds.lines + apart.lines,
         beside,
-        {one: sum(share for name, share in shares.items() if one in name.split("+")) for one in sorted(levels)},
+        _of_noise(shares, levels, noise, found, count),
         sets,
     )
 
@@ -176,14 +177,36 @@ def _of_causes(shares: Mapping[str, float], levels: Collection[str]) -> dict[str
     return found
 
 
+def _of_noise(
+    shares: Mapping[str, float], levels: Set[str], noise: _NoiseOnly, found: Mapping[str, float], count: int
+) -> dict[str, float]:
+    """Probability of each effect on the level of the noise. The share of a hypothesis with something else includes all states of the
+    noise, so it is divided among them. levels: effects on that level; found: the hypotheses weighed as in `posterior`, whose size
+    includes something else."""
+    total = dict.fromkeys(sorted(levels), 0.0)
+    for name, share in shares.items():
+        parts = name.split("+")
+        states: dict[tuple[str, ...], float] = {(): 1.0}
+        if UNKNOWN in parts:
+            states = _shares(_states_beside(noise, len(parts) - (name not in found), count))
+        for other, part in states.items():
+            for one in levels & {*parts, *other}:
+                total[one] += share * part
+    return total
+
+
 def _whatever_noise(noise: _NoiseOnly, size: int, count: int) -> float:
     """What the log weight of a cause of `size` effects gains if its noise may also be other than declared."""
-    terms = [
-        density - noise.declared + _log_prior_of(size + len(other), count) - _log_prior_of(size, count)
+    return float(np.logaddexp.reduce(list(_states_beside(noise, size, count).values())))
+
+
+def _states_beside(noise: _NoiseOnly, size: int, count: int) -> dict[tuple[str, ...], float]:
+    """Log weight of each state of the noise beside a cause of `size` effects, relative to noise as declared."""
+    return {
+        other: density - noise.declared + _log_prior_of(size + len(other), count) - _log_prior_of(size, count)
         for other, density in noise.states.items()
         if not noise.apart.keys() & set(other)
-    ]
-    return float(np.logaddexp.reduce(terms))
+    }
 
 
 def _of_effects(
@@ -245,9 +268,12 @@ def _with_something_else(
     weighing: Weighing, chain: Sequence[tuple[str, Weighed]], found: Mapping[str, float], count: int
 ) -> dict[str, float]:
     """Log weights of something else in addition to sets of effects. If something else may act in addition to all effects of a
-    chain, it is also evaluated with fewer of them, because some of the effects may only imitate it."""
+    chain, it is also evaluated with fewer of them, because some of the effects may only imitate it. Amplitudes that physics excludes
+    are left out."""
     made: dict[str, float] = {}
     for key, weighed in reversed(chain):
+        if weighed.excluded:
+            continue
         besides = something_else(weighing.beside(weighed))
         made[key] = found[key] + besides + log_prior(key_of([*key.split("+"), UNKNOWN]), count)
         if besides < WORTH:
@@ -296,7 +322,7 @@ def _shared(logs: Mapping[str, float]) -> dict[str, float]:
     return _shares({name: value for name, value in logs.items() if name not in PRIORS})
 
 
-def _shares(logs: Mapping[str, float]) -> dict[str, float]:
+def _shares(logs: Mapping[_Key, float]) -> dict[_Key, float]:
     """Weights with the sum 1, computed from their logarithms."""
     total = np.logaddexp.reduce(list(logs.values()))
     return {name: float(np.exp(value - total)) for name, value in logs.items()}

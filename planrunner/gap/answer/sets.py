@@ -190,7 +190,7 @@ def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], 
             found[g] = set_log_bayes_factor(gram, score, widths, traces, PAIR_ENERGIES, scales)
         if held:
             found[g] += held_among(gram, score, scales, held)
-    return found + weighed.log_possible + sum(member.cost for member in members)
+    return weighed.if_possible(found) + sum(member.cost for member in members)
 
 
 def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:

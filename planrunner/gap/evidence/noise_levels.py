@@ -14,17 +14,14 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
-from planrunner.gap.evidence.bayes_factors import RANGE, STRONGEST, WEAKEST
+from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, log_mean_exp
 from planrunner.gap.evidence.rounding import is_coarse
 from planrunner.observation.lattice import COARSER, coarsening, holds, seen_levels, undeclared_step
 
 HOLDS = 0.02  # standard deviation of the logarithm of a correct declaration
 WRONG = 0.2  # chance that it is off by up to a factor of two
-_EXCESSES = np.geomspace(WEAKEST, STRONGEST, 60)
-EXCESS = HOLDS * np.sqrt(_EXCESSES)
+EXCESS = HOLDS * np.sqrt(np.geomspace(WEAKEST, STRONGEST, 60))
 """ln of (true ÷ declared white noise), its energy (ln ratio ÷ `HOLDS`)² log-uniform like that of every effect."""
-_PER_EXCESS = float(np.log(_EXCESSES[1] / _EXCESSES[0])) / RANGE
-"""Prior probability of one excess."""
 _TRIADS = ("gyro", "accel")
 CERTAIN = 60.0  # log odds assigned to a lattice of counts that is seen, or not seen
 
@@ -162,5 +159,4 @@ def _density(excess: Mapping[str, float], sigma: float, larger: Sequence[str]) -
     lowered: dict[str, Array | float] = dict(excess)
     for kind, more in zip(larger, shapes, strict=False):
         lowered[kind] = excess[kind] - more
-    terms = np.ravel(_declared(lowered, sigma))
-    return float(np.logaddexp.reduce(terms) + len(larger) * np.log(_PER_EXCESS))
+    return float(log_mean_exp(np.ravel(_declared(lowered, sigma)), 0))

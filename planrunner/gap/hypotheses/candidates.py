@@ -41,6 +41,7 @@ from planrunner.plan.model import NOMINAL_TERMS
 ABSORBED = 1e-4  # share of a signature's energy that remains through rounding when nominal parameters absorb an effect completely
 FULL = NOMINAL_TERMS
 _FORMS = 5
+EXCLUDED = -15.0  # log probability below which amplitudes count as physically impossible: 5 σ beyond a limit
 _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise is left out
 
 
@@ -65,20 +66,34 @@ class Weighed:
         """The log BF (G,), averaged over λ; for a held amplitude, at amplitude 1."""
         if self.held:
             return held_log_bayes_factor(self.gram[:, 0, 0], self.score[:, 0])
-        return log_bayes_factors(self.gram, self.score, self.trace) + self.log_possible
+        return self.if_possible(log_bayes_factors(self.gram, self.score, self.trace))
+
+    def if_possible(self, log_bayes: Array) -> Array:
+        """The log BF (G,) of amplitudes that are physically possible, from that of any amplitudes. A fit that physics excludes is
+        not better than none, however well it reproduces the data."""
+        found = log_bayes + self.log_possible
+        return np.minimum(found, self.log_possible) if self.excluded else found
+
+    @property
+    def excluded(self) -> bool:
+        """Whether the amplitudes that fit best are physically impossible."""
+        return self.log_possible <= EXCLUDED
 
     @cached_property
     def log_possible(self) -> float:
         """The logarithm of the probability that every amplitude is physically possible. A prior without a limit overstates the
         evidence by this factor."""
-        limited = [k for k, column in enumerate(self.variant.columns) if np.isfinite(column.largest)]
+        columns = self.variant.columns
+        limited = [k for k, column in enumerate(columns) if np.isfinite([column.smallest, column.largest]).any()]
         if not limited:
             return 0.0
         from scipy.special import log_ndtr
 
         mean, covariance = self.amplitudes
-        size = np.array([self.variant.columns[k].largest / self.variant.columns[k].magnitude for k in limited])
-        return float(log_ndtr((size - np.abs(mean[limited])) / np.sqrt(np.diag(covariance)[limited])).sum())
+        smallest = np.array([columns[k].smallest / columns[k].magnitude for k in limited])
+        largest = np.array([columns[k].largest / columns[k].magnitude for k in limited])
+        inside = np.minimum(largest - mean[limited], mean[limited] - smallest)
+        return float(log_ndtr(inside / np.sqrt(np.diag(covariance)[limited])).sum())
 
     @cached_property
     def amplitudes(self) -> tuple[Array, Array]:
