@@ -135,14 +135,21 @@ def _noise_declared_wrongly(found: Data) -> list[str]:
     return told
 
 
+def _noise_alone(found: Data) -> float:
+    """The probability that nothing but noise acts, whether at its declared level or not."""
+    levels = {"none", *found.get("noise_effects", ())}
+    return min(1.0, sum(p for name, p in found["posterior"].items() if levels.issuperset(name.split("+"))))
+
+
 def _cause(found: Data) -> str:
     """The cause of the gap in one sentence."""
     said, posterior = found["verdict"], found["posterior"]
     kind, effects = said["kind"], list(said["effects"])
-    if kind == "none" and posterior["none"] < SURE:
-        return f"No effect is named: noise alone may explain the recording ({probability(posterior['none'])})."
+    noise = _noise_alone(found)
+    if kind == "none" and noise < SURE:
+        return f"No effect is named: noise alone may explain the recording ({probability(noise)})."
     if kind == "none":
-        return f"No gap: noise alone explains the recording ({probability(posterior['none'])})."
+        return f"No gap: noise alone explains the recording ({probability(noise)})."
     if kind == "unknown":
         return f"A gap caused by something that the catalogue does not contain ({probability(posterior['unknown'])})."
     names = list(said["class"] or effects) if kind == "indistinguishable" else ["+".join(sorted(effects))]

@@ -97,6 +97,16 @@ def test_noise_alone_is_not_said_to_be_sure_where_it_is_only_possible():
     assert verdict(found) == "No effect is named: noise alone may explain the recording (P = 0.40)."
 
 
+def test_noise_alone_includes_noise_that_is_not_as_declared():
+    found = diagnosis(
+        "none",
+        posterior={"none": 0.15, "unknown": 0.06, "gyro_noise_excess": 0.77, "gyro_noise_excess+lever_arm": 0.02},
+        noise_effects={"gyro_noise_excess": 0.79},
+    )
+    check(found)
+    assert verdict(found) == "No effect is named: noise alone may explain the recording (P = 0.92)."
+
+
 def test_an_effect_of_its_form_is_named_beside_it():
     found = diagnosis(verdict={"kind": "effect", "effects": ["lever_arm"], "class": [], "form_residue": "time_latency"})
     check(found)
