@@ -138,7 +138,7 @@ def _noise_declared_wrongly(found: Data) -> list[str]:
 def _noise_alone(found: Data) -> float:
     """The probability that nothing but noise acts, whether at its declared level or not."""
     levels = {"none", *found.get("noise_effects", ())}
-    return min(1.0, sum(p for name, p in found["posterior"].items() if levels.issuperset(name.split("+"))))
+    return min(1.0, float(sum(p for name, p in found["posterior"].items() if levels.issuperset(name.split("+")))))
 
 
 def _cause(found: Data) -> str:

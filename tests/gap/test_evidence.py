@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -14,6 +16,8 @@ from planrunner.gap.evidence.bayes_factors import (
     log_mean_exp,
     pair_log_bayes_factor,
 )
+from planrunner.gap.evidence.noise_levels import log_densities
+from tests.gap.turntable import record
 
 
 @pytest.mark.parametrize(("p", "away"), [(1, 0.0), (1, 3.0), (1, 30.0), (3, 0.5), (3, 6.0), (9, 12.0)])
@@ -91,3 +95,17 @@ def test_each_effect_of_a_pair_has_a_size_of_its_own() -> None:
     least_squares = np.linalg.lstsq(X, y, rcond=None)[0]
     assert np.all(np.abs(mean - least_squares) < 0.25 * np.sqrt(np.diag(covariance)))
     assert np.diag(covariance) == pytest.approx(np.diag(np.linalg.inv(X.T @ X)), rel=0.1)
+
+
+def test_excess_noise_has_a_normalised_prior() -> None:
+    """Integrated over the measured level of the gyros, the density with excess noise is that with the declared noise."""
+    seen = record(1, clean=True)
+    seen = replace(seen, channels=tuple(replace(one, resolution=0.0) for one in seen.channels))
+    declared = np.array([one.white for one in seen.channels]) * np.sqrt(seen.sample_rate)
+    totals = {"declared": 0.0, "white": 0.0}
+    for excess in np.arange(-1.5, 4.5, 0.01):
+        white = declared * np.exp(excess * np.array([1, 1, 1, 0, 0, 0]))
+        found = log_densities(seen, white, np.full(6, 1e3), np.zeros(6))
+        for level in totals:
+            totals[level] += float(np.exp(found[level, "declared"]))  # type: ignore[index]
+    assert totals["white"] == pytest.approx(totals["declared"], rel=2e-3)
