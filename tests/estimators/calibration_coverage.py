@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,14 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import simulated_imu as imu
 from coverage_experiment import flicker_in_segments
-from recorded import sensor
+from recorded import noisy, segment, sensor
 
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.imu.imu_multi_position import ImuMultiPosition, ImuMultiPositionParameters
 from planrunner.estimators.interface import EstimateRequest, Setup
 from planrunner.estimators.outputs_fit import BASES
-from planrunner.estimators.temperature.curve import OverTemperature, fit_curve, groups_of
+from planrunner.estimators.temperature.parameters import TemperatureModelParameters
+from planrunner.estimators.temperature.temperature_model import TemperatureModel
 from planrunner.plan.quantity import parse_quantity
 from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.influences import InputQuantity, Inputs
@@ -81,18 +83,25 @@ def curve_coverage(
 ) -> tuple[float, float]:
     """Share of runs in which the interval holds the polynomial `truth`: lowest and highest over 21 temperatures of the range −40 … 60 degC.
 
-    scatter: of the values; the curve's coefficients are of T − 25 degC. order: None lets held-out error choose it.
+    Each run records samples at constant temperatures. scatter: of the means; the curve's coefficients are of T − 25 degC. order: None lets
+    held-out error choose it.
     """
-    draw = np.random.default_rng(seed)
+    draw, model = np.random.default_rng(seed), sensor("gyro", unit="deg/s")
     t, grid = np.linspace(-40, 60, temperatures), np.linspace(-40, 60, 21)
     exact, wanted = (np.polynomial.polynomial.polyval(one - 25, truth) for one in (t, grid))
-    sigma, alone = np.ones(temperatures), np.full(temperatures, -1)
-    group, hits = groups_of(t, 1.0), np.zeros(grid.size)
+    parameters = TemperatureModelParameters(channels=("gyro",), order=order)
+    planned = [replace(segment(f"T{one:+.1f}"), temperature=one + 273.15, start=300.0 * k) for k, one in enumerate(t)]
+    hits = np.zeros(grid.size)
     for _ in range(runs):
-        y = exact + scatter * draw.standard_normal(temperatures)
-        values = OverTemperature(t, y, sigma, group, alone, alone, np.zeros_like(alone), np.zeros((temperatures, 0)))
-        value, u, freedom = fit_curve("polynomial", order, 4, 25.0, values, 0, "one_standard_error", True).predict(grid)
-        hits += np.abs(value - wanted) <= expanded_uncertainty(1.0, float(freedom[0])) * u
+        recorded = tuple(
+            noisy(one, {"gyro": value}, "deg/s", scatter, draw, one.start or 0.0, samples=64)
+            for one, value in zip(planned, exact.tolist(), strict=True)
+        )
+        found = TemperatureModel().estimate(EstimateRequest("curve", recorded, parameters, imu.SITE, model))
+        powers = np.vander(grid - 25, len(found.coefficients), increasing=True)
+        value = powers @ [one.value for one in found.coefficients]
+        u = np.sqrt(np.einsum("ij,jk,ik->i", powers, found.covariance, powers))
+        hits += np.abs(value - wanted) <= expanded_uncertainty(1.0, found.coefficients[0].degrees_of_freedom) * u
     return float(hits.min() / runs), float(hits.max() / runs)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded import from_means, segment, sensor
+from recorded import from_means, noisy, segment, sensor
 
 from planrunner.estimators.interface import Coefficient, DesignRequest, Estimate, EstimateRequest, EstimationError
 from planrunner.estimators.method import designed
@@ -19,6 +19,7 @@ from planrunner.estimators.repeatability import (
     deviation_interval,
 )
 from planrunner.physics.earth import Site
+from planrunner.uncertainty.decision import expanded_uncertainty
 
 SITE = Site(math.radians(40.0))
 DAYS = {"a": ("a*",), "b": ("b*",), "c": ("c*",)}
@@ -128,6 +129,31 @@ def test_truth_within_the_stated_uncertainty() -> None:
     assert np.mean([one.between_uncertainty**2 for one in splits]) == pytest.approx(
         np.var([one.between for one in splits]), rel=0.6
     )
+
+
+@pytest.mark.slow
+def test_recorded_repeats_give_the_scatter_of_the_instrument_and_of_its_noise() -> None:
+    """300 recordings of five days with four repeats each, whose samples are noisy: the scatter of the means is that of the repeats, 2, and
+    of the noise, 1, together."""
+    draw, runs, inside, within, between = np.random.default_rng(4), 300, [], [], []
+    planned = [segment(f"{day}{k}") for day in "abcde" for k in range(4)]
+    parameters = RepeatabilityParameters(channels=("gyro",), groups={day: (f"{day}*",) for day in "abcde"})
+    for _ in range(runs):
+        values = 10 + 3 * np.repeat(draw.standard_normal(5), 4) + 2 * draw.standard_normal(20)
+        recorded = tuple(
+            noisy(one, {"gyro": value}, "deg/h", 1.0, draw, 300.0 * k, samples=64)
+            for k, (one, value) in enumerate(zip(planned, values.tolist(), strict=True))
+        )
+        found = Repeatability().estimate(EstimateRequest("again", recorded, parameters, SITE, sensor("gyro")))
+        mean = found["mean_gyro"]
+        inside.append(abs(mean.value - 10) <= expanded_uncertainty(mean.standard_uncertainty, mean.degrees_of_freedom))
+        within.append(found["s_gyro"].value ** 2)
+        between.append(found["s_total_gyro"].value ** 2 - within[-1])
+    assert np.mean(inside) == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / runs))
+    assert np.mean(within) == pytest.approx(5.0, rel=4 * math.sqrt(2 / 15 / runs))
+    assert np.mean(between) == pytest.approx(
+        9.0, rel=0.15
+    )  # (9 + 5/4)·√(2/4/600) is 3 %; a negative variance counts as zero
 
 
 # -- channels --------------------------------------------------------------------------------------------------------
