@@ -7,6 +7,7 @@ import pytest
 from recorded import figure, from_means, noisy, segment, sensor
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, TRUTH, _row, attitude, pulses
 
+from planrunner.estimators.flexure_gyro.compensation_prediction import expected_sums
 from planrunner.estimators.flexure_gyro.compensation_residual import (
     CompensationResidual,
     CompensationResidualParameters,
@@ -145,6 +146,14 @@ def test_design_predicts_the_same_ratio() -> None:
         matrix = np.array([_row(attitude(words)) for words in positions.values()])
         expected.append(3 + np.trace(check @ np.linalg.inv(matrix.T @ matrix) @ check.T))
     assert design.extra["ratios"]["ratio_traditional_to_drift"] == pytest.approx(expected[1] / expected[0], rel=1e-9)
+
+
+def test_noise_of_the_calibration_enters_the_expected_sums_as_its_variance() -> None:
+    """Two outputs, a bias alone: the mean of n observations of standard deviations σ_i, by their weights, has the variance 1/Σσ_i⁻²."""
+    sigma = np.array([[1.0, 2.0, 4.0], [3.0, 3.0, 3.0]])
+    verification = np.ones((5, 1))
+    (found,) = expected_sums(verification, ((np.ones((3, 1)), sigma),))
+    assert found == pytest.approx(sum(5 * (1 + 1 / np.sum(own**-2)) for own in sigma), rel=1e-12)
 
 
 def test_refusals() -> None:

@@ -106,10 +106,10 @@ def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[A
 
 
 def weighted_inverse(matrix: Array, sigma: Array) -> Array:
-    """The matrices that compute the coefficients from weighted observations, (m, p, n), for m outputs, p coefficients and n positions:
-    the change of a coefficient if one observation changes by its standard deviation. sigma: (m, n), standard deviations of the
-    observations. The columns of the design `matrix` (n, p) are scaled internally, because in SI units it is ill-conditioned."""
+    """The matrices that compute the coefficients from the observations, (m, p, n), for m outputs, p coefficients and n positions, by
+    weighted least squares. sigma: (m, n), standard deviations of the observations. The columns of the design `matrix` (n, p) are scaled
+    internally, because in SI units it is ill-conditioned."""
     size = np.abs(matrix).max(axis=0)
     size[size == 0] = 1.0
-    inverse: Array = np.linalg.pinv(matrix / sigma[..., None] / size) / size[:, None]
+    inverse: Array = np.linalg.pinv(matrix / sigma[..., None] / size) / size[:, None] / sigma[:, None, :]
     return inverse
