@@ -137,7 +137,7 @@ class CompensationResidual:
         stated = residual_influences(request, observations.units, matrix, observations.mean, _DEG_H)
         prediction = predict_residuals(
             {name: rates[name] @ own for name, own in noise.items()},
-            dict(zip(sets, _stated_maps(stated, len(sets), 2 * len(matrix)), strict=True)),
+            dict(zip(sets, _stated_maps(_independent(stated), len(sets), 2 * len(matrix)), strict=True)),
             request.parameters.trials,
             request.parameters.seed,
         )
@@ -145,6 +145,11 @@ class CompensationResidual:
         flat = np.concatenate([values.T.ravel() for values in residuals.values()])
         gradient = jacobian(lambda changed: sums_and_ratios(changed, len(residuals)), flat)
         return replace(found, influences=tuple(one.through(gradient) for one in stated))
+
+
+def _independent(stated: Sequence[Influence]) -> list[Influence]:
+    """The inputs without those that the residuals of a fit suggest: they are no knowledge from before the experiment."""
+    return [one for one in stated if not one.quantity.from_residuals]
 
 
 def _stated_maps(stated: Sequence[Influence], sets: int, residuals: int) -> Array:
