@@ -138,18 +138,18 @@ def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
     after = _plus(made, fitted, additions) + weighing.white * draw.standard_normal(fitted.shape)
     for one in additions:
         if isinstance(one.effect, ActsOnNoise) and one.effect.noise == "random walk":
-            after += _walk(seen, one.in_si("density"), draw)
+            after += _walk(seen, triad_of(one.effect), one.in_si("density"), draw)
     for index, channel in enumerate(seen.channels):
         after[:, index] = stuck(channel.name, seen.time, after[:, index], additions)
     return replace(seen, values=before), replace(seen, values=after)
 
 
-def _walk(observed: Observed, density: float, draw: np.random.Generator) -> Array:
-    """A random walk (N, K) of each gyro. density: rad/s/√s."""
+def _walk(observed: Observed, triad: str, density: float, draw: np.random.Generator) -> Array:
+    """A random walk (N, K) of each channel of a triad; zero in the other channels. density: SI unit of the triad divided by √s."""
     steps = np.sqrt(np.diff(observed.time, prepend=observed.time[0]).clip(0.0))
     walk = np.zeros((len(steps), len(observed.channels)))
-    gyros = observed.of_kind("gyro")
-    walk[:, gyros] = np.cumsum(density * steps[:, None] * draw.standard_normal((len(steps), len(gyros))), axis=0)
+    own = observed.of_kind(triad)
+    walk[:, own] = np.cumsum(density * steps[:, None] * draw.standard_normal((len(steps), len(own))), axis=0)
     return walk
 
 

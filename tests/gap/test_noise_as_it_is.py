@@ -81,7 +81,7 @@ def named(request: pytest.FixtureRequest) -> tuple[str, Diagnosis]:
 
 
 def test_an_effect_is_named_whatever_the_noise(named: tuple[str, Diagnosis]) -> None:
-    """A line is not only noise: it has a name of its own beside the effect."""
+    """A line is also named, as interference, in addition to the effect."""
     noise, found = named
     lines = ("accel_line_interference", "gyro_line_interference") if noise == "with a line" else ()
     assert set(found.verdict.effects) == {"gyro_g_sensitivity", *lines}

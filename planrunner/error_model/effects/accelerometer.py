@@ -10,8 +10,7 @@ from planrunner.error_model.effects.interface import Variant, per_axis, single
 from planrunner.error_model.effects.nominal import towards_others
 from planrunner.error_model.effects.products import products
 from planrunner.error_model.observed import Observed
-
-G = 9.80665  # m/s²
+from planrunner.plan.units import STANDARD_GRAVITY as G
 
 
 class AccelBiasTemperature:

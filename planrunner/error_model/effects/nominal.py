@@ -8,9 +8,9 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Column, Variant, on_stimulus, per_axis, single, whole
 from planrunner.error_model.observed import Observed
+from planrunner.plan.units import STANDARD_GRAVITY as G
 
 DEG = 3.141592653589793 / 180
-G = 9.80665
 
 
 def felt(observed: Observed, kind: str) -> Array:

@@ -11,8 +11,9 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Column, Shaped, Variant, on_rate, per_axis
 from planrunner.error_model.observed import Observed
+from planrunner.plan.units import STANDARD_GRAVITY as G
 
-_SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2), "accel": ("mg", 9.80665e-3, 1.0)}
+_SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2), "accel": ("mg", 1e-3 * G, 1.0)}
 
 _ARCSEC = np.pi / 180 / 3600
 _CROSS = ((1, 2, 1.0), (2, 0, 1.0), (0, 1, 1.0), (2, 1, -1.0), (0, 2, -1.0), (1, 0, -1.0))

@@ -10,9 +10,9 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Follows, Variant, per_axis, single
 from planrunner.error_model.observed import Observed
+from planrunner.plan.units import STANDARD_GRAVITY as G
 
 DEG = np.pi / 180
-G = 9.80665  # m/s²
 
 
 class _Quantity(NamedTuple):

@@ -10,8 +10,9 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Shaped, Variant, per_axis
 from planrunner.error_model.observed import Observed, TemperatureCourse
+from planrunner.plan.units import STANDARD_GRAVITY as G
 
-_SCALES = {"gyro": ("deg/s/K", np.pi / 180, 1e-3), "accel": ("ug/K", 9.80665e-6, 100.0)}
+_SCALES = {"gyro": ("deg/s/K", np.pi / 180, 1e-3), "accel": ("ug/K", 1e-6 * G, 100.0)}
 """By kind of triad: the unit of the amplitude, its SI value, and its natural size in this unit."""
 _NODES = 256  # of a segment during which the temperature changes
 _SETTLED = 3.0  # time constants that fit between two segments at least

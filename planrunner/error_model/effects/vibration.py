@@ -8,9 +8,9 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Variant, per_axis, single
 from planrunner.error_model.observed import Observed
+from planrunner.plan.units import STANDARD_GRAVITY as G
 
 DEG = np.pi / 180
-G = 9.80665  # m/s²
 _TWO = 1.2  # ratio of the mean squares of two intensities: with one, the shift is any offset of the rocking segments
 _SHOWN_BY = "segments at rest, and rocking segments of two intensities"
 

@@ -10,8 +10,9 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Shaped, Variant, per_axis
 from planrunner.error_model.observed import Observed
+from planrunner.plan.units import STANDARD_GRAVITY as G
 
-_SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2 * np.pi / 180), "accel": ("mg", 9.80665e-3, 9.80665e-3)}
+_SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2 * np.pi / 180), "accel": ("mg", 1e-3 * G, 1e-3 * G)}
 """By kind of triad: the unit of the amplitude, its SI value, and the prior scale in SI."""
 
 
