@@ -129,19 +129,50 @@ def drift_of(
             observations.end,
             observations.seconds,
         )
-    courses = list(in_time(start, end, seconds))
+    kelvin = None
     if set(names) & set(WITH_TEMPERATURE):
-        name = thermometer_of(_common(test if segments else ()), channel, by_evidence)
-        if name is not None:
-            kelvin = _temperatures(test, name)
-            changed = float(np.ptp(kelvin[rows]))
-            if not by_evidence or changed >= CHANGED:  # a thermometer's noise must not explain anything
-                found = _with_temperature((start + end) / 2, kelvin, seconds)
-                courses += [replace(one, changed=changed if changed >= CHANGED else 0.0) for one in found]
-    used = [replace(one, columns=one.columns[rows]) for one in courses if one.name in names]
+        name = recorded_thermometer(test if segments else (), channel, by_evidence)
+        kelvin = None if name is None else _temperatures(test, name)
+    courses = _courses(start, end, seconds, kelvin, rows, names, by_evidence)
+    used = [replace(one, columns=one.columns[rows]) for one in courses]
     if by_evidence:  # times that are not known, or a temperature that does not change, show nothing
         used = [one for one in used if np.any(one.columns)]
     return DriftCourses(tuple(used), by_evidence)
+
+
+def courses_by_evidence(
+    start: Array, end: Array, seconds: Array, kelvin: Array | None, observed: int
+) -> tuple[DriftCourses, DriftCourses]:
+    """The courses that n observations may show, and the same courses over all r rows.
+
+    start, end: (r,), s, first of the observations, then of further times; seconds: (r,), recorded time of the observations, s, and 0 at
+    the further times; kelvin: (r,), temperatures; None if they are not recorded. observed: n.
+    """
+    rows = list(range(observed))
+    names = asked((BY_EVIDENCE,))
+    whole = [one for one in _courses(start, end, seconds, kelvin, rows, names, True) if np.any(one.columns[:observed])]
+    seen = tuple(replace(one, columns=one.columns[:observed]) for one in whole)
+    return DriftCourses(seen), DriftCourses(tuple(whole))
+
+
+def _courses(
+    start: Array,
+    end: Array,
+    seconds: Array,
+    kelvin: Array | None,
+    rows: Sequence[int],
+    names: Sequence[str],
+    by_evidence: bool,
+) -> list[DriftCourse]:
+    """The courses among `names`; with the temperature only if it is known and changes between the given rows. Arrays: (n,), as in
+    `in_time`."""
+    courses = list(in_time(start, end, seconds))
+    if kelvin is not None:
+        changed = float(np.ptp(kelvin[rows]))
+        if not by_evidence or changed >= CHANGED:  # a thermometer's noise must not explain anything
+            found = _with_temperature((start + end) / 2, kelvin, seconds, names)
+            courses += [replace(one, changed=changed if changed >= CHANGED else 0.0) for one in found]
+    return [one for one in courses if one.name in names]
 
 
 def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)) -> tuple[DriftCourse, ...]:
@@ -157,20 +188,28 @@ def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)
     return tuple(made)
 
 
-def _with_temperature(middle: Array, kelvin: Array, seconds: Array) -> tuple[DriftCourse, ...]:
-    """The course with temperature. middle: (n,), s; kelvin: (n,), of the segments. The rate of change of the temperature is the slope
-    of the line through the neighbouring segments."""
+def _with_temperature(middle: Array, kelvin: Array, seconds: Array, names: Sequence[str]) -> tuple[DriftCourse, ...]:
+    """The courses with temperature among `names`. middle: (n,), s; kelvin: (n,), of the segments. The rate of change of the temperature
+    is the slope of the line through the neighbouring segments."""
     if len(kelvin) < 2 or np.ptp(kelvin) < _STEADY:
         return ()
+    by_level, by_rate = WITH_TEMPERATURE
+    found = [DriftCourse(by_level, _PER[by_level], _centred(kelvin, seconds))] if by_level in names else []
+    if by_rate not in names:
+        return tuple(found)
     order = np.argsort(middle, kind="stable")
     rate = np.empty(len(kelvin))
     rate[order] = np.gradient(kelvin[order], middle[order] / _HOUR)
-    pairs = zip(WITH_TEMPERATURE, (kelvin, rate), strict=True)
-    return tuple(DriftCourse(name, _PER[name], _centred(values, seconds)) for name, values in pairs)
+    return (*found, DriftCourse(by_rate, _PER[by_rate], _centred(rate, seconds)))
 
 
 def _centred(values: Array, seconds: Array) -> Array:
     return np.asarray(values - values @ seconds / seconds.sum())[:, None]
+
+
+def recorded_thermometer(segments: Sequence[RecordedSegment], channel: str | None, by_evidence: bool) -> str | None:
+    """The thermometer that is recorded in all segments, as for `thermometer_of`."""
+    return thermometer_of(_common(segments), channel, by_evidence)
 
 
 def thermometer_of(units: Mapping[str, str], channel: str | None, by_evidence: bool) -> str | None:

@@ -16,6 +16,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.estimators.strapdown.reading import IncrementReader, Increments, reference_speed
+from planrunner.estimators.strapdown.standing import StopReader
 from planrunner.instruments.models import TableModel
 from planrunner.navigation import attitude
 from planrunner.navigation.alignment import Alignment, FineAlignment, coarse
@@ -45,7 +46,8 @@ class Aligned:
     """Result of an alignment. alignment: the fine alignment, with the covariance used. last: (6,), the last increments. density: (6, 6),
     the white noise in navigation axes, from the scatter at rest: the covariance that it adds to the integrated outputs per second. white:
     (6,), square roots of these densities in body axes. seconds: duration, s. turned: whether the unit was turned from stop to stop during
-    alignment, so that the constant errors of its sensors were estimated too. rest: the readings at the first stop."""
+    alignment, so that the constant errors of its sensors were estimated too. rest: the readings at the first stop; stops: those at all
+    stops."""
 
     alignment: Alignment
     last: Array
@@ -55,6 +57,7 @@ class Aligned:
     turned: bool
     warnings: tuple[Said, ...]
     rest: AtRest
+    stops: StopReader
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,10 +78,11 @@ def align(
     gravity_factor: float,
     constant: Array,
     follow: float | None = None,
+    lasting: float = 0.0,
 ) -> Aligned:
     """Finds the attitude at the end of a segment. site: with latitude, height and gravity of the place. constant: (6,), standard
     uncertainty of the constant errors, rad/s and m/s², for a unit that is turned during alignment. follow: as for `FineAlignment`.
-    Raises `EstimationError`."""
+    lasting: length of alignment and navigation, s. Raises `EstimationError`."""
     seconds = recorded.statistics.duration
     still = stillness(recorded.segment, seconds)
     _check_stop(recorded, seconds, still, site)
@@ -114,9 +118,12 @@ def align(
         every=every,
     )
     before = start[None]
+    stops = StopReader(site.earth_rate, white, max(lasting, seconds), recorded.statistics.start - reader.interval)
     for piece in chain(begin, pieces):
+        at = np.arange(every - 1 - navigator.steps % every, piece.time.size, every)
         knots = navigator.advance(piece.values, piece.interval)
         rotations = np.concatenate([before, attitude.matrix(knots.attitude)])
+        stops.take(piece, at, rotations[1:])
         turns = attitude.turned_about_up(rotations[:-1], rotations[1:]) / (every * reader.interval)
         for fine in filters:
             fine.take(knots.velocity[:, :2], (rotations[1:] + rotations[:-1]) / 2, turns)
@@ -127,7 +134,7 @@ def align(
     if lost:
         warnings += (_quiet(recorded.label, mean, site),)
     density = to_navigation(found.rotation, white**2)
-    return Aligned(found, navigator.last, density, white, seconds, turned, warnings, rest)
+    return Aligned(found, navigator.last, density, white, seconds, turned, warnings, rest, stops)
 
 
 def stillness(segment: Segment, seconds: float) -> float:

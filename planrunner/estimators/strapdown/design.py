@@ -33,7 +33,12 @@ from planrunner.estimators.strapdown.alignment import (
     stillness,
     to_navigation,
 )
-from planrunner.estimators.strapdown.navigating import StrapdownNavigationParameters, parts, wandering_sensors
+from planrunner.estimators.strapdown.navigating import (
+    StrapdownNavigationParameters,
+    parts,
+    rate_of,
+    wandering_sensors,
+)
 from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, CEP_SPREAD, HOUR, NAUTICAL_MILE
 from planrunner.estimators.strapdown.uncertainty import (
     NAMES,
@@ -41,7 +46,6 @@ from planrunner.estimators.strapdown.uncertainty import (
     SCHULER_PERIOD,
     errors_by_latitude,
     interpolated,
-    rate_of,
 )
 from planrunner.estimators.strapdown.wandering import WanderingBias
 from planrunner.navigation import attitude

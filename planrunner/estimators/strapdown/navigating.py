@@ -17,6 +17,7 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimateRequest, EstimationError
 from planrunner.estimators.strapdown.alignment import STILL, Aligned, align, end_attitude, opposed, same_attitude
+from planrunner.estimators.strapdown.drifting import StopDrift, stop_drift
 from planrunner.estimators.strapdown.navigation_errors import ErrorRecord, Truth, difference, stride
 from planrunner.estimators.strapdown.reading import (
     IncrementReader,
@@ -24,16 +25,20 @@ from planrunner.estimators.strapdown.reading import (
     reference_mean,
     reference_speed,
 )
+from planrunner.estimators.strapdown.standing import opposed_gyros
 from planrunner.estimators.strapdown.wandering import MeanAttitude, WanderingBias, interval
+from planrunner.instruments.models import SensorModel
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import TILT, ErrorEquations
 from planrunner.navigation.mechanisation import Knots, Navigator
 from planrunner.navigation.wgs84 import normal_gravity
+from planrunner.observation.drift import recorded_thermometer
 from planrunner.observation.flicker import drift_span
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key, optional
 from planrunner.plan.quantity import Quantity, QuantityError, parse_quantity, without_uncertainty
 from planrunner.plan.selection import matches
+from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.uncertainty.influences import Aspect, InputQuantity, Inputs
 
 S = TypeVar("S")
@@ -42,6 +47,7 @@ S = TypeVar("S")
 _HIGHEST_REACHED = math.radians(89)
 
 
+_FEWER = 256  # the same, where only a drift is followed
 _INTERVALS = 4400  # of a navigation, in each of which a bias that wanders is its mean: a minute each in 72 h
 
 
@@ -137,8 +143,9 @@ class StrapdownNavigationParameters(Record):
 @dataclass(frozen=True, slots=True)
 class Navigated:
     """Result of a navigation. site: the place of the start. final: (4,), errors at the end [m, m, m/s, m/s]. seconds: duration, s. start:
-    time at which the navigation began, s. gap: time without samples after the alignment, s. wandering: response to biases that wander;
-    None if the bench file states for each sensor that it has no bias instability."""
+    time at which the navigation began, s. gap: time without samples after the alignment, s. wandering: response to biases that change.
+    opposed: indices of gyros that seem to have the wrong sign. drift: what the stops show; None if they cannot show a drift, or if the
+    carrier moves."""
 
     site: Site
     aligned: Aligned
@@ -149,6 +156,8 @@ class Navigated:
     gap: float
     bridged: int
     wandering: WanderingBias | None = None
+    opposed: tuple[int, ...] = ()
+    drift: StopDrift | None = None
 
 
 def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S, Sequence[S]]:
@@ -219,35 +228,55 @@ def navigate(request: EstimateRequest[StrapdownNavigationParameters]) -> Navigat
         raise EstimationError(
             "alignment and navigation have different sample rates: give all of them one `sample_rate`"
         )
-    reader = IncrementReader(parameters.channels, rates.pop(), parameters.bridge.value)
+    thermometer = recorded_thermometer((stop, *moving), None, by_evidence=True)
+    reader = IncrementReader(parameters.channels, rates.pop(), parameters.bridge.value, thermometer)
     bench = request.site.on_ellipsoid
     factor = (
         bench.gravity / float(normal_gravity(bench.latitude, bench.height)) if parameters.gravity == "site" else 1.0
     )
     site = start_place(request, stop, factor)
-    step = None
     inputs = request.setup.inputs
-    if wandering_sensors(inputs, parameters) or inputs.without_flicker & set(parameters.channels):
-        step = interval(sum(item.statistics.duration for item in (stop, *moving)), _INTERVALS)
-    aligned = align(stop, reader, site, factor, parameters.constant_errors, step)
+    flickering = wandering_sensors(inputs, parameters) or inputs.without_flicker & set(parameters.channels)
+    lasting = sum(item.statistics.duration for item in (stop, *moving))
+    step = interval(lasting, _INTERVALS if flickering else _FEWER)
+    aligned = align(stop, reader, site, factor, parameters.constant_errors, step, lasting)
     planned = end_attitude(stop.segment, request.setup.table, stop.statistics.duration)
-    aligned = replace(aligned, warnings=(*aligned.warnings, *opposed(stop.label, planned, aligned.alignment.rotation)))
+    turned_over = opposed(stop.label, planned, aligned.alignment.rotation)
+    aligned = replace(aligned, warnings=(*aligned.warnings, *turned_over))
     gap = _gap(request, stop, moving, reader)
-    attitudes = None if step is None else MeanAttitude(step)
+    attitudes = MeanAttitude(step)
     found = _run(request, reader, moving, site, factor, aligned, gap, attitudes)
-    if attitudes is None or step is None:
-        return found
     between = max(0, round((found.start - (stop.statistics.start - reader.interval)) / step))
     followed = aligned.alignment.followed[TILT]
     span = parameters.drift_span.value
     response = WanderingBias(ErrorEquations.at(found.site), followed, attitudes.means, between, step, span)
-    return replace(found, wandering=response)
+    if max(map(reference_speed, (stop, *moving))) > STILL:
+        return replace(found, wandering=response)
+    stated = {
+        k: quantity.standard_uncertainty * rate_of(quantity, request.sensor)
+        for k, quantity in wandering_sensors(inputs, parameters).items()
+    }
+    stops = aligned.stops.finish()
+    wrong = () if turned_over else opposed_gyros(stops, _earth_rate(found.site))
+    return replace(found, wandering=response, opposed=wrong, drift=stop_drift(stops, response, stated))
+
+
+def _earth_rate(site: Site) -> Array:
+    """In East-North-Up, (3,), rad/s."""
+    return np.array([0.0, site.earth_rate * math.cos(site.latitude), site.earth_rate * math.sin(site.latitude)])
 
 
 def wandering_sensors(inputs: Inputs, parameters: StrapdownNavigationParameters) -> dict[int, InputQuantity]:
     """The stated bias instabilities by index of the sensor: gyros x, y, z, then accelerometers x, y, z."""
     stated = (inputs.of_output(Aspect.BIAS_INSTABILITY, name) for name in parameters.channels)
     return {k: quantity for k, quantity in enumerate(stated) if quantity is not None}
+
+
+def rate_of(quantity: InputQuantity, sensor: SensorModel) -> float:
+    """Value in rad/s or m/s² of one unit of an output, also of an output that gives increments."""
+    known = unit(quantity.unit)
+    increments = known.dimension in (DIMENSIONS["angle"], DIMENSIONS["speed"])
+    return known.factor * (sensor.sample_rate if increments else 1.0)
 
 
 def _gap(
@@ -286,7 +315,7 @@ def _run(
     factor: float,
     aligned: Aligned,
     gap: float,
-    attitudes: MeanAttitude | None,
+    attitudes: MeanAttitude,
 ) -> Navigated:
     every = max(1, round(1 / reader.interval))
     lasting = sum(item.statistics.duration for item in moving)
@@ -297,6 +326,7 @@ def _run(
     record = ErrorRecord(stride(int(lasting / (every * reader.interval))))
     navigator: Navigator | None = None
     start, time, truth = math.nan, math.nan, None
+    aligned.stops.part()  # the knots of the navigation begin anew
     for item in moving:
         for piece in reader.blocks(item):
             if navigator is None:
@@ -305,8 +335,9 @@ def _run(
             at = np.arange(every - 1 - navigator.steps % every, piece.time.size, every)
             knots = navigator.advance(piece.values, piece.interval, piece.reference.get("reference_height"))
             record.take(piece.time[at] - start, knots, _truth(piece, site, at))
-            if attitudes is not None:
-                attitudes.take(piece.time[at] - start, attitude.matrix(knots.attitude))
+            rotations = attitude.matrix(knots.attitude)
+            attitudes.take(piece.time[at] - start, rotations)
+            aligned.stops.take(piece, at, rotations)
             _check(navigator, item.label, float(piece.time[-1]) - start)
             time, truth = float(piece.time[-1]), _truth(piece, site, np.array([-1]))
     assert navigator is not None and truth is not None

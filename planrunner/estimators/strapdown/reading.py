@@ -37,23 +37,27 @@ _RATE_TOLERANCE = 0.02
 @dataclass(frozen=True, slots=True)
 class Increments:
     """Integrated rates and specific forces of a recording. values: (6, n), rad and m/s on body x, y, z. interval: (n,), s, the time
-    that each increment covers; time: (n,), s, the end of this time. reference: SI values of reference channels, by channel, (n,)."""
+    that each increment covers; time: (n,), s, the end of this time. reference: SI values of reference channels, by channel, (n,).
+    kelvin: (n,), of the sensor's thermometer; None without one."""
 
     time: Array
     interval: Array
     values: Array
     reference: Mapping[str, Array]
+    kelvin: Array | None = None
 
 
 class IncrementReader:
     """Reads the increments of consecutive segments. It continues the clock from one segment to the next."""
 
-    def __init__(self, channels: Sequence[str], sample_rate: float, bridge: float):
-        """channels: three gyros and three accelerometers in the order x, y, z. sample_rate: Hz. bridge: s."""
+    def __init__(self, channels: Sequence[str], sample_rate: float, bridge: float, thermometer: str | None = None):
+        """channels: three gyros and three accelerometers in the order x, y, z. sample_rate: Hz. bridge: s. thermometer: channel of a
+        temperature that is read with them."""
         self.channels = tuple(channels)
         self.interval = 1 / sample_rate
         self.bridge = bridge
         self.bridged = 0
+        self.thermometer = thermometer
         self._last: float | None = None
         self._before: Array | None = None
 
@@ -66,16 +70,20 @@ class IncrementReader:
         factors, integrated = scales(recorded, self.channels)
         references = [name for name in REFERENCES if name in recorded.units]
         to_si = [_reference_unit(recorded, name) for name in references]
-        for block in recorded.blocks([*self.channels, *references]):
-            rows = np.vstack([block.time, *(block.channels[name] for name in (*self.channels, *references))])
-            rows = rows[:, np.isfinite(rows).all(axis=0)]
+        needed = [*self.channels, *references]
+        names = needed if self.thermometer is None else [*needed, self.thermometer]
+        warmth = None if self.thermometer is None else unit(recorded.units[self.thermometer])
+        for block in recorded.blocks(names):
+            rows = np.vstack([block.time, *(block.channels[name] for name in names)])
+            rows = rows[:, np.isfinite(rows[: len(needed) + 1]).all(axis=0)]
             if not rows.size:
                 continue
             interval, rows = self._clock(recorded.label, rows)
             values = rows[1:7] * factors[:, None]
             values *= np.where(integrated[:, None], 1.0, interval)
             found = {name: rows[7 + k] * to_si[k] for k, name in enumerate(references)}
-            yield Increments(rows[0], interval, values, found)
+            kelvin = None if warmth is None else rows[-1] * warmth.factor + warmth.offset
+            yield Increments(rows[0], interval, values, found, kelvin)
 
     def _clock(self, label: str, rows: Array) -> tuple[Array, Array]:
         """The interval that each sample covers, and the samples after short gaps are filled."""

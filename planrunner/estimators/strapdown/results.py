@@ -22,6 +22,7 @@ from planrunner.estimators.strapdown.uncertainty import (
     SCHULER_PERIOD,
     Spread,
     Wander,
+    drift_influence,
     influences,
 )
 from planrunner.estimators.tables import Plot, Role, Table, TableColumn, by_columns
@@ -30,12 +31,16 @@ from planrunner.navigation.error_equations import INPUTS, SIZE, ErrorEquations
 from planrunner.plan.schedule import Rest
 from planrunner.plan.units import STANDARD_GRAVITY
 
+_GYROS = 3
+_SHOWN = 3.0  # standard uncertainties from which the drift of one sensor is named
+
 
 def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> Estimate:
     """Assembles the estimate."""
     points = found.record.points()
     equations = ErrorEquations.at(found.site)
     spread, wander = Spread(equations, found, points, _turns(request)), Wander(request, found, points)
+    drift = drift_influence(found, points)
     coefficients = _coefficients(found, spread)
     values = {item.name: item.value for item in coefficients}
     return Estimate(
@@ -48,7 +53,7 @@ def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Nav
         (_table(points, np.hypot(spread.radial, wander.radial)), *_constants(request, found)),
         _plots(points),
         _notes(request, found, values),
-        _warnings(found),
+        _warnings(request, found),
         tuple(recorded.label for recorded in request.segments),
         {
             "time_s": points[0].tolist(),
@@ -59,7 +64,7 @@ def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Nav
             "cep_rate_nmi_h": values["cep_rate"],
             "duration_s": found.seconds,
         },
-        (*influences(request, equations, found, points), *wander.influences),
+        (*influences(request, equations, found, points), *wander.influences, *(() if drift is None else (drift,))),
         unstated=wander.unstated,
     )
 
@@ -236,12 +241,61 @@ def _notes(
     return tuple(notes)
 
 
-def _warnings(found: Navigated) -> tuple[Said, ...]:
-    if not found.bridged:
-        return found.aligned.warnings
-    bridged = counted(
-        "{count} missing sample was filled by linear interpolation; this may increase the navigation errors.",
-        "{count} missing samples were filled by linear interpolation; this may increase the navigation errors.",
-        found.bridged,
-    )
-    return (*found.aligned.warnings, bridged)
+def _warnings(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> tuple[Said, ...]:
+    warnings = [*found.aligned.warnings, *_at_stops(request, found)]
+    if found.bridged:
+        warnings.append(
+            counted(
+                "{count} missing sample was filled by linear interpolation; this may increase the navigation errors.",
+                "{count} missing samples were filled by linear interpolation; this may increase the navigation errors.",
+                found.bridged,
+            )
+        )
+    return tuple(warnings)
+
+
+def _at_stops(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> list[Said]:
+    """Warnings about what the readings at stops show."""
+    channels, warnings = request.parameters.channels, []
+    if found.opposed:
+        warnings.append(
+            said(
+                "From stop to stop, the rates of {outputs} change in the opposite direction to the Earth's rate in the navigated "
+                "orientation: check the signs and the order of the channels.",
+                outputs=tuple(channels[k] for k in found.opposed),
+            )
+        )
+    drift = found.drift
+    if drift is None:
+        return warnings
+    if drift.fitted.courses:
+        shown = np.flatnonzero(drift.changes > _SHOWN * drift.uncertainties)
+        if not len(shown):
+            shown = np.array([int(np.argmax(drift.changes / drift.uncertainties))])
+        warnings.append(
+            said(
+                "The readings at stops show a drift during alignment and navigation ({drifts}): {changes}. The navigation is not corrected "
+                "for this drift. According to the error equations, the drift causes {metres:.3g} m of the position error at the end. The "
+                "uncertainties include the effect of the drift. Without the drift, the errors would be those of the mean biases.",
+                drifts=tuple(dict.fromkeys(course.name for course in drift.fitted.courses)),
+                changes=tuple(_change(channels[k], float(drift.changes[k]), k) for k in shown.tolist()),
+                metres=float(np.hypot(*drift.effect[:2, -1, 0])),
+            )
+        )
+    if drift.unexplained.any():
+        warnings.append(
+            said(
+                "At the stops, the readings of {outputs} vary by up to {ratio:.2g} times the amount that noise explains. Flicker that "
+                "the bench file does not declare, a drift of another form, or a base that tilts can cause this. The uncertainties do "
+                "not include its effect.",
+                outputs=tuple(channels[k] for k in np.flatnonzero(drift.unexplained)),
+                ratio=float(drift.scatter.max()),
+            )
+        )
+    return warnings
+
+
+def _change(channel: str, size: float, sensor: int) -> Said:
+    """The drift of one sensor in words. size: rad/s or m/s²."""
+    text, factor = ("deg/h", DEGREE * HOUR) if sensor < _GYROS else ("ug", 1e6 / STANDARD_GRAVITY)
+    return said("{output} by {size:.2g} {unit}", output=channel, size=size * factor, unit=text)

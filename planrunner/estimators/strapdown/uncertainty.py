@@ -16,16 +16,19 @@ from planrunner.base.arrays import Array
 from planrunner.base.said import said
 from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.strapdown.alignment import levelled_out
-from planrunner.estimators.strapdown.navigating import Navigated, StrapdownNavigationParameters, wandering_sensors
+from planrunner.estimators.strapdown.navigating import (
+    Navigated,
+    StrapdownNavigationParameters,
+    rate_of,
+    wandering_sensors,
+)
 from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, CEP_SPREAD, HOUR, NAUTICAL_MILE
 from planrunner.estimators.unstated_flicker import FlickerEvidence, UnstatedFlicker
-from planrunner.instruments.models import SensorModel
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
 from planrunner.navigation.wgs84 import radii
 from planrunner.observation.flicker import mean_covariance, of_unit_size
 from planrunner.physics.earth import Site
-from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.uncertainty.derivatives import jacobian, length
 from planrunner.uncertainty.influences import Influence, InputQuantity
 from planrunner.uncertainty.monte_carlo import square_root
@@ -88,14 +91,14 @@ class Wander:
         self.influences: tuple[Influence, ...] = ()
         self.unstated: tuple[UnstatedFlicker, ...] = ()
         self.radial = np.zeros(points.shape[1])
-        if found.wandering is None:
-            return
         channels, inputs = request.parameters.channels, request.setup.inputs
         stated = wandering_sensors(inputs, request.parameters)
         units = request.segments[0].units
         silent = {
             k: of_unit_size(name, units[name]) for k, name in enumerate(channels) if name in inputs.without_flicker
         }
+        if found.wandering is None or not (stated or silent):
+            return
         moments = np.unique([*np.linspace(points[0, -1] / _MOMENTS, points[0, -1], _MOMENTS), found.seconds])
         covariances = found.wandering.covariances(moments)
         for k, quantity in (stated | silent).items():
@@ -129,13 +132,6 @@ def _evidence(found: Navigated, sensor: int, rate: float, span: float) -> Flicke
         np.zeros(n),
         np.zeros((n, 0)),
     )
-
-
-def rate_of(quantity: InputQuantity, sensor: SensorModel) -> float:
-    """Value in rad/s or m/s² of one unit of an output, also of an output that gives increments."""
-    known = unit(quantity.unit)
-    increments = known.dimension in (DIMENSIONS["angle"], DIMENSIONS["speed"])
-    return known.factor * (sensor.sample_rate if increments else 1.0)
 
 
 def interpolated(time: Array, moments: Array, covariances: Array) -> Array:
@@ -228,6 +224,30 @@ def influences(
         followed = jacobian(lambda by: _figures(course[..., None] + change[..., None] * by[0]), np.zeros(1))
         influences.append(Influence(latitude, np.concatenate([np.zeros((3, 1)), followed])))
     return tuple(influences)
+
+
+def drift_influence(found: Navigated, points: Array) -> Influence | None:
+    """Influence of the drift that the stops show; None without such a drift. points: as returned by `ErrorRecord.points`.
+
+    The change of each coefficient is the difference between the figures of the course with the drift and without it. Changes by the
+    uncertainty of the drift are small, and are independent of each other."""
+    drift = found.drift
+    if drift is None or not drift.fitted.courses:
+        return None
+    course = np.column_stack([points[:, 1:], [found.seconds, *found.final]])
+    effect = np.array(
+        [[np.interp(course[0], drift.time, row) for row in state.T] for state in drift.effect[:4]]
+    ).swapaxes(1, 2)
+    plain = _figures(course[..., None])
+    signs = np.append(-1.0, np.ones(effect.shape[2] - 1))
+    changes = signs * (
+        _figures(course[..., None] + np.concatenate([np.zeros((1, *effect.shape[1:])), signs * effect])) - plain
+    )
+    rotation = found.aligned.alignment.rotation
+    angles = -attitude.angle_sensitivities(rotation) * DEGREE @ drift.effect[TILT, 0]
+    return Influence(
+        InputQuantity("drift", 0.0, "1", 1.0, source="fitted drift, not corrected"), np.vstack([angles, changes])
+    )
 
 
 def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count: int) -> Array:

@@ -38,11 +38,37 @@ class WanderingBias:
     step: float
     span: float
 
+    @property
+    def begun(self) -> int:
+        """Number of intervals before those of the navigation."""
+        return max(self.between, int(self.aligned.shape[2]))
+
+    @property
+    def middles(self) -> Array:
+        """Middle of each interval of alignment and navigation, s since the alignment began."""
+        return np.asarray(self.step * (np.arange(self.begun + len(self.attitude)) + 0.5))
+
+    def errors(self, biases: Array) -> Array:
+        """Errors (7, n + 1, r) at the beginning of the navigation and after each of its n intervals, in the states of
+        `error_equations`, for r courses of the sensors' biases. biases: (6, l, r), rad/s and m/s², means over the intervals whose
+        middles are `middles`."""
+        m = self.aligned.shape[2]
+        start = np.zeros((SIZE, biases.shape[2]))
+        start[TILT] = np.einsum("asm,smr->ar", self.aligned, biases[:, :m])
+        driven = np.einsum("kis,skr->kir", self._turned(), biases[:, self.begun :])
+        states = self.equations.responses(start, driven, self.step)
+        return np.concatenate([start[None], states]).swapaxes(0, 1)
+
+    def _turned(self) -> Array:
+        """Matrices from body to navigation axes for the errors of gyros and accelerometers, (n, 6, 6)."""
+        turned = np.zeros((len(self.attitude), INPUTS, INPUTS))
+        turned[:, :_AXES, :_AXES] = turned[:, _AXES:, _AXES:] = self.attitude
+        return turned
+
     def covariances(self, moments: Array) -> Array:
         """Joint covariance (k, 6, 7, 7) of the tilts after alignment [rad] and of the position and velocity errors at k moments of the
         navigation, for each sensor with a bias instability of 1 rad/s or 1 m/s²."""
-        begun = max(self.between, self.aligned.shape[2])
-        count = len(self.attitude)
+        begun, count = self.begun, len(self.attitude)
         transition, response = self.equations.step(self.step)
         driven = np.empty(
             (count, SIZE, INPUTS)
@@ -50,8 +76,7 @@ class WanderingBias:
         driven[0] = response
         for k in range(1, count):
             driven[k] = transition @ driven[k - 1]
-        turned = np.zeros((count, INPUTS, INPUTS))
-        turned[:, :_AXES, :_AXES] = turned[:, _AXES:, _AXES:] = self.attitude
+        turned = self._turned()
         found = np.empty((len(moments), INPUTS, SIZE, SIZE))
         for row, moment in enumerate(moments):
             whole = min(int(moment / self.step + 1e-9), count)

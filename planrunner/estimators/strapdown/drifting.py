@@ -1,0 +1,111 @@
+"""Biases that drift during a navigation, found at its stops, and the part of the navigation errors that the drift causes.
+
+The readings of each position have a constant of their own; a drift is common to all positions. Its courses are those of the static
+methods (`observation.drift`), and so is their test (`drift_fit`). The navigation is not corrected: its errors are those of this unit on
+this day. The change that the drift causes is an error that is not corrected with regard to the errors that constant biases would cause
+(JCGM 100:2008, F.2.4.5). It follows from the linear error equations (`wandering`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.arrays import Array
+from planrunner.base.dataclass import dataclass
+from planrunner.estimators import least_squares
+from planrunner.estimators.drift_fit import FittedDrift, fitted_drift, joined
+from planrunner.estimators.least_squares import LinearFit
+from planrunner.estimators.strapdown.standing import Stops
+from planrunner.estimators.strapdown.wandering import WanderingBias
+from planrunner.observation.drift import DriftCourse, courses_by_evidence
+from planrunner.observation.flicker import mean_covariance
+from planrunner.observation.observations import SIGNIFICANCE, WithinSegmentNoise
+
+_MOST_POSITIONS = 0.5  # of the observations: otherwise a drift looks like a change of position
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StopDrift:
+    """What the stops show. fitted: the courses of the drift. changes: (6,), largest minus smallest bias during alignment and navigation
+    according to the fitted drift, rad/s and m/s²; uncertainties: (6,), of these changes. effect: (7, n, r), errors that the drift causes at
+    n times of the navigation, in the states of `error_equations`: its first column is the sum over all sensors, and the others are
+    independent changes that the uncertainty of the drift allows. time: (n,), s since the navigation began. scatter: (6,), square root of
+    the variance of the readings of each sensor at stops about the fitted drift, over that expected; unexplained: (6,), whether this is
+    more than noise and stated flicker explain."""
+
+    fitted: FittedDrift
+    changes: Array
+    uncertainties: Array
+    time: Array
+    effect: Array
+    scatter: Array
+    unexplained: NDArray[np.bool_]
+
+
+def stop_drift(stops: Stops, response: WanderingBias, flicker: Mapping[int, float]) -> StopDrift | None:
+    """Looks for a drift of the six sensors at the stops. flicker: stated bias instability by index of the sensor, rad/s or m/s². None if
+    the stops cannot show a drift."""
+    n = len(stops.time)
+    if not n or not (stops.white > 0).all():
+        return None
+    places, position = np.unique(stops.position, return_inverse=True)
+    if len(places) > _MOST_POSITIONS * n:
+        return None
+    matrix = np.eye(len(places))[position]
+    middles = response.middles
+    time, seconds = np.append(stops.time, middles), np.append(stops.seconds, np.zeros(len(middles)))
+    kelvin = None
+    if np.isfinite(stops.kelvin).all():
+        kelvin = np.append(stops.kelvin, np.interp(middles, stops.time, stops.kelvin))
+    lasting = np.append(stops.seconds, np.full(len(middles), response.step))
+    seen, whole = courses_by_evidence(time - lasting / 2, time + lasting / 2, seconds, kelvin, n)
+    sigma = stops.white[:, None] / np.sqrt(stops.seconds)
+    whitening = None
+    if flicker:
+        kernel = mean_covariance(stops.time - stops.seconds / 2, stops.time + stops.seconds / 2, response.span)
+        instability = np.array([flicker.get(k, 0.0) for k in range(len(sigma))])
+        whitening = least_squares.whitener(
+            np.array([np.diag(one**2) for one in sigma]) + instability[:, None, None] ** 2 * kernel
+        )
+
+    def fits(columns: Array) -> Sequence[LinearFit]:
+        return least_squares.fit_each(columns, stops.means.T, sigma, whitening=whitening)
+
+    noises = [WithinSegmentNoise(one, True, "individual", stops.freedom) for one in sigma]
+    names = [f"position {k + 1}" for k in range(len(places))]
+    found = fitted_drift(matrix, np.ones(len(places)), names, seen, noises, np.eye(len(sigma)), fits, "within_segment")
+    shown = [next(one for one in whole.courses if one.name == course.name) for course in found.courses]
+    return _with_effect(found, fits(joined(matrix, found.courses)), shown, n, response, stops.freedom)
+
+
+def _with_effect(
+    found: FittedDrift,
+    fits: Sequence[LinearFit],
+    courses: Sequence[DriftCourse],
+    observed: int,
+    response: WanderingBias,
+    freedom: float,
+) -> StopDrift:
+    """The effect of the fitted courses. courses: (n + l, 1) columns, over the n observations and the l intervals of the response."""
+    from scipy.special import fdtrc
+
+    left = fits[0].degrees_of_freedom
+    scatter = np.sqrt([one.chi_squared / left for one in fits])
+    unexplained = len(fits) * fdtrc(left, freedom, scatter**2) < SIGNIFICANCE
+    columns = (
+        np.hstack([one.columns for one in courses]) if courses else np.zeros((observed + len(response.middles), 0))
+    )
+    q, later = columns.shape[1], columns[observed:]
+    amplitudes = np.array([one.coefficients[len(one.coefficients) - q :] for one in fits])
+    roots = [np.linalg.cholesky(one.cofactor[len(one.cofactor) - q :, len(one.cofactor) - q :]) for one in fits]
+    changes = np.ptp(later @ amplitudes.T, axis=0)
+    uncertainties = np.array([np.linalg.norm(np.ptp(later @ root, axis=0)) for root in roots])
+    biases = np.zeros((len(fits), len(later), 1 + q * len(fits)))
+    biases[:, :, 0] = (later @ amplitudes.T).T
+    for k, root in enumerate(roots):
+        biases[k, :, 1 + q * k : 1 + q * (k + 1)] = later @ root
+    time = response.step * np.arange(len(response.attitude) + 1.0)
+    return StopDrift(found, changes, uncertainties, time, response.errors(biases), scatter, unexplained)

@@ -1,0 +1,160 @@
+"""Readings of a navigating unit at its stops: what they show of biases that change, and of gyros with the wrong sign.
+
+While the unit stands still, its sensors measure the Earth's rate and gravity. Both are constant in each position of the unit, so that
+every change of the readings of a position is a change of the sensors (or a slow tilt of the base). The unit stands still where its rate,
+averaged over about a second, is no larger than a few Earth rates. Positions are distinguished by the navigated attitude.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.arrays import Array
+from planrunner.base.dataclass import dataclass
+from planrunner.estimators.strapdown.reading import Increments
+
+_STILL = 2.0  # Earth rates; the alignment accepts gyros whose errors are a tenth of one
+_SIGMAS = 6.0  # of the noise of a mean over the time between knots
+_SAME = math.radians(1.0)  # between attitudes of one position
+_SHOWN = 0.1  # Earth rates: change of the rate about an axis from which its sign can be judged
+_CERTAIN = 4.0  # standard deviations of the slope of readings over expected rates
+_BLOCKS = 128  # of the time, in each of which the readings of a position are averaged
+_SHORTEST = 10.0  # s, of such a block
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stops:
+    """Means over parts of stops. time, seconds: (n,), s, mean time since the alignment began, and length; means: (n, 6), rad/s and m/s²;
+    position: (n,), number of the position; kelvin: (n,), temperature, NaN where it is not known; rotation: (n, 3, 3), navigated attitude,
+    body axes as columns in East-North-Up. white: (6,), white noise, rad/√s and m/s/√s, from consecutive means over the time between
+    knots; freedom: its degrees of freedom."""
+
+    time: Array
+    seconds: Array
+    means: Array
+    position: Array
+    kelvin: Array
+    rotation: Array
+    white: Array
+    freedom: float
+
+
+@dataclass(slots=True, eq=False)
+class _Part:
+    """Sums of one position in one block of time. rotation: its attitude at the beginning. sums: (9,), increments, seconds, seconds times
+    time, seconds times temperature."""
+
+    position: int
+    rotation: Array
+    sums: Array = field(default_factory=lambda: np.zeros(9))
+
+
+class StopReader:
+    """Collects the readings at stops, knot by knot, in memory that does not grow with the recording."""
+
+    def __init__(self, earth_rate: float, white: Array, seconds: float, begin: float):
+        """earth_rate: rad/s; white: (6,), noise at rest, rad/√s and m/s/√s; seconds: length of alignment and navigation together, s;
+        begin: time at which the alignment begins, s."""
+        self._limit, self._white, self._begin = _STILL * earth_rate, white, begin
+        self._block = max(_SHORTEST, seconds / _BLOCKS)
+        self._parts: dict[tuple[int, int], _Part] = {}
+        self._positions: list[Array] = []  # last attitude of each position
+        self._carried = np.zeros(8)
+        self._before: tuple[Array, Array, Array] | None = None  # the interval that ends with the last knot
+        self._was_still = False
+        self._squares, self._count = np.zeros(6), 0
+        self._last: tuple[int, Array] | None = None  # position and means of the last interval used
+
+    def part(self) -> None:
+        """Marks a time without samples."""
+        self._carried = np.zeros(8)
+        self._before, self._last, self._was_still = None, None, False
+
+    def take(self, piece: Increments, at: NDArray[np.int64], rotations: Array) -> None:
+        """Takes samples. at: (m,), indices of the knots among them; rotations: (m, 3, 3), attitude at the knots."""
+        kelvin = np.full(piece.time.size, math.nan) if piece.kelvin is None else piece.kelvin
+        sums = np.cumsum(np.vstack([piece.values, piece.interval, kelvin * piece.interval]), axis=1)
+        sums += self._carried[:, None]
+        self._carried = sums[:, -1] - (sums[:, at[-1]] if len(at) else 0.0)
+        if not len(at):
+            return
+        each = np.diff(sums[:, at], axis=1, prepend=0.0).T
+        times = piece.time[at] - self._begin - each[:, 6] / 2
+        if self._before is not None:
+            each = np.concatenate([self._before[0], each])
+            times = np.concatenate([self._before[1], times])
+            rotations = np.concatenate([self._before[2], rotations])
+        spread = _SIGMAS * float(np.linalg.norm(self._white[:3])) / np.sqrt(each[:, 6])
+        slow = np.linalg.norm(each[:, :3], axis=1) / each[:, 6] <= self._limit + spread
+        # An interval next to a turn may contain the table's settling.
+        still = slow & np.append(self._was_still, slow[:-1]) & np.append(slow[1:], False)
+        block = (times / self._block).astype(np.int64)
+        changes = np.flatnonzero((np.diff(still) != 0) | (np.diff(block) != 0)) + 1
+        for run in np.split(np.arange(len(each) - 1), changes[changes < len(each) - 1]):
+            if len(run) and still[run[0]]:
+                self._add(each[run], times[run], rotations[run[-1]], int(block[run[0]]))
+            elif len(run):
+                self._last = None
+        if len(each) > 1:
+            self._was_still = bool(slow[-2])
+        self._before = each[-1:], times[-1:], rotations[-1:]
+
+    def _add(self, each: Array, times: Array, rotation: Array, block: int) -> None:
+        """Adds consecutive intervals of one stop. each: (m, 8), as the rows of `take`; times: (m,), s, their middles."""
+        position = self._position(rotation)
+        part = self._parts.setdefault((block, position), _Part(position, rotation))
+        part.sums += np.array([*each[:, :7].sum(axis=0), times @ each[:, 6], each[:, 7].sum()])
+        means = each[:, :6] / each[:, 6:7]
+        if self._last is not None and self._last[0] == position:
+            means = np.concatenate([self._last[1], means])
+        self._squares += np.sum(np.diff(means, axis=0) ** 2, axis=0) / 2 * each[-1, 6]
+        self._count += len(means) - 1
+        self._last = position, means[-1:]
+
+    def _position(self, rotation: Array) -> int:
+        for k, known in enumerate(self._positions):
+            cosine = (float(np.sum(known * rotation)) - 1) / 2
+            if cosine >= math.cos(_SAME):
+                self._positions[k] = rotation
+                return k
+        self._positions.append(rotation)
+        return len(self._positions) - 1
+
+    def finish(self) -> Stops:
+        """The readings of all stops."""
+        parts = [self._parts[key] for key in sorted(self._parts)]
+        sums = np.array([one.sums for one in parts]).reshape(-1, 9)
+        seconds = sums[:, 6]
+        return Stops(
+            sums[:, 7] / seconds,
+            seconds,
+            sums[:, :6] / seconds[:, None],
+            np.array([one.position for one in parts], dtype=np.float64),
+            sums[:, 8] / seconds,
+            np.array([one.rotation for one in parts]).reshape(-1, 3, 3),
+            np.sqrt(self._squares / max(self._count, 1)),
+            2 / 3 * self._count,
+        )
+
+
+def opposed_gyros(stops: Stops, earth_rate: Array) -> tuple[int, ...]:
+    """Indices of the gyros whose readings change from position to position in the opposite sense to the Earth's rate. earth_rate: (3,),
+    in East-North-Up, rad/s. A constant error of the gyro does not matter."""
+    found = []
+    expected = np.einsum("nij,i->nj", stops.rotation, earth_rate)
+    weights = np.sqrt(stops.seconds)
+    for k in range(3):
+        about = expected[:, k] - np.average(expected[:, k], weights=stops.seconds)
+        square = float(np.sum((weights * about) ** 2))
+        if len(about) < 3 or np.ptp(expected[:, k]) < _SHOWN * np.linalg.norm(earth_rate):
+            continue
+        slope = float(np.sum(stops.seconds * about * stops.means[:, k])) / square
+        left = stops.means[:, k] - np.average(stops.means[:, k], weights=stops.seconds) - slope * about
+        noise = float(np.sum((weights * left) ** 2)) / (len(about) - 2)
+        if slope + _CERTAIN * math.sqrt(noise / square) < 0:
+            found.append(k)
+    return tuple(found)
