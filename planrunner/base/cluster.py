@@ -27,14 +27,15 @@ from typing import TYPE_CHECKING, TypeVar
 from urllib.parse import urlsplit
 
 import planrunner
-from planrunner.base.findings import InputError, Mark
-from planrunner.base.processes import ProcessEndedError
+from planrunner.base.findings import Mark
+from planrunner.base.processes import ClusterError, ProcessEndedError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
 T = TypeVar("T")
 R = TypeVar("R")
+
 
 ANSWER_WITHIN = 10.0
 """Seconds within which a scheduler must answer."""
@@ -98,7 +99,7 @@ def computed_on_cluster(
     tell: Callable[[float], None] | None = None,
 ) -> Iterator[R]:
     """The results of `work` for all items, in their order; see `workers.results_in_order`. address: of the scheduler. Raises
-    `InputError` if the cluster cannot be used, for example because a worker does not see a path among the items, and `ProcessEndedError`
+    `ClusterError` if the cluster cannot be used, for example because a worker does not see a path among the items, and `ProcessEndedError`
     if it ends."""
     if not items:
         return
@@ -207,12 +208,12 @@ def _name() -> str:
 
 @contextlib.contextmanager
 def _connected(address: str) -> Iterator[Client]:
-    """Connects a client to the scheduler, which must have a worker. Raises `InputError`."""
+    """Connects a client to the scheduler, which must have a worker. Raises `ClusterError`."""
     try:
         from distributed import Client
     except ImportError:
         message = "Dask is not installed"
-        raise InputError.at(
+        raise ClusterError.at(
             Mark(_SCHEDULER),
             "scheduler-missing",
             message,
@@ -234,13 +235,13 @@ def _connected(address: str) -> Iterator[Client]:
     except (OSError, ValueError, TypeError, RuntimeError) as error:
         message = f"no Dask scheduler answers at {address}: {_short(error)}"
         hint = "check the address that `dask scheduler` prints, such as tcp://10.0.0.5:8786, and that it still runs"
-        raise InputError.at(Mark(_SCHEDULER), "scheduler-unreachable", message, hint) from None
+        raise ClusterError.at(Mark(_SCHEDULER), "scheduler-unreachable", message, hint) from None
     try:
         try:
             client.wait_for_workers(1, timeout=WORKERS_WITHIN)
         except TimeoutError:
             hint = f"start workers with `dask worker {address} --nthreads 1`"
-            raise InputError.at(
+            raise ClusterError.at(
                 Mark(_SCHEDULER), "scheduler-idle", f"the scheduler at {address} has no workers", hint
             ) from None
         yield client
@@ -258,7 +259,7 @@ def _knock(address: str) -> None:
 
 def _answer_of(future: Future[_Answer], address: str) -> _Answer:
     """The answer of a task. Raises `ProcessEndedError` if the item cannot be computed because workers or the scheduler end, and
-    `InputError` for workers without planrunner."""
+    `ClusterError` for workers without planrunner."""
     from concurrent.futures import CancelledError
 
     from distributed import KilledWorker
@@ -278,7 +279,7 @@ def _answer_of(future: Future[_Answer], address: str) -> _Answer:
     except (ImportError, AttributeError, RuntimeError) as error:  # the task could not even be read there
         message = f"the scheduler or a worker of {address} has no planrunner: {_short(error)}"
         hint = "install the same planrunner, with the same plug-ins, for the scheduler and on each worker"
-        raise InputError.at(Mark(_SCHEDULER), "scheduler-versions", message, hint) from None
+        raise ClusterError.at(Mark(_SCHEDULER), "scheduler-versions", message, hint) from None
     return answer
 
 
@@ -287,11 +288,11 @@ def _require_fit(answer: _Answer, terms: _Terms, address: str) -> None:
         other = ", ".join(f"{name} {there} instead of {here}" for name, (here, there) in answer.unfit.items())
         message = f"the worker {answer.worker} of {address} has other versions: {other}"
         hint = "install the same versions on each worker: results are otherwise not the same to the last digit"
-        raise InputError.at(Mark(_SCHEDULER), "scheduler-versions", message, hint)
+        raise ClusterError.at(Mark(_SCHEDULER), "scheduler-versions", message, hint)
     if answer.unseen:
         message = f"the worker {answer.worker} of {address} does not see {answer.unseen}"
         where = os.path.join(terms.directory, answer.unseen)
-        raise InputError.at(
+        raise ClusterError.at(
             Mark(_SCHEDULER), "scheduler-folder", message, f"share {where} with each worker, under the same path"
         )
 

@@ -17,6 +17,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from planrunner.base.findings import InputError
 from planrunner.base.interruption import ENDING, signals
 
 if TYPE_CHECKING:
@@ -32,6 +33,10 @@ _PAYS = {"fork": 4, "spawn": 64}
 
 class ProcessEndedError(Exception):
     """A process that shared the work ended before it had finished, for example because the memory was exhausted."""
+
+
+class ClusterError(InputError):
+    """The cluster that shares the work cannot be used, for example because no scheduler answers."""
 
 
 def processors() -> int:

@@ -43,7 +43,7 @@ def results_of(
 
     work: a function of a module, or a `partial` of one, whose argument and result can be pickled. tell: called with the completed
     fraction, 0 to 1. Exceptions of `work` are raised here; if there are several, the exception of the first such item. Raises
-    `ProcessEndedError` if workers end before the work is done, and `InputError` if the cluster cannot be used.
+    `ProcessEndedError` if workers end before the work is done, and `ClusterError` if the cluster cannot be used.
     """
     if workers.scheduler is None:
         return shared_out(work, items, workers.jobs, tell)

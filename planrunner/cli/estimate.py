@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner.base.findings import InputError
+from planrunner.base.workers import ALONE, Workers
 from planrunner.cli import exit_codes
 from planrunner.cli.archive_arguments import folder_argument
 from planrunner.cli.each_run import Done, add_runs, each_result, each_run, runs_of
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "to the stored number; nothing is written",
     )
     parser.add_argument("--analysis", type=int, metavar="N", help="with --prove: number of the analysis")
-    add_workers(parser, "processes that share the runs (default: 1)")
+    add_workers(parser, "processes that share the runs, or the Monte Carlo draws of a single run (default: 1)")
     parser.add_argument("--json", action="store_true", help="print a list of results as JSON, one entry per run")
 
 
@@ -41,24 +42,26 @@ def run(args: argparse.Namespace) -> int:
     workers = workers_of(args)
     runs = runs_of(args)
     if args.prove:
-        work = partial(_proved, args.analysis)
         show = partial(_show_proof, as_json=args.json)
+        if len(runs) == 1:
+            return each_run(runs, lambda folder: show(_proved(args.analysis, folder, workers)), as_json=args.json)
+        work = partial(_proved, args.analysis)
         return each_result(runs, work, show, workers, what="recomputing the runs", as_json=args.json)
-    if len(runs) == 1 and workers.scheduler is None:
-        return each_run(runs, lambda folder: _estimate(folder, as_json=args.json), as_json=args.json)
+    if len(runs) == 1:
+        return each_run(runs, lambda folder: _estimate(folder, workers, as_json=args.json), as_json=args.json)
     from planrunner.tasks.run import evaluate_run
 
     keep = partial(_keep, as_json=args.json, elsewhere=workers.scheduler is not None)
     return each_result(runs, evaluate_run, keep, workers, what="estimating the runs", as_json=args.json)
 
 
-def _estimate(folder: Path, *, as_json: bool) -> Done:
-    """Estimates one run, with the progress of reading it."""
+def _estimate(folder: Path, workers: Workers, *, as_json: bool) -> Done:
+    """Estimates one run, with the progress of reading it. The workers share its Monte Carlo draws."""
     from planrunner.tasks.run import evaluate_run
 
     with reading_progress() as notice:
-        made = evaluate_run(folder, notice=notice)
-    return _keep(made, as_json=as_json)
+        made = evaluate_run(folder, notice=notice, workers=workers)
+    return _keep(made, as_json=as_json, elsewhere=workers.scheduler is not None)
 
 
 def _keep(made: Evaluated, *, as_json: bool, elsewhere: bool = False) -> Done:
@@ -73,10 +76,10 @@ def _keep(made: Evaluated, *, as_json: bool, elsewhere: bool = False) -> Done:
     return conclude(analysis, as_json=as_json)
 
 
-def _proved(number: int | None, folder: Path) -> Proof:
+def _proved(number: int | None, folder: Path, workers: Workers = ALONE) -> Proof:
     from planrunner.tasks.prove import prove
 
-    return prove(folder, number)
+    return prove(folder, number, workers=workers)
 
 
 def _show_proof(proof: Proof, *, as_json: bool) -> Done:

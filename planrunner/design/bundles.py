@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from planrunner.base.arrays import Array
+from planrunner.base.workers import ALONE, Workers, results_in_order
 
 
 def loss(matrix: Array, criterion: str) -> float:
@@ -31,9 +33,10 @@ def choose(
     kept: Sequence[int] = (),
     restarts: int = 20,
     seed: int = 0,
+    workers: Workers = ALONE,
 ) -> tuple[int, ...]:
     """Ascending indices (count,) of different bundles (N, p, p), found by exchange from seeded starts. The bundles in `kept` are
-    always included.
+    always included. workers: share the starts; the same seed gives the same choice with any workers.
 
     Raises ValueError if there are fewer bundles than requested, or if no choice determines all terms.
     """
@@ -42,9 +45,9 @@ def choose(
     random = np.random.default_rng(seed)
     others = np.setdiff1d(np.arange(len(bundles)), kept)
     best, least = None, math.inf
-    for _ in range(restarts):
-        free = random.choice(others, count - len(kept), replace=False)
-        found, reached = _settle(bundles, fixed + bundles[list(kept)].sum(axis=0), free, others, criterion)
+    starts = [random.choice(others, count - len(kept), replace=False) for _ in range(restarts)]
+    settle = partial(_settle, bundles, fixed + bundles[list(kept)].sum(axis=0), others, criterion)
+    for found, reached in results_in_order(settle, starts, workers):
         if reached < least:
             best, least = found, reached
     if best is None:
@@ -52,7 +55,7 @@ def choose(
     return tuple(sorted((*kept, *best)))
 
 
-def _settle(bundles: Array, fixed: Array, start: Array, others: Array, criterion: str) -> tuple[list[int], float]:
+def _settle(bundles: Array, fixed: Array, others: Array, criterion: str, start: Array) -> tuple[list[int], float]:
     chosen = [int(index) for index in start]
     ridge = 1e-9 * float(np.trace(bundles.sum(axis=0))) / len(bundles) * np.eye(bundles.shape[1])
     least = loss(fixed + ridge + bundles[chosen].sum(axis=0), criterion)

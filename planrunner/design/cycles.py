@@ -3,25 +3,31 @@
 `same_order` keeps the planned order of the stops and chooses the sense of every turn. If one round is not enough, it repeats the
 cycle with other choices. `free_order` chooses the order as well. Every position is held equally often. Both return to the first
 position with unwound cables. They prefer a mean angle of zero, then the smallest range of cable, then the shortest cycle.
+
+Workers can share a search. `same_order` is divided into parts of equal numbers of choices, `free_order` into parts by the first move. The
+parts are independent of each other, and their results are combined in order. The result is therefore the same with any workers.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeGuard
 
 import numpy as np
 
 from planrunner.base.arrays import Array
+from planrunner.base.workers import ALONE, Workers, results_in_order
 from planrunner.physics.rotation_cycle import NOTHING, RotationCycle
 
 TURN = 2 * math.pi
 HALF_TURN = math.pi
 MOST_CHOICES = 2**16  # of directions, in one round of `same_order`
-MOST_STEPS = 200_000  # of `free_order`, in one search
+MOST_STEPS = 200_000  # of `free_order`, in one search; divided equally among its parts
+CHOICES_OF_A_PART = 2**13
 MOST_MOVES = 24
 _ANGLE = 1e-9  # rad, or rad of mean angle: closer counts as equal
 
@@ -72,7 +78,7 @@ class StudiedCycle:
     drive: float
 
 
-def same_order(planned: RotationCycle, cable: Cable = Cable()) -> FoundCycle:
+def same_order(planned: RotationCycle, cable: Cable = Cable(), workers: Workers = ALONE) -> FoundCycle:
     """Searches cycles through the planned stops in the planned order. Turns have either sense; each is at most half a turn, or at
     most the longest planned turn.
 
@@ -90,8 +96,9 @@ def same_order(planned: RotationCycle, cable: Cable = Cable()) -> FoundCycle:
         count = math.prod(map(len, choices)) ** repeats
         if count > MOST_CHOICES or repeats * len(choices) > MOST_MOVES:
             break
-        turns = np.array(list(itertools.product(*(choices * repeats))))
-        found, tally = _best_of(turns, planned, cable)
+        parts = [range(first, min(first + CHOICES_OF_A_PART, count)) for first in range(0, count, CHOICES_OF_A_PART)]
+        work = partial(_best_of_part, choices * repeats, planned, cable)
+        found, tally = _together(len(choices) * repeats, results_in_order(work, parts, workers))
         rounds.append(tally)
         best = _better(best, found)
         if _centred(best):
@@ -99,6 +106,28 @@ def same_order(planned: RotationCycle, cable: Cable = Cable()) -> FoundCycle:
     if not rounds:
         raise CycleError(f"{len(choices)} moves can be turned in too many ways to try them all")
     return FoundCycle(best, tuple(rounds))
+
+
+def _together(moves: int, parts: Iterable[tuple[RotationCycle | None, Round]]) -> tuple[RotationCycle | None, Round]:
+    """The result of a search for cycles of so many moves from those of its parts."""
+    best: RotationCycle | None = None
+    tallies = []
+    for found, tally in parts:
+        best = _better(best, found)
+        tallies.append(tally)
+    return best, Round(
+        moves, sum(one.tried for one in tallies), sum(one.balanced for one in tallies),
+        sum(one.wound for one in tallies), all(one.exhaustive for one in tallies),
+    )  # fmt: skip
+
+
+def _best_of_part(
+    choices: Sequence[Sequence[float]], planned: RotationCycle, cable: Cable, part: range
+) -> tuple[RotationCycle | None, Round]:
+    """`_best_of` the combinations with these numbers, in the order of `itertools.product`."""
+    numbers = np.unravel_index(np.array(part), [len(ways) for ways in choices])
+    turns = np.column_stack([np.array(ways)[number] for ways, number in zip(choices, numbers, strict=True)])
+    return _best_of(turns, planned, cable)
 
 
 def _ways(turn: float, most: float) -> list[float]:
@@ -133,7 +162,11 @@ def _best_of(turns: Array, planned: RotationCycle, cable: Cable) -> tuple[Rotati
 
 
 def free_order(
-    positions: Sequence[float], planned: RotationCycle, cable: Cable = Cable(), most: float = HALF_TURN
+    positions: Sequence[float],
+    planned: RotationCycle,
+    cable: Cable = Cable(),
+    most: float = HALF_TURN,
+    workers: Workers = ALONE,
 ) -> FoundCycle:
     """Searches cycles through `positions` [rad, from the first of the planned cycle], each held equally often, with turns of at
     most `most` rad.
@@ -152,7 +185,9 @@ def free_order(
     best: RotationCycle | None = None
     for visits in range(1, MOST_MOVES // len(angles) + 1):
         for near in (False, True):
-            found, tally = _Search(angles, visits, planned, cable, most, near).run()
+            work = partial(_best_after, angles, visits, planned, cable, most, near)
+            firsts = range(len(_steps(angles, _home(angles), most, near)))
+            found, tally = _together(visits * len(angles), results_in_order(work, firsts, workers))
             rounds.append(tally)
             best = _better(best, found)
             if tally.exhaustive:
@@ -162,17 +197,36 @@ def free_order(
     return FoundCycle(best, tuple(rounds))
 
 
+def _home(angles: Sequence[float]) -> int:
+    """The position in which a cycle begins and ends."""
+    return min(range(len(angles)), key=lambda index: abs(math.remainder(angles[index], TURN)))
+
+
+def _best_after(
+    angles: Sequence[float], visits: int, planned: RotationCycle, cable: Cable, most: float, near: bool, first: int
+) -> tuple[RotationCycle | None, Round]:
+    """The best of the cycles with this first step."""
+    return _Search(angles, visits, planned, cable, most, near, first).run()
+
+
 class _Search:
-    """Searches every order of stops, and omits branches that wind the cables further than the best cycle found."""
+    """Searches every order of stops after one of the first steps, and omits branches that wind the cables further than the best cycle
+    found."""
 
     def __init__(
-        self, angles: Sequence[float], visits: int, planned: RotationCycle, cable: Cable, most: float, near: bool
+        self,
+        angles: Sequence[float],
+        visits: int,
+        planned: RotationCycle,
+        cable: Cable,
+        most: float,
+        near: bool,
+        first: int,
     ):
         self.moves = visits * len(angles)
         self.left = [visits] * len(angles)
         self.planned, self.cable = planned, cable
-        home = min(range(len(angles)), key=lambda index: abs(math.remainder(angles[index], TURN)))
-        self.home = home
+        self.home = _home(angles)
         self.steps = [_steps(angles, index, most, near) for index in range(len(angles))]
         made = {turn: _turn(turn, planned) for steps in self.steps for _, turn in steps}
         self.parts = [
@@ -180,6 +234,7 @@ class _Search:
             for angle, steps in zip(angles, self.steps, strict=True)
         ]
         self.seconds = {turn: seconds for turn, (_, seconds) in made.items()}
+        self.first, self.most = first, MOST_STEPS // max(1, len(self.steps[self.home]))
         self.best: RotationCycle | None = None
         self.narrowest = math.inf  # range of the best, once its mean angle is zero
         self.tried = self.balanced = self.wound = self.walked = 0
@@ -187,9 +242,9 @@ class _Search:
     def run(self) -> tuple[RotationCycle | None, Round]:
         for turns in self._walk(self.home, 0.0, 0.0, 0.0, 0j, ()):
             self._take(turns)
-            if self.walked > MOST_STEPS:
+            if self.walked > self.most:
                 break
-        tally = Round(self.moves, self.tried, self.balanced, self.wound, self.walked <= MOST_STEPS)
+        tally = Round(self.moves, self.tried, self.balanced, self.wound, self.walked <= self.most)
         return self.best, tally
 
     def _walk(
@@ -202,13 +257,13 @@ class _Search:
                 yield turns, left
             return
         self.left[at] -= 1
-        for to, turn in self.steps[at]:
+        for to, turn in self.steps[at] if turns else [self.steps[at][self.first]]:
             end = angle + turn
             lower, higher = min(low, end), max(high, end)
             last = len(turns) == self.moves - 1
             if (to == self.home if last else self.left[to] > 0) and self._worth(lower, higher):
                 yield from self._walk(to, end, lower, higher, left + self.parts[at][turn], (*turns, turn))
-            if self.walked > MOST_STEPS:
+            if self.walked > self.most:
                 break
         self.left[at] += 1
 

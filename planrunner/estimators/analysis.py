@@ -14,8 +14,10 @@ from dataclasses import replace
 from planrunner.archive.reading_progress import announced
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.findings import InputError
+from planrunner.base.processes import ClusterError, ProcessEndedError
 from planrunner.base.progress import Announce
 from planrunner.base.said import Said, said
+from planrunner.base.workers import ALONE, Workers
 from planrunner.estimators.foresight import detection_of, patterns_of
 from planrunner.estimators.interface import (
     Estimate,
@@ -51,10 +53,13 @@ def analyse(
     sensor: SensorModel,
     setup: Setup | None = None,
     notice: Announce | None = None,
+    workers: Workers = ALONE,
 ) -> Results:
-    """Makes all estimates of a plan and applies its limits. notice: receives the progress of passes over the samples.
+    """Makes all estimates of a plan and applies its limits. notice: receives the progress of passes over the samples. workers: share
+    Monte Carlo draws.
 
-    Never raises because of the data: a failure becomes a message under the name of the estimate, or under `limit on …`.
+    Never raises because of the data: a failure becomes a message under the name of the estimate, or under `limit on …`. Raises
+    `ClusterError` and `ProcessEndedError` if the workers fail.
     """
     looked_at = screened(announced(recording, "screening the samples", notice), sensor)
     recording = [replace(item, finds=one.finds) for item, one in zip(recording, looked_at, strict=True)]
@@ -64,7 +69,11 @@ def analyse(
     for name in _in_order(estimates):
         spec = estimates[name]
         try:
-            made[name] = _estimate(name, spec, recording, site, sensor, made, estimates, setup or Setup(), notice)
+            made[name] = _estimate(
+                name, spec, recording, site, sensor, made, estimates, setup or Setup(), notice, workers
+            )
+        except (ClusterError, ProcessEndedError):
+            raise
         except EstimationError as error:
             failures[name] = str(error)
             missing = [used for used in spec.uses if used not in made]
@@ -117,6 +126,7 @@ def _estimate(
     estimates: Mapping[str, EstimateSpec],
     setup: Setup,
     notice: Announce | None,
+    workers: Workers,
 ) -> Estimate:
     for used in spec.uses:
         if used not in made:
@@ -143,7 +153,7 @@ def _estimate(
         chained = isinstance(estimator, Chains)
         draws = estimator.chain(request, estimate) if isinstance(estimator, Chains) else linear_chain(estimate)
         how = spec.validate if isinstance(spec.validate, MonteCarloSpec) else USUAL
-        estimate = validated(estimate, draws, how, first_order=not chained)
+        estimate = validated(estimate, draws, how, not chained, workers)
     rounded = coarse_counts(counted, channels_of(spec.parameters), sensor)
     return replace(estimate, warnings=(*estimate.warnings, *rounded, *lost_samples(chosen, sensor.sample_rate)))
 

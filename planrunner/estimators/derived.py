@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import field
+from functools import partial
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.estimators.unstated_flicker import UnstatedFlicker
 from planrunner.uncertainty.derivatives import Formula, value_and_jacobian
 from planrunner.uncertainty.influences import Influence
-from planrunner.uncertainty.monte_carlo import Draws, influence_draws, t_draws
+from planrunner.uncertainty.monte_carlo import Draws, about, influence_draws, t_draws
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +99,7 @@ class Derived:
         share one variance.
         """
         parts = [_draws(fit, basis, influences) for fit, influences in zip(self.fits, acting, strict=True)]
-
-        def draw(rng: np.random.Generator, n: int) -> Array:
-            return self.formula(np.concatenate([part(rng, n) for part in parts]))
-
-        return draw
+        return partial(_through, self.formula, parts)
 
     def _by_fit(self) -> list[Array]:
         if len(self.fits) == 1:
@@ -132,7 +129,11 @@ def _draws(fit: OutputsFit, basis: str, influences: Sequence[Influence]) -> Draw
     groups = [0 if pooled else output for output in range(m) for _ in range(p)]
     scatter, inputs = t_draws(fit.covariance(basis), freedom, groups), influence_draws(influences, m * p)
     centre = fit.coefficients.reshape(-1, 1)
-    return lambda rng, n: np.asarray(centre + scatter(rng, n) + inputs(rng, n))
+    return about(centre, scatter, inputs)
+
+
+def _through(formula: Formula, parts: Sequence[Draws], rng: np.random.Generator, n: int) -> Array:
+    return formula(np.concatenate([part(rng, n) for part in parts]))
 
 
 def independent(blocks: Sequence[Array]) -> Array:

@@ -5,18 +5,21 @@ An estimator may define how draws of its data and of the declared inputs become 
     def chain(self, request: EstimateRequest[MyParameters], estimate: Estimate) -> Draws
 
 including all nonlinearity. Without it, the draws use the covariance and sensitivities of the estimate. This tests the distributions and the
-effective degrees of freedom, but not the linearity.
+effective degrees of freedom, but not the linearity. Workers share the draws, so they must be able to pickle the function that draws.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
+from planrunner.base.workers import ALONE, Workers
 from planrunner.estimators.interface import Estimate, EstimateRequest
 from planrunner.estimators.tables import Cell, Role, Table, TableColumn
 from planrunner.plan.kinds import Record
@@ -25,6 +28,7 @@ from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.monte_carlo import (
     HEAVY,
     Draws,
+    about,
     influence_draws,
     numerical_tolerance,
     propagate,
@@ -59,14 +63,20 @@ def linear_chain(estimate: Estimate) -> Draws:
     scatter = t_draws(data, [budget.lines[0].degrees_of_freedom for budget in estimate.budgets])
     stated = influence_draws(estimate.influences, len(estimate.coefficients))
     values = np.array([item.value for item in estimate.coefficients])[:, None]
-    return lambda rng, n: values + scatter(rng, n) + stated(rng, n)
+    return about(values, scatter, stated)
 
 
-def validated(estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_order: bool) -> Estimate:
+def _rows_of(rows: Sequence[int], draws: Draws, rng: np.random.Generator, n: int) -> Array:
+    return draws(rng, n)[rows]
+
+
+def validated(
+    estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_order: bool, workers: Workers = ALONE
+) -> Estimate:
     """The estimate with an additional table: Monte Carlo results for its headline coefficients, or for all coefficients if there is no
     headline.
 
-    first_order: whether `draws` are those of `linear_chain`.
+    first_order: whether `draws` are those of `linear_chain`. workers: share the draws.
     """
     names = estimate.headline or tuple(item.name for item in estimate.coefficients)
     rows = [k for k, item in enumerate(estimate.coefficients) if item.name in names and item.standard_uncertainty > 0]
@@ -76,8 +86,9 @@ def validated(estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_ord
     tolerances = np.array([numerical_tolerance(item.standard_uncertainty, asked.digits) for item in shown])
     heavy = [estimate.budgets[k].lines[0].degrees_of_freedom <= HEAVY for k in rows]
     found = propagate(
-        lambda rng, n: draws(rng, n)[rows], tolerances / _SHARE, seed=asked.seed, most=asked.draws, heavy=heavy
-    )
+        partial(_rows_of, rows, draws), tolerances / _SHARE, seed=asked.seed, most=asked.draws, heavy=heavy,
+        workers=workers,
+    )  # fmt: skip
     cells: list[tuple[Cell, ...]] = []
     verdicts: dict[str, list[str]] = {"yes": [], "no": [], "undecided": []}
     for item, interval, tolerance, spread in zip(shown, found.intervals, tolerances, found.spread, strict=True):

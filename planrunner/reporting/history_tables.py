@@ -11,10 +11,10 @@ from planrunner.night.history.agreement import ParticipantAgreement
 from planrunner.night.history.check_standard import ControlState, ControlTest
 from planrunner.night.history.comparison import RunComparison
 from planrunner.night.history.control_charts import EWMA_WIDTH, SHEWHART
-from planrunner.night.history.drift import HORIZON
+from planrunner.night.history.drift import HORIZON, LEAST, LEAST_SPAN
 from planrunner.night.history.gauge import GaugeStudy, VarianceComponent
 from planrunner.night.history.rows import RunRow
-from planrunner.night.history.trend import Trend
+from planrunner.night.history.trend import DAY, Trend
 from planrunner.reporting import words
 from planrunner.reporting.columns import Shown, table_of
 from planrunner.reporting.verdict import stamp
@@ -183,7 +183,7 @@ def _stamps(found: Trend) -> Iterator[str]:
 def _drift(found: Trend, unit: str) -> list[str]:
     line = found.drift
     if line is None:
-        return ["There are too few values since the last change to determine a drift."] if found.changes else []
+        return _no_drift(found)
     slope, u = (words.number(x * 365.25, 3) for x in (line.slope, 2 * line.slope_uncertainty))
     significant = "" if line.significant else ", which is not significant"
     since = f" since {found.points[found.changes[-1].index].run.created[:10]}" if found.changes else ""
@@ -197,6 +197,23 @@ def _drift(found: Trend, unit: str) -> list[str]:
     )
     said.append(f"Next calibration (ILAC-G24 method 2), when {what}: {on}.")
     return said
+
+
+def _no_drift(found: Trend) -> list[str]:
+    """Why there is no drift, and what is needed."""
+    if len(found.points) < 2:
+        return []
+    runs = [point.run for point in found.points[found.changes[-1].index if found.changes else 0 :]]
+    span = _seconds(runs[-1]) - _seconds(runs[0])
+    if len(runs) >= LEAST and span >= LEAST_SPAN * DAY:
+        return ["The values have no uncertainty, so no drift can be determined."]
+    where = " since the last change" if found.changes else ""
+    within = f" within {words.duration(span)}" if span > 0 else ""
+    what = "too few values" if len(runs) < LEAST else "too short a span"
+    return [
+        f"No drift and no date of the next calibration: {what}{where} ({len(runs)} run{'s' if len(runs) > 1 else ''}{within}). At least "
+        f"{LEAST} runs over at least {LEAST_SPAN:g} day are needed."
+    ]
 
 
 def plot_lines(found: Trend) -> list[str]:

@@ -31,14 +31,14 @@ def design(
     workers: Workers = ALONE,
     parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Study:
-    """Makes the study for the plan and the options. It is a study of positions if an estimate uses segments at rest. workers: processes
-    that share the search over free orientations. parameters: values for parameters of the plan. Raises `InputError` with the plan's
+    """Makes the study for the plan and the options. It is a study of positions if an estimate uses segments at rest. workers: share
+    the search. parameters: values for parameters of the plan. Raises `InputError` with the plan's
     findings, and `EstimationError` if there is nothing to design."""
     checked = check_plan(plan, bench=bench, parameters=parameters)
     if asked.segment is None and (asked.rates or has_rates_alone(checked, asked.estimate)):
-        return rates_study.study(design_rates(checked, asked, bench), _subject(checked))
+        return rates_study.study(design_rates(checked, asked, bench, workers), _subject(checked))
     if asked.segment is not None or (asked.estimate is None and has_cycle_alone(checked)):
-        return cycle_study.study(design_cycle(checked, asked), _subject(checked))
+        return cycle_study.study(design_cycle(checked, asked, workers), _subject(checked))
     return positions_study.study(design_positions(checked, asked, progress, workers), _subject(checked))
 
 

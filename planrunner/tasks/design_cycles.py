@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from planrunner.base.findings import Findings, InputError
+from planrunner.base.workers import ALONE, Workers
 from planrunner.design.cycles import Cable, CycleError, FoundCycle, StudiedCycle, free_order, same_order
 from planrunner.design.study import Asked, FoundCycles
 from planrunner.estimators.interface import EstimationError
@@ -32,9 +33,9 @@ def has_cycle_alone(checked: Checked) -> bool:
     return cycles and not any(design.blocks for design in checked.designs.values())
 
 
-def design_cycle(checked: Checked, asked: Asked) -> FoundCycles:
+def design_cycle(checked: Checked, asked: Asked, workers: Workers = ALONE) -> FoundCycles:
     """Designs the rotation cycle of a plan. Raises `InputError` with the plan's findings, and `EstimationError` if there is no
-    cycle to design."""
+    cycle to design. workers: share the searches."""
     if asked.time is not None:
         raise EstimationError("--time distributes dwell times; the length of a cycle follows from its turns and stops")
     if checked.findings.errors or checked.schedule is None or checked.models is None or checked.plan is None:
@@ -54,8 +55,8 @@ def design_cycle(checked: Checked, asked: Asked) -> FoundCycles:
     searches: dict[str, FoundCycle] = {}
     reasons: dict[str, str] = {}
     ways: dict[str, Callable[[], FoundCycle]] = {
-        "same order": lambda: same_order(planned, cable),
-        "free order": lambda: free_order(positions, planned, cable),
+        "same order": lambda: same_order(planned, cable, workers),
+        "free order": lambda: free_order(positions, planned, cable, workers=workers),
     }
     for name, search in ways.items():
         try:

@@ -16,6 +16,7 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.findings import Findings, InputError
+from planrunner.base.workers import ALONE, Workers
 from planrunner.design import bundles
 from planrunner.design.study import Asked, FoundRates, RateSet
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, estimator_of
@@ -57,14 +58,14 @@ def _used(checked: Checked, name: str) -> tuple[Segment, ...]:
     return tuple(segments[index] for index in select([one.label for one in segments], patterns))
 
 
-def design_rates(checked: Checked, asked: Asked, bench: str | None = None) -> FoundRates:
+def design_rates(checked: Checked, asked: Asked, bench: str | None = None, workers: Workers = ALONE) -> FoundRates:
     """Designs the rates of a plan. Raises `InputError` with the plan's findings, and `EstimationError` if there are no rates to
-    design. bench: as for `check_plan`."""
+    design. bench: as for `check_plan`. workers: share the starts of the search."""
     if checked.findings.errors or checked.schedule is None:
         raise InputError(checked.findings)
     if asked.criterion not in ("D", "A"):
         raise EstimationError(f"rates can be designed by D or A, not by {asked.criterion}")
-    return _RateDesigner(checked, asked, bench).study()
+    return _RateDesigner(checked, asked, bench).study(workers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,12 +231,12 @@ class _RateDesigner:
 
     # -- the study -----------------------------------------------------------------------------------------------------
 
-    def study(self) -> FoundRates:
+    def study(self, workers: Workers) -> FoundRates:
         grid = sorted({*self.planned, *(self.largest * k / STEPS for k in range(1, STEPS + 1))}, reverse=True)
         added = self._bundles(grid)
         kept = [grid.index(self.planned[-1])] if self.asked.keep_lowest else []
         try:
-            chosen = bundles.choose(added, self.fixed, len(self.planned), self.asked.criterion, kept)
+            chosen = bundles.choose(added, self.fixed, len(self.planned), self.asked.criterion, kept, workers=workers)
             costs = np.array([self._dwell(rate) + self._overhead(rate) for rate in grid])
             own = sum(self._dwell(rate) + self._overhead(rate) for rate in self.planned)
             part, excess = bundles.shares(added * (own / costs)[:, None, None], self.fixed, self.asked.criterion)

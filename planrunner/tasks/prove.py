@@ -14,6 +14,7 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.progress import Announce
+from planrunner.base.workers import ALONE, Workers
 from planrunner.estimators.results import Results, comparable
 from planrunner.tasks.run import computed_by, recompute, stored_results
 
@@ -51,8 +52,9 @@ class Proof:
         }
 
 
-def prove(run: Path, number: int | None = None, notice: Announce | None = None) -> Proof:
-    """Recomputes an analysis of a run with its own settings, by default the newest analysis. Nothing is written.
+def prove(run: Path, number: int | None = None, notice: Announce | None = None, workers: Workers = ALONE) -> Proof:
+    """Recomputes an analysis of a run with its own settings, by default the newest analysis. Nothing is written. workers: share Monte
+    Carlo draws.
 
     Raises `InputError` if the run does not have this analysis, and `IntegrityError`.
     """
@@ -65,7 +67,7 @@ def prove(run: Path, number: int | None = None, notice: Announce | None = None) 
         raise InputError.at(Mark(str(run)), "analysis-missing", message, hint)
     analysis = known[number]
     stored, text, then = stored_results(analysis), *computed_by(analysis)
-    results = recompute(reader, analysis, notice)
+    results = recompute(reader, analysis, notice, workers)
     now = computed_with()
     changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
     if to_bytes(comparable(text)) == to_bytes(comparable(results.to_json())):

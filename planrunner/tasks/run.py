@@ -26,6 +26,7 @@ from planrunner.base.documents import Json
 from planrunner.base.findings import Finding, Findings, InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.base.progress import Announce
+from planrunner.base.workers import ALONE, Workers
 from planrunner.bench.attendance import check_unattended
 from planrunner.bench.model import Bench, locate, runs_on_virtual_clock
 from planrunner.bench.opening import NotSafeError, OpenBench, guarded_bench
@@ -441,11 +442,13 @@ def evaluate_run(
     checked: Sound | None = None,
     notice: Announce | None = None,
     amendment: Amendment | None = None,
+    workers: Workers = ALONE,
 ) -> Evaluated:
-    """The same as `analyse_run`, but nothing is written: `keep` makes it an analysis of the run. Another process can compute it."""
+    """The same as `analyse_run`, but nothing is written: `keep` makes it an analysis of the run. Another process can compute it.
+    workers: share Monte Carlo draws."""
     issue = issue or Issue()
     amendment = None if amendment is None else checked_amendment(amendment)
-    made = _analyse(run, issue, checked, notice, kept=True, amendment=amendment)
+    made = _analyse(run, issue, checked, notice, kept=True, amendment=amendment, workers=workers)
     reports = tuple(dict.fromkeys(issue.reports or made.sound.plan.report))
     withheld: tuple[Finding, ...] = ()
     if any(is_certificate(name) for name in reports):
@@ -513,9 +516,12 @@ def computed_by(analysis: StoredAnalysis) -> tuple[Json, dict[str, str]]:
     return data, {str(name): str(version) for name, version in stated.items()}
 
 
-def recompute(reader: RunReader, analysis: StoredAnalysis, notice: Announce | None = None) -> Results:
-    """The results from the samples, with the plan that the analysis used; nothing is written. Raises `IntegrityError`."""
-    return _estimated(reader, evaluated_as(reader, analysis), notice)[1]
+def recompute(
+    reader: RunReader, analysis: StoredAnalysis, notice: Announce | None = None, workers: Workers = ALONE
+) -> Results:
+    """The results from the samples, with the plan that the analysis used; nothing is written. workers: share Monte Carlo draws. Raises
+    `IntegrityError`."""
+    return _estimated(reader, evaluated_as(reader, analysis), notice, workers)[1]
 
 
 def evaluated_as(reader: RunReader, analysis: StoredAnalysis) -> Sound:
@@ -551,7 +557,9 @@ def _evaluated(reader: RunReader, plan: Document) -> Sound:
     return sound
 
 
-def _estimated(reader: RunReader, sound: Sound, notice: Announce | None) -> tuple[tuple[RecordedSegment, ...], Results]:
+def _estimated(
+    reader: RunReader, sound: Sound, notice: Announce | None, workers: Workers
+) -> tuple[tuple[RecordedSegment, ...], Results]:
     """The recording of a run and its results. One thread computes, because the digits of sums may depend on the number of threads."""
     from threadpoolctl import threadpool_limits
 
@@ -559,7 +567,7 @@ def _estimated(reader: RunReader, sound: Sound, notice: Announce | None) -> tupl
         recording = reader.recording(sound.schedule, watch_of(sound.sensor), notice)
         setup = replace(sound.setup, information=recorded_information(reader))
         results = analyse(
-            sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor, setup, notice
+            sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor, setup, notice, workers
         )
     return recording, replace(results, origin=sound.models.origin)
 
@@ -572,6 +580,7 @@ def _analyse(
     *,
     kept: bool = False,
     amendment: Amendment | None = None,
+    workers: Workers = ALONE,
 ) -> _Made:
     """Analyses a run. kept: whether it becomes the next analysis of the run; its reports then show this number."""
     reader = RunReader.open(run)
@@ -589,7 +598,7 @@ def _analyse(
                 amending[APPROVALS] = own
             if sound.bench.approvals is not None:
                 stated += "; " + ("its plan was approved" if own is not None else "its plan was NOT approved")
-    recording, results = _estimated(reader, sound, notice)
+    recording, results = _estimated(reader, sound, notice, workers)
     before = None if issue.before is None else _analyse(issue.before, Issue(), notice=notice)
     shown = facts(
         reader,

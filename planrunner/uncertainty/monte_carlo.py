@@ -5,24 +5,32 @@ interval, each averaged over the blocks. They have stabilised when twice the sta
 tolerance (7.9.4). Here this tolerance is a fifth of the tolerance of the validation (8.2). With four or fewer degrees of freedom,
 Student's t has no fourth moment, so the standard deviation of the draws cannot be estimated. In that case the rule omits the standard
 uncertainty. The ends of the interval remain, which are the values to be validated.
+
+Each block has random numbers of its own, which follow from the seed and the number of the block. The blocks are evaluated in the order of
+their numbers. Several workers can therefore share the blocks without any effect on the results.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
+from planrunner.base.workers import ALONE, Workers, results_in_order
+from planrunner.uncertainty.decision import coverage_factor
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 BLOCK = 10_000
 HEAVY = 4.0  # degrees of freedom up to which t has no finite fourth moment
 
 Draws = Callable[["np.random.Generator", int], Array]  # quoted, so that checking a plan does not import the generators
-"""(generator, n) → draws of m coefficients, shape (m, n), in their units."""
+"""(generator, n) → draws of m coefficients, shape (m, n), in their units. Workers can share the draws only if the function can be pickled:
+a function of a module, or a `partial` of one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +47,8 @@ class Interval:
 @dataclass(frozen=True, slots=True)
 class Propagated:
     """Result of a propagation of distributions. intervals: one for each coefficient. draws: number of draws. stabilised: whether
-    the results stabilised before the largest number of draws was reached. spread: (m,), twice the standard deviation of the ends of
-    the intervals, the larger of the two ends."""
+    the results stabilised before the largest number of draws was reached. spread: (m,), half-width of the 95 % confidence interval of
+    the ends of the intervals (Student's t over the blocks), the larger of the two ends; infinite for a single block."""
 
     intervals: tuple[Interval, ...]
     draws: int
@@ -69,31 +77,52 @@ def propagate(
     seed: int = 0,
     most: int = 1_000_000,
     heavy: Sequence[bool] = (),
+    workers: Workers = ALONE,
 ) -> Propagated:
     """Makes draws in blocks until the numerical spread of every result is below its tolerance, or until `most` draws are made. The spread
     is twice the standard deviation of the average over the blocks. The results are mean, standard deviation and both ends of the
     interval.
 
-    tolerances: (m,), in the coefficients' units; heavy: (m,), True for coefficients whose standard deviation the rule omits.
+    tolerances: (m,), in the coefficients' units; heavy: (m,), True for coefficients whose standard deviation the rule omits. workers:
+    share the blocks; the same seed gives the same digits with any workers.
     """
-    rng = np.random.default_rng(seed)
     limit = np.asarray(tolerances, dtype=float)
     light = ~np.asarray(heavy, dtype=bool) if len(heavy) else np.ones(len(limit), dtype=bool)
     blocks: list[Array] = []
     found: list[Array] = []
-    stabilised, spread = False, np.full((4, len(limit)), math.inf)
-    while not stabilised and len(blocks) * BLOCK < most:
-        values = draw(rng, BLOCK)
+    stabilised = False
+    for values, figures in results_in_order(
+        partial(_block, draw, probability, seed), range(math.ceil(most / BLOCK)), workers
+    ):
         blocks.append(values)
-        found.append(np.array([values.mean(axis=1), values.std(axis=1, ddof=1), *_ends(values, probability)]))
+        found.append(figures)
         count = len(found)
         if count > 1:
-            spread = 2 * np.std(found, axis=0, ddof=1) / math.sqrt(count)
+            spread = 2 * _of_averages(found)
             stabilised = bool(np.all(spread[[0, 2, 3]] <= limit) and np.all(spread[1, light] <= limit[light]))
+        if stabilised:
+            break
     together = np.concatenate(blocks, axis=1)
     together.sort(axis=1)
     intervals = tuple(_interval(row, probability) for row in together)
-    return Propagated(intervals, together.shape[1], stabilised, tuple(spread[2:].max(axis=0).tolist()))
+    ends = math.inf if len(found) == 1 else coverage_factor(len(found) - 1) * _of_averages(found)[2:].max(axis=0)
+    return Propagated(intervals, together.shape[1], stabilised, tuple(np.broadcast_to(ends, limit.shape).tolist()))
+
+
+def _of_averages(found: Sequence[Array]) -> Array:
+    """Standard deviations of the averages of the results over the blocks."""
+    return np.asarray(np.std(found, axis=0, ddof=1) / math.sqrt(len(found)))
+
+
+def _block(draw: Draws, probability: float, seed: int, number: int) -> tuple[Array, Array]:
+    """The draws of a block (m, BLOCK), and their mean, standard deviation and ends of the interval (4, m). One thread computes, because
+    the digits of products may depend on the number of threads."""
+    from threadpoolctl import threadpool_limits
+
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+    with threadpool_limits(limits=1, user_api="blas"):
+        values = draw(rng, BLOCK)
+        return values, np.array([values.mean(axis=1), values.std(axis=1, ddof=1), *_ends(values, probability)])
 
 
 def numerical_tolerance(standard_uncertainty: float, digits: int) -> float:
@@ -121,14 +150,14 @@ def influence_draws(influences: Sequence[Influence], m: int) -> Draws:
     gaussian = [one for one in acting if one.quantity.distribution == "normal" and _infinite(one.quantity)]
     others = [one for one in acting if one not in gaussian]
     root = square_root(sum((one.covariance for one in gaussian), np.zeros((m, m))))
+    return partial(_influences, root, others)
 
-    def draw(rng: np.random.Generator, n: int) -> Array:
-        total = root @ rng.standard_normal((root.shape[1], n))
-        for one in others:
-            total += one.sensitivities @ _inputs(one.quantity, rng, one.sensitivities.shape[1], n)
-        return total
 
-    return draw
+def _influences(root: Array, others: Sequence[Influence], rng: np.random.Generator, n: int) -> Array:
+    total = root @ rng.standard_normal((root.shape[1], n))
+    for one in others:
+        total += one.sensitivities @ _inputs(one.quantity, rng, one.sensitivities.shape[1], n)
+    return np.asarray(total)
 
 
 def t_draws(
@@ -144,17 +173,31 @@ def t_draws(
     freedoms = np.asarray(degrees_of_freedom, dtype=float)
     keys = freedoms if variances is None else np.asarray(variances, dtype=float)
     groups = [np.flatnonzero((keys == one) & np.isfinite(freedoms)) for one in np.unique(keys)]
+    return partial(_scaled_to_t, root, [(rows, float(freedoms[rows[0]])) for rows in groups if len(rows)])
 
-    def draw(rng: np.random.Generator, n: int) -> Array:
-        values = root @ rng.standard_normal((root.shape[1], n))
-        for rows in groups:
-            if len(rows):
-                scale = t_scale(rng, float(freedoms[rows[0]]), n)
-                for row in rows:
-                    values[row] *= scale
-        return values
 
-    return draw
+def _scaled_to_t(
+    root: Array, groups: Sequence[tuple[NDArray[np.intp], float]], rng: np.random.Generator, n: int
+) -> Array:
+    """groups: rows that share one estimated variance, with its degrees of freedom."""
+    values = root @ rng.standard_normal((root.shape[1], n))
+    for rows, freedom in groups:
+        scale = t_scale(rng, freedom, n)
+        for row in rows:
+            values[row] *= scale
+    return np.asarray(values)
+
+
+def about(centre: Array, *parts: Draws) -> Draws:
+    """Sums of independent draws about zero, moved to the values `centre` (m, 1)."""
+    return partial(_about, centre, parts)
+
+
+def _about(centre: Array, parts: Sequence[Draws], rng: np.random.Generator, n: int) -> Array:
+    total = centre
+    for part in parts:
+        total = total + part(rng, n)
+    return total
 
 
 def t_scale(rng: np.random.Generator, degrees_of_freedom: float, n: int) -> Array:

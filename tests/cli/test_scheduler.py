@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,13 @@ from unittest import mock
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from planrunner.base.workers import ALONE, Workers
+from planrunner.design.study import Asked
 from planrunner.execution.stopping import StopRequest
 from planrunner.signing.keys import PrivateKey, write_unencrypted
 from planrunner.tasks import run as running
 from planrunner.tasks.check import check_plan
+from planrunner.tasks.design import design
 from tests.conftest import ROOT
 from tests.dask_cluster import Cluster, dask_cluster
 from tests.in_process import planrunner
@@ -135,6 +139,68 @@ def test_monte_carlo_draws_the_same_numbers_though_a_worker_is_lost(tmp_path: Pa
     assert victim.returncode == -signal.SIGKILL and there.returncode == here.returncode
     assert "".join(lines) == here.stdout and here.stdout.count("Monte Carlo draws") == 4
     assert contents(tmp_path / "there" / "runs") == contents(tmp_path / "here" / "runs")
+
+
+def lost(cluster: Cluster, work: Callable[[Workers], Any]) -> Any:
+    """The result of the work on the cluster. Its only worker is killed as soon as it has begun to compute; then another one joins."""
+    victim = cluster.workers[-1]
+
+    def used() -> int:
+        """Processor time, in hundredths of a second."""
+        return int(Path(f"/proc/{victim.pid}/stat").read_text().rpartition(")")[2].split()[11])
+
+    begun, ended = used(), threading.Event()
+
+    def kill() -> None:
+        while not ended.wait(0.01):
+            if used() > begun + 10:
+                os.kill(victim.pid, signal.SIGKILL)
+                cluster.add_worker()
+                return
+
+    killing = threading.Thread(target=kill)
+    killing.start()
+    try:
+        found = work(Workers(1, cluster.address))
+    finally:
+        ended.set()
+        killing.join()
+    assert victim.wait(60) == -signal.SIGKILL
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the processor time of a worker is read from /proc")
+def test_draws_of_one_run_and_searches_find_the_same_digits_though_workers_are_lost(tmp_path: Path) -> None:
+    plans = ROOT / "plans"
+    plan = (plans / "flexure_gyro_eight_position.yaml").read_text(encoding="utf-8")
+    plan = plan.replace("segments: P*, ", "segments: P*, validate: {digits: 2, draws: 250000, seed: 1}, ")
+    plan = plan.replace("dwell: 2 min", "dwell: 10 s").replace("[report.html, summary.md]", "[summary.md]")
+    (tmp_path / "validated.yaml").write_text(plan, encoding="utf-8")
+    sound = check_plan(tmp_path / "validated.yaml").sound()
+    run, outcome = running.start(
+        sound, info={}, runs=tmp_path / "runs", stop=StopRequest(), durability="flushed", seed=1
+    )
+    assert outcome.ok
+
+    def draws(workers: Workers) -> object:
+        results = running.evaluate_run(run, workers=workers).results.to_json()
+        assert "250000" in json.dumps(results)
+        return results
+
+    def rates(workers: Workers) -> object:
+        return design(plans / "scale_factor_tilted.yaml", Asked(rates=True), workers=workers).data
+
+    def cycle(workers: Workers) -> object:
+        return design(plans / "rotation_stop_navigation.yaml", Asked(segment="printed"), workers=workers).data
+
+    with dask_cluster(tmp_path, workers=1, allowed_failures=5) as cluster:
+        for work in (draws, rates, cycle):
+            here = work(ALONE)
+            assert here == lost(cluster, work), work.__name__
+    refused = planrunner("estimate", str(run), "--scheduler", "tcp://127.0.0.1:1", cwd=tmp_path)
+    assert refused.returncode == 2 and "scheduler-unreachable" in refused.stderr
+    assert not list(run.glob("analyses/*"))  # a failure of the cluster is no failed estimate
 
 
 @pytest.mark.slow

@@ -136,14 +136,15 @@ def test_too_few_draws_leave_it_undecided() -> None:
         influences=(Influence(InputQuantity("a", 0.0, "V", 0.99), np.ones((1, 1))),),
     )
     estimate = combined(made)
-    verdicts = {
+    verdicts = [
         validated(estimate, linear_chain(estimate), MonteCarloSpec(digits=2, draws=20_000, seed=seed), True)
         .tables[-1]
         .rows[0][-1]
-        for seed in range(12)
-    }
-    assert "undecided" in verdicts
-    assert "no" not in verdicts
+        for seed in range(40)
+    ]
+    assert verdicts.count("undecided") > 20
+    # The interval is right. Each end is misjudged in at most 5 % of the cases: more than 10 of 40 occur with a probability below 0.002.
+    assert verdicts.count("no") <= 10
 
 
 def test_the_key_is_read_in_both_forms() -> None:

@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
+from planrunner.base.workers import Workers
 from planrunner.uncertainty.influences import Influence, InputQuantity
 from planrunner.uncertainty.monte_carlo import (
     Draws,
@@ -103,11 +105,20 @@ def test_draws_go_on_until_the_results_are_stable_and_repeat_by_seed() -> None:
     assert coarse.stabilised
     assert fine.stabilised
     assert 20_000 <= coarse.draws < fine.draws < 1_000_000
-    assert fine.spread[0] <= 0.01
+    assert fine.spread[0] <= 0.01 * stats.t.ppf(0.975, fine.draws / 10_000 - 1) / 2
     assert propagate(normal, [0.1], seed=7) == coarse
     assert propagate(normal, [0.1], seed=8).intervals != coarse.intervals
     short = propagate(normal, [1e-6], seed=7, most=30_000)
     assert (short.draws, short.stabilised) == (30_000, False)
+
+
+def test_workers_share_the_blocks_without_any_effect_on_the_digits() -> None:
+    """Each block has its own numbers: those of the spawned seeds of NumPy, so that the blocks can also be drawn by hand."""
+    draw = additive("rectangular", 1, 2)
+    alone = propagate(draw, [0.0], seed=7, most=60_000)
+    assert alone == propagate(draw, [0.0], seed=7, most=60_000, workers=Workers(2))
+    by_hand = [draw(np.random.default_rng(one), 10_000) for one in np.random.SeedSequence(7).spawn(6)]
+    assert alone.intervals[0].mean == pytest.approx(np.mean(by_hand), rel=1e-12)
 
 
 def test_heavy_tails_are_left_out_of_the_rule_for_the_standard_deviation_alone() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -238,12 +238,13 @@ def static_coefficients(
 ) -> Derived:
     """All reported quantities, from SI [U; V]. Raises ValueError if the relation cannot be inverted."""
     quantities, factors = reported(units, model, products)
+    return derived(quantities, partial(_in_units, factors), fit)
 
-    def formula(outputs: Array) -> Array:
-        physical = flexure_gyro.physical_coefficients(outputs.reshape(2, -1, outputs.shape[1]))
-        return np.concatenate([physical, outputs]) / factors[:, None]
 
-    return derived(quantities, formula, fit)
+def _in_units(factors: Array, outputs: Array) -> Array:
+    """The reported quantities (q, n), from SI [U; V] (r, n)."""
+    physical = flexure_gyro.physical_coefficients(outputs.reshape(2, -1, outputs.shape[1]))
+    return np.asarray(np.concatenate([physical, outputs]) / factors[:, None])
 
 
 def _two(outputs: tuple[str, ...]) -> tuple[str, ...]:

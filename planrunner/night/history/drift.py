@@ -31,6 +31,9 @@ HORIZON = 3653.0
 """Longest interval [days] that is given; what lies beyond it is beyond the experience of the fit."""
 LEAST = 3
 """Values that a drift needs."""
+LEAST_SPAN = 1.0
+"""Days that the values of a drift must cover. Within a shorter time, the values show warm-up and noise, not the aging of the device; and
+the next calibration is a date."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +62,9 @@ class DriftLine:
 
 
 def drift_line(days: Array, values: Array, u: Array, between: float) -> DriftLine | None:
-    """The weighted straight line. days, values, u: (n,); between: τ. None if there are too few values or all have the same time."""
-    if len(values) < LEAST or float(np.ptp(days)) == 0:
+    """The weighted straight line. days, values, u: (n,); between: τ. None if there are too few values, or if
+    they cover too short a time."""
+    if len(values) < LEAST or float(np.ptp(days)) < LEAST_SPAN:
         return None
     variance = u**2 + between**2
     if not (variance > 0).all():

@@ -19,6 +19,7 @@ from planrunner.night.history.databases import INDEX
 from planrunner.night.history.index import Index
 from planrunner.night.history.trend import Trend, trend
 from planrunner.reporting import history_page
+from planrunner.reporting.history_tables import sentences
 from planrunner.reporting.plots import drawing
 from tests.night.history.made_runs import MadeRun, make_run
 
@@ -229,6 +230,23 @@ def test_a_drift_is_no_series_of_changes(tmp_path: Path) -> None:
     found = history_of(tmp_path, [0.05 * k + float(scatter[k]) for k in range(24)])
     assert found.changes == () and found.drift is not None and found.drift.significant
     assert found.drift.slope * 30 == pytest.approx(0.05, abs=3 * 30 * found.drift.slope_uncertainty)
+
+
+@pytest.mark.parametrize(
+    ("days", "what"),
+    [
+        ([0.0, 0.01, 0.02, 0.25], "too short a span (4 runs within 6 h)"),
+        ([0.0, 40.0], "too few values (2 runs within 40 d)"),
+        ([0.0, 0.0, 0.0], "too short a span (3 runs)"),
+    ],
+)
+def test_a_history_that_is_too_short_says_what_is_needed(days: list[float], what: str, tmp_path: Path) -> None:
+    found = history_of(tmp_path, [1.0, 1.1, 1.0, 1.2][: len(days)], days)
+    said = " ".join(sentences(found))
+    assert (
+        f"No drift and no date of the next calibration: {what}. At least 3 runs over at least 1 day are needed." in said
+    )
+    assert "per year" not in said and found.to_json()["drift"] is None and found.next_calibration is None
 
 
 def test_values_without_number_are_left_out(tmp_path: Path) -> None:

@@ -197,9 +197,11 @@ def test_the_line_is_that_of_statsmodels() -> None:
     assert line.level - line.middle * line.slope == pytest.approx(0.9774326, abs=1e-7)  # the constant of statsmodels
 
 
-def test_a_drift_needs_three_values_at_different_times() -> None:
+def test_a_drift_needs_three_values_over_a_day() -> None:
     assert drift_line(np.array([0.0, 1]), np.array([0.0, 1]), np.ones(2), 0.0) is None
     assert drift_line(np.zeros(3), np.arange(3.0), np.ones(3), 0.0) is None
+    assert drift_line(np.array([0.0, 0.4, 0.9]), np.arange(3.0), np.ones(3), 0.0) is None
+    assert drift_line(np.array([0.0, 0.4, 1.0]), np.arange(3.0), np.ones(3), 0.0) is not None
 
 
 # -- agreement ---------------------------------------------------------------------------------------------------------
