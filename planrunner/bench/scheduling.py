@@ -23,27 +23,26 @@ from planrunner.bench.temperature_checks import Temperatures
 from planrunner.physics.kinematics import Unreachable
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan import model
-from planrunner.plan import state as holding_spec
 from planrunner.plan.expand import StatedSegment
 from planrunner.plan.model import Ramp, Turns
 from planrunner.plan.motion import motion_of
 from planrunner.plan.orientation import Orientation
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Motion, Rest, Schedule, Segment, Spin, Stability, Watch
-from planrunner.plan.segments import State
+from planrunner.plan.segments import StabilitySpec, State, Tolerated, WatchSpec
 
 Add = Callable[[str, Mark, str, str], None]
 
 
-def wait_of(stated: Quantity | holding_spec.StabilitySpec | None) -> tuple[float, Stability | None]:
+def wait_of(stated: Quantity | StabilitySpec | None) -> tuple[float, Stability | None]:
     """Planned time [s] of a `settle` or `soak`, and the quantities that must have settled afterwards, if the plan names any."""
-    if not isinstance(stated, holding_spec.StabilitySpec):
+    if not isinstance(stated, StabilitySpec):
         return (0.0 if stated is None else stated.value), None
     duration = stated.for_.value
     return duration, Stability(_in_si(stated), duration, stated.within.value)
 
 
-def watch_of(stated: holding_spec.WatchSpec | None) -> Watch | None:
+def watch_of(stated: WatchSpec | None) -> Watch | None:
     if stated is None:
         return None
     lost, corrupt = stated.lost_frames, stated.corrupt_frames
@@ -59,7 +58,7 @@ def watch_of(stated: holding_spec.WatchSpec | None) -> Watch | None:
 def check_measured(state: State, marks: Mapping[str, Mark], models: BenchModels, add: Add) -> None:
     """Adds an error for each limit on a quantity that no instrument of the bench can measure. add: takes code, place, message and hint."""
     for name, stated in (("soak", state.soak), ("settle", state.settle), ("watch", state.watch)):
-        if isinstance(stated, holding_spec.Tolerated) and stated.stated() and not models.measures:
+        if isinstance(stated, Tolerated) and stated.stated() and not models.measures:
             message = f"no instrument of this bench has live readings of {', '.join(stated.stated())}"
             add("physics-unmeasured", marks[name], message, "leave them out, or use a bench that measures them")
     watch = state.watch
@@ -70,7 +69,7 @@ def check_measured(state: State, marks: Mapping[str, Mark], models: BenchModels,
         add("physics-unmeasured", marks["watch"], message, "leave their limits out, or use another driver")
 
 
-def _in_si(stated: holding_spec.Tolerated) -> dict[str, float]:
+def _in_si(stated: Tolerated) -> dict[str, float]:
     return {name: quantity.value for name, quantity in stated.stated().items()}
 
 

@@ -31,9 +31,21 @@ from planrunner.plan.kinds import (
     optional,
 )
 from planrunner.plan.quantity import SYMMETRIC, Quantity, QuantityError, is_symmetric, parse_symmetric
-from planrunner.plan.segments import NAME, STATE_KEYS, Ramp, SegmentKind, SegmentSpec, State
+from planrunner.plan.segments import (
+    MOVE,
+    NAME,
+    POSITION,
+    STATE_KEYS,
+    MotionSpec,
+    Ramp,
+    RecordedSpec,
+    RockSpec,
+    SegmentKind,
+    SegmentSpec,
+    State,
+    Turns,
+)
 from planrunner.plan.selection import Detection, SelectionKind
-from planrunner.plan.state import MOVE, POSITION, MotionSpec, RecordedSpec, RockSpec, Turns
 from planrunner.plan.units import DIMENSIONS, EXAMPLES
 
 NOMINAL_TERMS = (

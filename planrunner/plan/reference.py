@@ -34,8 +34,7 @@ from planrunner.plan.kinds import (
 )
 from planrunner.plan.orientation import OrientationKind
 from planrunner.plan.quantity import RICH_KEYS
-from planrunner.plan.segments import Ramp, State
-from planrunner.plan.state import MotionSpec, RockSpec, StabilitySpec, Turns, WatchSpec
+from planrunner.plan.segments import MotionSpec, Ramp, RockSpec, StabilitySpec, State, Turns, WatchSpec
 from planrunner.plan.sweep import ForEachKind
 
 _HEAD = """\

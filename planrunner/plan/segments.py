@@ -1,4 +1,8 @@
-"""Plan keys for segments: states to reach and hold, sweeps over them, and steps with a common state."""
+"""Plan keys for segments: states to reach and hold, sweeps over them, and steps with a common state.
+
+A state consists of the orientation, the motion, the temperature, the readings that must settle before the segment records, and the
+readings that must stay within limits while it records.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +10,14 @@ from dataclasses import field
 
 from planrunner.base.findings import Findings
 from planrunner.plan import source
+from planrunner.plan.directions import DIRECTIONS
 from planrunner.plan.kinds import (
+    CHANNEL,
     Boolean,
     ByShape,
     Choice,
     ListOf,
+    MapOf,
     Number,
     QuantityOf,
     Record,
@@ -24,8 +31,227 @@ from planrunner.plan.kinds import (
 )
 from planrunner.plan.orientation import Orientation, OrientationKind
 from planrunner.plan.quantity import Quantity
-from planrunner.plan.state import RATE_UNCERTAINTY, STABILITY, WATCH, MotionSpec, StabilitySpec, Turns, WatchSpec
 from planrunner.plan.sweep import ForEachKind, StateTraits, Sweep, traits_of
+
+READINGS = ("position_error", "rate_error", "temperature_error", "temperature_drift")
+
+
+class Tolerated(Record):
+    """Largest permitted magnitudes of the readings of the instruments."""
+
+    position_error: Quantity | None = optional(
+        QuantityOf("angle", "positive"), "Following error of the table, on every axis.", "5 arcsec"
+    )
+    rate_error: Quantity | None = optional(
+        QuantityOf("angular rate", "positive"), "Measured minus commanded rate, on every axis.", "0.002 deg/s"
+    )
+    temperature_error: Quantity | None = optional(
+        QuantityOf("temperature", "positive"), "Measured minus commanded temperature of the chamber.", "0.5 K"
+    )
+    temperature_drift: Quantity | None = optional(
+        QuantityOf("temperature rate", "positive"),
+        "Rate at which the temperatures of the chamber and of the sensor change.",
+        "0.1 K/min",
+    )
+
+    def stated(self) -> dict[str, Quantity]:
+        """The stated limits for the given readings: reading → largest value."""
+        return {name: getattr(self, name) for name in READINGS if getattr(self, name) is not None}
+
+
+class StabilitySpec(Tolerated):
+    """A wait until the readings have settled: each reading must stay within its limit for the time `for`, without interruption."""
+
+    for_: Quantity = key(
+        QuantityOf("time", "positive"),
+        "Time for which the readings must stay within their limits.",
+        "30 s",
+        name="for",
+    )
+    within: Quantity = key(
+        QuantityOf("time", "positive"), "The run stops if the readings have not settled after this time.", "10 min"
+    )
+
+
+class WatchSpec(Tolerated):
+    """Limits on the readings while the segment records, and what happens when a limit is exceeded."""
+
+    lost_frames: Quantity | None = optional(
+        QuantityOf("ratio", "not negative"), "Share of the sensor's frames that may be missing.", "0.1 %"
+    )
+    corrupt_frames: Quantity | None = optional(
+        QuantityOf("ratio", "not negative"), "Share of the sensor's frames that may have a wrong checksum.", "0 %"
+    )
+    doubts: str = key(
+        Choice(("limit", "note")),
+        "Treatment of samples that the instrument marks as doubtful (status bits): with `limit`, they count as an exceeded limit; "
+        "with `note`, they are only noted.",
+        "note",
+        default="limit",
+    )
+    retakes: int = key(
+        Number(0, 10, integer=True),
+        "How many times a segment is recorded again if it exceeds a limit. Then the run stops. The data of each rejected "
+        "attempt are kept, with the reason.",
+        2,
+        default=0,
+    )
+
+
+def _check_difference(record: Tolerated, log: Findings) -> None:
+    stated = record.temperature_error
+    if stated is not None and stated.unit.offset:
+        hint = f"write {stated.unit.from_si(stated.value):g} K"
+        log.error("meaning-range", record.at("temperature_error"), f"{stated} is a temperature, not a difference", hint)
+
+
+def _check_stability(stability: StabilitySpec, log: Findings) -> None:
+    _check_difference(stability, log)
+    if not stability.stated():
+        hint = "add for example `temperature_drift: 0.1 K/min`, or write a time alone"
+        log.error("meaning-stability", stability.origin.mark, "this key names no reading that must settle", hint)
+    if stability.within.value < stability.for_.value:
+        message = f"{stability.within} is shorter than the {stability.for_} for which the readings must stay within their limits"
+        log.error("meaning-stability", stability.at("within"), message, "make `within` longer")
+
+
+STABILITY = RecordOf(StabilitySpec, _check_stability)
+WATCH = RecordOf(WatchSpec, _check_difference)
+
+
+RATE_UNCERTAINTY = (
+    "`rate_uncertainty` of a scale-factor estimate, or as `rate_stability` of the table in the bench file"
+)
+"""Where the uncertainty of a rate must be stated."""
+
+
+class RockSpec(Record):
+    """Sinusoidal rocking of the table's rings."""
+
+    amplitude: Quantity = key(QuantityOf("angle", "positive"), "Amplitude of each ring.", "3 deg")
+    frequency: Quantity = key(QuantityOf("frequency", "positive"), "Frequency of all rings.", "0.2 Hz")
+    phases: tuple[Quantity, ...] = key(
+        ListOf(QuantityOf("angle"), single=True, minimum=1),
+        "Phase of each ring, outermost first.",
+        ["0 deg", "45 deg", "90 deg"],
+        default_factory=tuple,
+    )
+
+
+class RecordedSpec(Record):
+    """Channels of the recording that show a motion that was not commanded, such as that of a hand, a vehicle, or a jig without a drive.
+    One of angle, attitude and rates gives the rotation."""
+
+    angle: str | None = optional(
+        CHANNEL,
+        "Encoder of the axis about which the sensor turns. It must read zero in the orientation of the segment.",
+        "table_angle",
+    )
+    attitude: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=4, maximum=4),
+        "Unit quaternion that takes vectors from the sensor's axes to East-North-Up, real part first.",
+        ["q_w", "q_x", "q_y", "q_z"],
+        default_factory=tuple,
+    )
+    rates: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=3, maximum=3),
+        "Gyros that show the rotation about the sensor's x, y and z: of a reference, or the sensor's own.",
+        ["reference_gyro_x", "reference_gyro_y", "reference_gyro_z"],
+        default_factory=tuple,
+    )
+    forces: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=3, maximum=3),
+        "Accelerometers that show the specific force along the sensor's x, y and z. Without them, it is computed from gravity and the "
+        "attitude.",
+        ["reference_accel_x", "reference_accel_y", "reference_accel_z"],
+        default_factory=tuple,
+    )
+    averaging: Quantity | None = optional(
+        QuantityOf("time", "positive"),
+        "Time over which outputs and motion are averaged before they are compared; by default ten samples for an angle or an attitude, "
+        "whose differences are noisy, and none for rates.",
+        "50 ms",
+    )
+
+
+POSITION = r"[^ \x00-\x1f]{1,20}"
+_TURN = r"[-+−]?(?:[0-9]{1,6}(?:\.[0-9]{0,9})?|\.[0-9]{1,9})"
+MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSITION}) *"
+
+
+class MotionSpec(Record):
+    """What the sensor does while the segment records. Give one of rate, rock, cycle and recorded; without any of them, it is at rest."""
+
+    rate: Quantity | None = optional(
+        QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY), "Constant rate about the rotation axis.", "300 deg/s"
+    )
+    about: str = key(
+        Choice(tuple(DIRECTIONS)),
+        "Direction at the site about which the table spins.",
+        "up",
+        default="up",
+    )
+    recorded: RecordedSpec | None = optional(
+        RecordOf(RecordedSpec),
+        "A motion that was not commanded, such as that of a hand or a vehicle; the recording shows it.",
+        {"rates": ["reference_gyro_x", "reference_gyro_y", "reference_gyro_z"]},
+    )
+    rock: RockSpec | None = optional(
+        RecordOf(RockSpec), "Sinusoidal rocking.", {"amplitude": "3 deg", "frequency": "0.2 Hz"}
+    )
+    for_: Quantity | None = optional(
+        QuantityOf("time", "positive"),
+        "Rock at full amplitude for this part of the dwell only, then rest.",
+        "8 min",
+        name="for",
+    )
+    after: Quantity | None = optional(
+        QuantityOf("time", "positive"),
+        "Rest for this part of the dwell, then begin to rock; by default the rocking begins one period before the "
+        "dwell.",
+        "60 s",
+    )
+    cycle: dict[str, Quantity] | None = optional(
+        MapOf(QuantityOf("angle"), pattern=POSITION),
+        "Named positions of an indexing cycle.",
+        {"A": "0 deg", "B": "90 deg", "C": "180 deg", "D": "270 deg"},
+    )
+    moves: tuple[str, ...] = key(
+        ListOf(
+            Text(
+                MOVE,
+                "a move such as 'A +180 C'",
+                "write the first position, the turn in degrees, and the last position",
+            ),
+            minimum=1,
+        ),
+        "Moves of one cycle in order: from, turn in degrees, to.",
+        ["A +180 C", "C -180 A"],
+        default_factory=tuple,
+    )
+    turn_rate: Quantity | None = optional(
+        QuantityOf("angular rate", "positive"), "Rate of the turns between stops.", "10 deg/s"
+    )
+    stop: Quantity | None = optional(
+        QuantityOf("time", "not negative"), "Time at each stop; `0 s` for turns without stops.", "3 min"
+    )
+    sense: str = key(
+        Choice(("counterclockwise", "clockwise")),
+        "Sense of positive angles, as seen by an observer towards whom the rotation axis points.",
+        "clockwise",
+        default="counterclockwise",
+    )
+
+
+class Turns(Record):
+    """A dwell counted in whole turns of a spinning table, or in whole cycles of turns and stops."""
+
+    turns: int | None = optional(Number(1, 1_000_000, integer=True), "Record for this many whole turns.", 1)
+    cycles: int | None = optional(Number(1, 1_000_000, integer=True), "Record for this many whole cycles.", 34)
+    at_least: Quantity | None = optional(
+        QuantityOf("time", "positive"), "Add whole turns or cycles until the dwell lasts this long.", "30 s"
+    )
+
 
 TEMPERATURE_UNCERTAINTY = "`temperature_uncertainty` of the chamber in the bench file"
 """Where the uncertainty of a segment's temperature must be stated."""

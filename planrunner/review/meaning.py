@@ -32,9 +32,8 @@ from planrunner.plan.motion import motion_of
 from planrunner.plan.orientation import Orientation
 from planrunner.plan.quantity import Quantity, parse_quantity, parse_symmetric
 from planrunner.plan.schedule import Cycle, RecordedMotion, Rest, Rock, Spin
-from planrunner.plan.segments import State
+from planrunner.plan.segments import MotionSpec, StabilitySpec, State, Turns
 from planrunner.plan.selection import Detection, Labels
-from planrunner.plan.state import MotionSpec, StabilitySpec, Turns
 from planrunner.plan.units import Dimension
 
 VERSION = 1
