@@ -173,6 +173,11 @@ class InputError(Exception):
         return cls([Finding(mark, code, "error", message, hint)])
 
 
+def count_of(number: int, one: str, several: str = "") -> str:
+    """A number with its noun, such as `1 run` and `2 runs`. several: the plural, if it is not the singular with an s."""
+    return f"{number} {one if number == 1 else several or f'{one}s'}"
+
+
 def elsewhere(marks: Sequence[Mark], first: Mark) -> str:
     """The other lines of a finding, for its message: ' (also on lines 12 and 13)'; empty if it concerns a single line."""
     lines = sorted({mark.line for mark in marks} - {first.line})

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.findings import COMMAND_LINE, InputError, count_of
 from planrunner.cli import exit_codes
 from planrunner.cli.dates import day_of
 from planrunner.cli.printing import print_findings, print_json, print_line
@@ -83,7 +83,7 @@ def _withdraw(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"file": file, "withdrawn": count})
     else:
-        print(f"{count} approval{'' if count == 1 else 's'} withdrawn: {file}")
+        print(f"{count_of(count, 'approval')} withdrawn: {file}")
     return exit_codes.DONE
 
 
@@ -150,7 +150,7 @@ def _show(prepared: PreparedApproval, statement: str) -> None:
         ("limits", str(len(first.plan.limits))),
     ]
     for bench, sound in zip(what.benches, prepared.sound, strict=False):
-        length = f"{len(sound.schedule.segments)} segments, {duration(sound.schedule.total)}"
+        length = f"{count_of(len(sound.schedule.segments), 'segment')}, {duration(sound.schedule.total)}"
         facts.append(("bench", f"{bench.name}, {bench.sha256} (SHA-256): {length}"))
     facts.append(("until", "not limited" if what.until is None else what.until.isoformat()))
     facts.append(("statement", statement.strip() or DECLARED))

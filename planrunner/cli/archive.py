@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from planrunner.base.findings import InputError
+from planrunner.base.findings import InputError, count_of
 from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done, each_run
 from planrunner.cli.printing import print_json
@@ -43,7 +43,7 @@ def _push(args: argparse.Namespace) -> int:
     def push(run: Path) -> Done:
         pushed = push_run(run, args.url)
         if not args.json:
-            print(f"{run.name}: {pushed.written} files written, {pushed.present} existed already")
+            print(f"{run.name}: {count_of(pushed.written, 'file')} written, {pushed.present} existed already")
         return Done(exit_codes.DONE, {"written": pushed.written, "present": pushed.present})
 
     return each_run(runs_of(args), push, as_json=args.json)
@@ -60,5 +60,5 @@ def _pull(args: argparse.Namespace) -> int:
     else:
         for run in pulled.runs:
             print(run)
-        print(f"{len(pulled.runs)} runs copied and verified, {pulled.present} existed already")
+        print(f"{count_of(len(pulled.runs), 'run')} copied and verified, {pulled.present} existed already")
     return exit_codes.DONE

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from planrunner.base.dataclass import dataclass
-from planrunner.base.findings import Finding
+from planrunner.base.findings import Finding, count_of
 from planrunner.base.workers import ALONE, results_of
 from planrunner.bench.attendance import check_unattended
 from planrunner.bench.model import runs_on_virtual_clock, safe_order
@@ -143,13 +143,13 @@ def summary(checked: Checked, looked_over: bool = True) -> str:
     errors, warnings = (
         sum(finding.severity == severity for finding in checked.findings) for severity in ("error", "warning")
     )
-    head = f"{checked.file}: {_count(errors, 'error')}, {_count(warnings, 'warning')}"
+    head = f"{checked.file}: {count_of(errors, 'error')}, {count_of(warnings, 'warning')}"
     if not checked.ok or checked.schedule is None or checked.bench is None:
         return head
     count = len(checked.schedule.segments)
     open_ended = any(segment.dwell is None for segment in checked.schedule.segments)
     total = "length of the recording" if open_ended else duration(checked.schedule.total)
-    lines = [f"{head}; {_count(count, 'segment')} on bench '{checked.bench.name}', {total}"]
+    lines = [f"{head}; {count_of(count, 'segment')} on bench '{checked.bench.name}', {total}"]
     for name, design in checked.designs.items():
         for judged in checked.judged[name]:
             lines.append(
@@ -170,7 +170,7 @@ def summary(checked: Checked, looked_over: bool = True) -> str:
         lines.append("  the recording was not checked: add --data DIR")
     prompts = sum(len(segment.prompts) for segment in checked.schedule.segments)
     if prompts and not runs_on_virtual_clock(checked.bench):
-        lines.append(f"  asks the operator {_count(prompts, 'time')}")
+        lines.append(f"  asks the operator {count_of(prompts, 'time')}")
     if checked.approvals is not None:
         names = ", ".join(one.name for one in checked.approvals.approvals)
         lines.append(f"  approved by {printable(names, keep='')}")
@@ -184,7 +184,3 @@ def _columns(pairs: list[tuple[str, str]]) -> str:
     cells = [f"{name:<{wide[0]}} {text:<{wide[1]}}" for name, text in pairs]
     across = max(1, min(3, (columns(sys.stdout) - 1) // (sum(wide) + 4)))
     return "\n".join("    " + "   ".join(cells[row : row + across]).rstrip() for row in range(0, len(cells), across))
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}" + ("" if number == 1 else "s")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from planrunner.base.findings import count_of
 from planrunner.cli.archive_arguments import add_index, add_period, add_runs_folder, opened_index, report_left_out
 from planrunner.cli.printing import print_json, print_line
 
@@ -34,9 +35,11 @@ def run(args: argparse.Namespace) -> int:
         from planrunner.reporting import terminal
         from planrunner.reporting.history_tables import gauge_table
 
-        counts = ", ".join(f"{count} {name}{'es' if name == 'bench' else 's'}" for name, count in found.levels.items())
-        print_line(f"{args.coefficient}: {counts}, {found.repetitions} runs of each")
+        counts = ", ".join(
+            count_of(count, name, "benches" if name == "bench" else "") for name, count in found.levels.items()
+        )
+        print_line(f"{args.coefficient}: {counts}, {count_of(found.repetitions, 'run')} of each")
         terminal.print_tables(gauge_table(found, unit))
         if found.unused:
-            print(f"{found.unused} runs are not used, because the other combinations have fewer runs")
+            print(f"not used: {count_of(found.unused, 'run')}, because the other combinations have fewer runs")
     return code

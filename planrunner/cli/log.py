@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from planrunner.base.findings import InputError
+from planrunner.base.findings import InputError, count_of
 from planrunner.base.regular_files import RefusedFileError, read_regular
 from planrunner.cli import exit_codes
 from planrunner.cli.each_run import run_folders
@@ -136,7 +136,7 @@ def _tell(args: argparse.Namespace, head: TreeHead) -> int:
 
 
 def _entries(size: int) -> str:
-    return f"{size} {'entry' if size == 1 else 'entries'}"
+    return count_of(size, "entry", "entries")
 
 
 def _prove(args: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from planrunner.base.findings import InputError, Mark
+from planrunner.base.findings import InputError, Mark, count_of
 from planrunner.cli import exit_codes
 from planrunner.cli.printing import print_json, write_new
 from planrunner.cli.progress import reading_progress
@@ -96,6 +96,4 @@ def _print(look: Look) -> None:
     if look.other:
         print(f"other columns of numbers: {', '.join(look.other[:20])}{' …' if len(look.other) > 20 else ''}")
     count = len(look.still)
-    print(
-        f"still: {100 * look.still_share:.0f} % of the time, in {count} span{'' if count == 1 else 's'} of at least 2 s"
-    )
+    print(f"still: {100 * look.still_share:.0f} % of the time, in {count_of(count, 'span')} of at least 2 s")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from planrunner.base.findings import count_of
 from planrunner.cli.archive_arguments import add_archive, add_index, add_period, opened_index, report_left_out
 from planrunner.cli.printing import print_json
 
@@ -58,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         if found.runs:
             terminal.print_tables(runs_table(found.runs))
         more = f", {len(found.runs)} shown" if len(found.runs) < found.total else ""
-        print(f"{found.total} run{'' if found.total == 1 else 's'}{more}")
+        print(f"{count_of(found.total, 'run')}{more}")
         if args.export is not None:
             print(args.export)
     return report_left_out(found.faults)

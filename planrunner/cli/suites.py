@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 
 from planrunner.archive.schema_check import FIRST_YEAR, LAST_YEAR
-from planrunner.base.findings import InputError
+from planrunner.base.findings import InputError, count_of
 from planrunner.cli.jobs import workers_of
 from planrunner.cli.printing import columns, write_file
 from planrunner.reporting.night_timetable import Timetable, timetable_lines, timetable_page
@@ -90,7 +90,7 @@ def timetable_of(checked: CheckedSuite) -> Timetable | None:
 def suite_summary(checked: CheckedSuite) -> str:
     """Counts of findings and the timetable."""
     counts = {kind: sum(item.severity == kind for item in checked.findings) for kind in ("error", "warning")}
-    head = ", ".join(f"{number} {kind}{'' if number == 1 else 's'}" for kind, number in counts.items())
+    head = ", ".join(count_of(number, kind) for kind, number in counts.items())
     table = timetable_of(checked) if checked.ok else None
     lines = [] if table is None else timetable_lines(table, columns(sys.stdout))
     return "\n".join([f"{checked.file}: {head}", *lines])

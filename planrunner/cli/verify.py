@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from planrunner.base.documents import JsonObject
-from planrunner.base.findings import InputError, Mark
+from planrunner.base.findings import InputError, Mark, count_of
 from planrunner.cli import exit_codes
 from planrunner.cli.archive_arguments import folder_to_verify
 from planrunner.cli.each_run import Done, add_runs, archive_of, each_result, run_folders
@@ -122,10 +122,8 @@ def _lines(name: str, verification: Verification) -> Iterator[str]:
         yield (f"    sealed {found.seal['sealed']}, SHA-256 of seal.json: {found.seal_digest}")
     if found.scan is not None:
         files = found.files.values()
-        size = sum(part.bytes for part in files) / 1e6
-        yield (
-            f"    {found.scan.count} events, {len(files)} files of samples ({size:.1f} MB), {_analyses(verification)}"
-        )
+        recorded = f"{count_of(len(files), 'file')} of samples ({sum(part.bytes for part in files) / 1e6:.1f} MB)"
+        yield (f"    {count_of(found.scan.count, 'event')}, {recorded}, {_analyses(verification)}")
     for number, words in verification.amendments.items():
         yield (f"    analysis {number} {words}")
     for one in verification.signatures:
@@ -168,4 +166,4 @@ def _covered(one: RunSignature) -> str:
 
 def _analyses(verification: Verification) -> str:
     numbers = [one.number for one in verification.found.analyses]
-    return f"{len(numbers)} {'analysis' if len(numbers) == 1 else 'analyses'}"
+    return count_of(len(numbers), "analysis", "analyses")

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import BATCHES
 from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import count_of
 from planrunner.base.said import Said, counted, said
 from planrunner.estimators.drift_fit import FEW, DoubtedDrift, SuspectedDrift
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark, UnfitDataError
@@ -16,7 +17,7 @@ from planrunner.estimators.open_flicker import no_flicker_declared
 from planrunner.estimators.outlying_segments import LEAST_REDUNDANCY, Outlier, agreement
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.observation.drift import DriftCourse
-from planrunner.observation.observations import SIGNIFICANCE
+from planrunner.observation.observations import SIGNIFICANCE, Weighting
 from planrunner.plan.schedule import Segment
 from planrunner.uncertainty.influences import Aspect
 
@@ -88,9 +89,9 @@ def few_samples(request: DesignRequest[object]) -> tuple[Remark, ...]:
     if not short:
         return ()
     count, label = min(short, key=lambda one: one[0])
-    others = f" (and {len(short) - 1} more segments are as short)" if len(short) > 1 else ""
+    others = f" (and {count_of(len(short) - 1, 'more segment')} as short)" if len(short) > 1 else ""
     message = (
-        f"'{label}' holds {count} sample{'s' if count > 1 else ''}{others}: the noise within a segment is estimated "
+        f"'{label}' holds {count_of(count, 'sample')}{others}: the noise within a segment is estimated "
         "from the scatter of "
         f"{BATCHES} batches of samples"
     )
@@ -198,13 +199,13 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
                 width=width,
             )
             notes.append(FitNote(scattering, output))
-        elif noise.weighting == "individual" and not np.ptp(own):
+        elif noise.weighting is Weighting.INDIVIDUAL and not np.ptp(own):
             alike = said(
                 "{output}: the noise differs between segments, but the plan gives all segments the same weight.",
                 output=output,
             )
             notes.append(FitNote(alike, output))
-        elif noise.weighting == "individual":
+        elif noise.weighting is Weighting.INDIVIDUAL:
             weighted = said(
                 "{output}: the noise differs between segments, so each segment is weighted by its own noise.",
                 output=output,

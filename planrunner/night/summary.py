@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from planrunner.base.documents import JsonObject
+from planrunner.base.findings import count_of
 
 WORDS = {
     "passed": "passed",
@@ -49,7 +50,7 @@ def summary(night: JsonObject) -> str:
         lines += ["", "## Fleet", ""]
         for group in night["fleet"]:
             said = group["statements"] or ["no device, bench or occasion stands out, and nothing changed"]
-            lines += [f"- {_cell(group['plan'])} ({group['runs']} runs): {_cell(text)}" for text in said]
+            lines += [f"- {_cell(group['plan'])} ({count_of(group['runs'], 'run')}): {_cell(text)}" for text in said]
         named = [one for group in night["fleet"] for one in group["verdicts"] if one["effects"]]
         if named:
             lines += ["", "| run | diagnosis |", "|---|---|"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,21 +83,34 @@ class Observations:
         return lasted if self.share is None else lasted * self.share
 
 
+class Weighting(StrEnum):
+    """The noise by which the segments of a channel are weighted. The values are words for reports."""
+
+    DECLARED = "declared noise"
+    EQUAL = "equal"
+    POOLED = "one noise level for all segments"
+    INDIVIDUAL = "the noise level of each segment"
+
+
 @dataclass(frozen=True, slots=True)
 class WithinSegmentNoise:
     """Within-segment standard uncertainty of one channel's means. sigma: (n,), all positive. known: False if the samples within the
-    segments give no information; sigma is then 1. weighting: 'pooled' over the segments or 'individual'. degrees_of_freedom: those of
-    sigma."""
+    segments give no information; sigma is then 1. degrees_of_freedom: those of sigma."""
 
     sigma: Array
     known: bool
-    weighting: str
+    weighting: Weighting
     degrees_of_freedom: float
 
     @property
     def unequal(self) -> bool:
         """Whether the weights differ by more than the jitter of recorded times causes."""
         return bool(self.sigma.max() > 1.05 * self.sigma.min())
+
+
+def weights_of(channels: Sequence[str], noises: Sequence[WithinSegmentNoise]) -> dict[str, str]:
+    """For the settings of an estimate: the words about the weights of each channel."""
+    return {name: noise.weighting.value for name, noise in zip(channels, noises, strict=True)}
 
 
 def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor: SensorModel) -> Observations:
@@ -201,7 +215,7 @@ def within_segment_noise(
     """
     error = observations.standard_error[:, channel]
     if observations.expected:
-        return WithinSegmentNoise(error, True, "as declared", math.inf)
+        return WithinSegmentNoise(error, True, Weighting.DECLARED, math.inf)
     if observations.within:
         shares = explained if isinstance(explained, float) else explained[: len(error) - observations.within]
         means = within_segment_noise(observations.of_means, channel, shares)
@@ -210,14 +224,14 @@ def within_segment_noise(
     usable = (degrees > 0) & (error > 0)
     n = len(error)
     if not usable.any():
-        return WithinSegmentNoise(np.ones(n), False, "equal", 0.0)
+        return WithinSegmentNoise(np.ones(n), False, Weighting.EQUAL, 0.0)
     spread = error**2 * observations.seconds
     pooled = float(np.sum(degrees[usable] * spread[usable]) / np.sum(degrees[usable]))
     if usable.all() and n > 1 and variances_differ(spread, degrees, pooled):
         freedom = float(np.sum(error**2) ** 2 / np.sum(error**4 / degrees))
-        return WithinSegmentNoise(_left(error**2, explained), True, "individual", freedom)
+        return WithinSegmentNoise(_left(error**2, explained), True, Weighting.INDIVIDUAL, freedom)
     return WithinSegmentNoise(
-        _left(pooled / observations.seconds, explained), True, "pooled", float(np.sum(degrees[usable]))
+        _left(pooled / observations.seconds, explained), True, Weighting.POOLED, float(np.sum(degrees[usable]))
     )
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from planrunner.base.documents import JsonObject
+from planrunner.base.findings import count_of
 from planrunner.plan.schedule import Schedule
 from planrunner.reporting.difference_tables import difference_tables, headline, notes
 from planrunner.reporting.orientations import orientation_svg
@@ -55,7 +56,7 @@ def difference_view(compared: Compared) -> JsonObject:
         ],
         "tables": [table_view(table) for table in difference_tables(compared)],
         "pictures": pictures[:MAX_PICTURES],
-        "more_pictures": f"{hidden} more orientations are not shown here." if hidden > 0 else "",
+        "more_pictures": f"Not shown here: {count_of(hidden, 'more orientation')}." if hidden > 0 else "",
         "notes": notes(compared),
     }
 

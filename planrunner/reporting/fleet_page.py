@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from planrunner.base.documents import Json
+from planrunner.base.findings import count_of
 from planrunner.estimators.results import DataOrigin
 from planrunner.estimators.tables import Plot, Role, Table, TableColumn
 from planrunner.reporting.columns import Shown, alike, table_of
@@ -67,8 +68,8 @@ def _of_change(amplitude: Data, change: Data) -> str:
     size = f"{value} ± {u}{behind_number(change['unit'])}"
     p = "p < 0.001" if change["p"] < 0.001 else f"p = {change['p']:.2g}"
     if change["kind"] == "drift":
-        return f"{' or '.join(names)}: {label} drifts by {size} from {after} to {until} UTC ({change['runs_after']} runs, {p})."
-    counts = f"{change['runs_before']} runs before, {change['runs_after']} since, {p}"
+        return f"{' or '.join(names)}: {label} drifts by {size} from {after} to {until} UTC ({count_of(change['runs_after'], 'run')}, {p})."
+    counts = f"{count_of(change['runs_before'], 'run')} before, {change['runs_after']} since, {p}"
     return f"{' or '.join(names)}: {label} changed by {size} between {after} and {until} UTC ({counts})."
 
 
@@ -79,7 +80,7 @@ def _minute(moment: object) -> str:
 
 def _of_lot(one: Data) -> str:
     value, u = format_pair(one["difference"], one["expanded_uncertainty"])
-    devices = f"{len(one['devices'])} devices of lot {one['lot']} ({', '.join(one['devices'])})"
+    devices = f"{count_of(len(one['devices']), 'device')} of lot {one['lot']} ({', '.join(one['devices'])})"
     apart = f"{value} ± {u}{behind_number(one['unit'])} from the {one['others']} others"
     return f"{devices} share {one['effect']} {one['name']}: {apart} (by chance: {one['chance']:.2g})."
 
@@ -106,7 +107,7 @@ def _of_amplitude(found: Data, amplitude: Data) -> Iterator[str]:
             yield f"{_who(found, sources, part)}: {label} {size}{apart} ({_count(sources, part)}{chance})."
         if len(clear) > MOST_PARTS:
             kind = _WORDS[sources[0]]
-            yield f"{label}: {len(clear) - MOST_PARTS} more values for a single {kind} are in the JSON output."
+            yield f"{label}: the JSON output contains {count_of(len(clear) - MOST_PARTS, 'more value')} for a single {kind}."
 
 
 def _clear(part: Data) -> float:
@@ -134,10 +135,10 @@ def _who(found: Data, sources: Sequence[str], part: Data) -> str:
 
 def _count(sources: Sequence[str], part: Data) -> str:
     """The number of runs of a part, and for a bench the number of devices."""
-    runs = f"{part['runs']} run{'s' if part['runs'] != 1 else ''}, "
+    runs = f"{count_of(part['runs'], 'run')}, "
     if list(sources) != ["bench"]:
         return runs
-    return f"{runs}{part['devices']} device{'s' if part['devices'] != 1 else ''}, "
+    return f"{runs}{count_of(part['devices'], 'device')}, "
 
 
 def _either(sources: Sequence[str]) -> str:

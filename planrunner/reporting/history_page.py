@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from datetime import datetime
 
+from planrunner.base.findings import count_of
 from planrunner.instruments.models import DataOrigin
 from planrunner.night.history.control_charts import Chart
 from planrunner.night.history.trend import Trend
@@ -101,7 +102,6 @@ def _chart(found: Trend, key: str, y_title: str, series: list[tuple[str, Chart]]
         axes.set_ylabel(y_title)
         # Above the axes: inside, it could cover a value.
         axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=3 if len(series) == 1 else 2, borderaxespad=0.2)
-        described = (
-            f"{y_title} of {len(days)} runs with control limits; {sum(one.alarms.sum() for _, one in series)} alarms"
-        )
+        alarms = count_of(sum(int(one.alarms.sum()) for _, one in series), "alarm")
+        described = f"{y_title} of {count_of(len(days), 'run')} with control limits; {alarms}"
         return save(f"history-{key}", y_title, described)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 
+from planrunner.base.findings import count_of
 from planrunner.estimators.tables import Role, Table, TableColumn
 from planrunner.instruments.models import DataOrigin
 from planrunner.night.history.agreement import ParticipantAgreement
@@ -167,7 +168,9 @@ def sentences(found: Trend) -> list[str]:
             said.append("No recorded circumstance changed at the same time.")
     said += _drift(found, unit)
     if found.left_out:
-        said.append(f"{len(found.left_out)} runs are left out: their value has another dimension, or is not finite.")
+        said.append(
+            f"Left out: {count_of(len(found.left_out), 'run')} with a value of another dimension, or one that is not finite."
+        )
     return said
 
 

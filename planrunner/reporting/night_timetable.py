@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import tzinfo
 from html import escape
 
+from planrunner.base.findings import count_of
 from planrunner.night.civil_time import civil, shown_time
 from planrunner.night.expansion import PlannedTest
 from planrunner.night.suite import Suite
@@ -58,7 +59,7 @@ def headline(table: Timetable) -> str:
     benches = len({slot.bench for slot in night.slots})
     runs = sum(slot.test is not None for slot in night.slots)
     words = (
-        f"{runs} of {_count(len(table.tests), 'test')} on {_count(benches, 'bench', 'benches')}, from "
+        f"{runs} of {count_of(len(table.tests), 'test')} on {count_of(benches, 'bench', 'benches')}, from "
         f"{shown_time(table.begins, table.zone)}, predicted end {shown_time(night.ends, table.zone)}"
     )
     if math.isfinite(night.hours.closes):
@@ -184,7 +185,3 @@ def _ticks(begins: float, ends: float, table: Timetable) -> Iterator[float]:
 
 def _short(name: str, most: int = 36) -> str:
     return name if len(name) <= most else name[: most - 1] + "…"
-
-
-def _count(number: int, word: str, several: str = "") -> str:
-    return f"{number} {word}" if number == 1 else f"{number} {several or word + 's'}"

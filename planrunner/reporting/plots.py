@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
+from planrunner.base.findings import count_of
 from planrunner.estimators.tables import Plot
 from planrunner.plan.schedule import Schedule
 from planrunner.reporting.words import clock
@@ -236,7 +237,9 @@ def timeline_svg(schedule: Schedule, key: str) -> str:
     with drawing(7.2, 0.75 + 0.95 * len(panels)) as (figure, save):
         rows = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
         draw_panels(rows, panels, schedule)
-        described = f"{len(schedule.segments)} segments in {clock(schedule.total)} (hours, minutes, seconds)."
+        described = (
+            f"{count_of(len(schedule.segments), 'segment')} in {clock(schedule.total)} (hours, minutes, seconds)."
+        )
         return save(key, "Timeline of the planned run", described)
 
 

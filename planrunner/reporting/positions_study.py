@@ -164,7 +164,7 @@ def notes(found: FoundPositions) -> tuple[str, ...]:
     p = len(found.sight.terms)
     if len(found.sight.fixed):
         said.append(
-            f"{len(found.sight.fixed)} segments of the estimate spin: they stay unchanged and contribute to every set. The "
+            f"Segments of the estimate that spin: {len(found.sight.fixed)}. They stay unchanged and contribute to every set. The "
             f"bound of the worst variance is therefore not known."
         )
     else:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from planrunner.base.documents import JsonObject, finite
+from planrunner.base.findings import count_of
 from planrunner.estimators.interface import Coefficient, Design
 from planrunner.estimators.tables import Role, Table, TableColumn
 from planrunner.plan.schedule import Rest, Schedule, Segment, Spin
@@ -74,7 +75,7 @@ def show_view(context: ShowContext) -> JsonObject:
         "timeline": Markup(timeline_svg(schedule, "timeline")) if drawn else "",
         "segments": table_view(timeline_table(schedule)),
         "pictures": pictures,
-        "more_pictures": f"{hidden} more orientations are not shown here." if hidden > 0 else "",
+        "more_pictures": f"Not shown here: {count_of(hidden, 'more orientation')}." if hidden > 0 else "",
         "predictions": [
             {
                 "name": name,

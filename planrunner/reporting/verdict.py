@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from planrunner.base.findings import count_of
 from planrunner.estimators.limits import LimitVerdict, VerdictKind, verdict_kind
 from planrunner.estimators.results import DataOrigin
 
@@ -23,7 +24,7 @@ def headline(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnin
     kind = verdict_kind(limits, failures, warnings)
     failed = [limit.quantity for limit in limits if limit.verdict != "pass"]
     total = len(limits)
-    beside = "" if not warnings else f"with {warnings} warning{'' if warnings == 1 else 's'}"
+    beside = "" if not warnings else f"with {count_of(warnings, 'warning')}"
     if failures:
         whys = "; ".join(f"{name}: {why}" for name, why in failures.items())
         return Headline(kind, _and("Incomplete", beside, "not everything could be estimated"), whys)

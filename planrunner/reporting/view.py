@@ -37,6 +37,7 @@ from pathlib import Path
 from typing import TypeGuard
 
 from planrunner.base.documents import Json, JsonObject
+from planrunner.base.findings import count_of
 from planrunner.estimators.interface import Coefficient, Estimate
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.estimators.results import DataOrigin
@@ -189,7 +190,7 @@ def table_view(table: Table) -> JsonObject:
         "title": table.title,
         "columns": columns,
         "rows": rows,
-        "more": f"{hidden} more rows are not shown here." if hidden > 0 else "",
+        "more": f"Not shown here: {count_of(hidden, 'more row')}." if hidden > 0 else "",
     }
 
 

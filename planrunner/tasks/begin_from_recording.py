@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from planrunner.base.findings import count_of
 from planrunner.instruments.formats.text import TextKeys
 from planrunner.instruments.recording_look import AT_LEAST, MOVING, WINDOW, Look, poses
 
@@ -43,7 +44,7 @@ def bench_of(look: Look, name: str) -> str:
     lines.append("    kind: imu")
     if look.backwards:
         lines.append(
-            f"    time: sample_count # in {look.backwards} rows the time of the file does not increase: rows are counted"
+            f"    time: sample_count # in {count_of(look.backwards, 'row')} the time of the file does not increase: rows are counted"
         )
     elif look.time is None:
         lines.append("    time: sample_count # the file has no time, or the sample rate was given")
@@ -52,7 +53,7 @@ def bench_of(look: Look, name: str) -> str:
     lines.append(f"    sample_rate: {look.rate:.6g} Hz")
     count, shortest = look.pauses
     if count and not look.backwards:
-        steps = f"The time steps by {shortest:.3g} s and more in {count} place{'' if count == 1 else 's'}"
+        steps = f"The time steps by {shortest:.3g} s and more in {count_of(count, 'place')}"
         lines.append(f"    # {steps}. To make each piece a segment: pauses: {shortest / 2:.3g} s")
     lines.append("    channels:")
     for one in look.channels:

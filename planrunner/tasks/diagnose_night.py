@@ -9,7 +9,7 @@ from pathlib import Path
 
 from planrunner.archive.formats import IntegrityError
 from planrunner.base.documents import Json, JsonObject
-from planrunner.base.findings import InputError
+from planrunner.base.findings import InputError, count_of
 from planrunner.base.workers import Workers
 from planrunner.night.history.rows import RunFilter, RunRow
 from planrunner.night.suite import NightDiagnosis
@@ -42,7 +42,7 @@ def diagnose_night(
         if len(group) >= LEAST:
             yield _of_plan(archive, group, [run.folder for run in own], workers or Workers())
         else:
-            yield None, f"{key[0]}: {len(group)} runs are too few to be diagnosed together"
+            yield None, f"{key[0]}: too few runs to be diagnosed together ({len(group)})"
     unknown = ", ".join(run.folder for run in every if run.folder in runs and not run.device)
     if unknown:
         yield None, f"the night: runs that name no device ({' or '.join(DEVICE)}) are left out: {unknown}"
@@ -78,4 +78,4 @@ def _of_plan(
         "verdicts": verdicts,
     }
     left = len(group) - len(found["runs"])
-    return record, f"{plan}: {left} runs could not be diagnosed" if left else ""
+    return record, f"{plan}: no diagnosis of {count_of(left, 'run')}" if left else ""

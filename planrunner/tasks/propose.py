@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.base.findings import Findings, InputError, Mark
+from planrunner.base.findings import Findings, InputError, Mark, count_of
 from planrunner.bench.model import BenchModels
 from planrunner.bench.scheduling import build_schedule
 from planrunner.gap.answer.segment_menu import MenuEntry, menu
@@ -82,7 +82,7 @@ def words(found: SegmentProposal, planned: bool) -> str:
     rivals = f"{', '.join(names[:-1])} and {names[-1]}"
     if planned:
         said = (
-            f"{len(found.segments)} segments in {_duration(found.seconds)} would separate {rivals}: the true "
+            f"{count_of(len(found.segments), 'segment')} in {_duration(found.seconds)} would separate {rivals}: the true "
             f"explanation among them is then expected to have P = {found.probability:.2f}; at present it has P "
             f"= {found.now:.2f}."
         )

@@ -12,7 +12,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.verifying import examine, open_run
 from planrunner.base.documents import Json
-from planrunner.base.findings import InputError, Mark
+from planrunner.base.findings import InputError, Mark, count_of
 from planrunner.base.progress import Announce
 from planrunner.estimators.results import Results
 from planrunner.observation.screening import watch_of
@@ -108,10 +108,12 @@ def _deviations(
         if bad:
             kinds = ", ".join(sorted({one.kind.value for one in bad}))
             rows = sum(one.rows for one in bad)
-            yield RunDeviation("left out", f"{rows} samples were left out ({kinds})", recorded.label)
+            yield RunDeviation("left out", f"{count_of(rows, 'sample')} left out ({kinds})", recorded.label)
         if recorded.statistics.rejected:
             yield RunDeviation(
-                "left out", f"{int(recorded.statistics.rejected)} samples have no valid value", recorded.label
+                "left out",
+                f"{count_of(int(recorded.statistics.rejected), 'sample')} without a valid value",
+                recorded.label,
             )
     yield from _calibrations(sound, datetime.fromisoformat(str(reader.run["created"])).date())
     for finding in sound.findings:

@@ -215,10 +215,10 @@ def test_segments_are_weighted_where_their_noise_differs() -> None:
         recorded.append(from_means(segment(label, attitude(words)), values, "pulse/s", 1.0 if n == 0 else 0.01))
     parameters = FlexureGyroStaticParameters(uncertainty="within_segment")
     found = FlexureGyroStatic().estimate(EstimateRequest("d", tuple(recorded), parameters, SITE, sensor(*CHANNELS)))
-    assert found.settings["weights"] == ["individual", "individual"]
+    assert found.settings["weights"] == dict.fromkeys(CHANNELS, "the noise level of each segment")
     assert any("weighted by its own" in note for note in found.notes)
     equal = estimate(error=0.01, uncertainty="within_segment")
-    assert equal.settings["weights"] == ["pooled", "pooled"]
+    assert equal.settings["weights"] == dict.fromkeys(CHANNELS, "one noise level for all segments")
     # P1 tells next to nothing: the other seven give almost the same as if it were left out.
     rest = estimate(error=0.01, positions={k: v for k, v in OPTIMAL.items() if k != "P1"}, uncertainty="within_segment")
     assert found["D_X_F"].standard_uncertainty == pytest.approx(rest["D_X_F"].standard_uncertainty, rel=1e-3)

@@ -29,7 +29,7 @@ from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.tables import Table, TableColumn, by_columns
 from planrunner.estimators.triad import RowFormula, scale_and_misalignments
 from planrunner.observation.correlated_errors import functionals_of
-from planrunner.observation.observations import Observations, observe
+from planrunner.observation.observations import Observations, observe, weights_of
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import DIMENSIONS, Unit, unit
@@ -114,7 +114,7 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
             "reference": "orientation",
             "uncertainty": basis,
             "terms": list(found.model.names),
-            "weights": [n.weighting for n in fit.noises],
+            "weights": weights_of(observations.channels, fit.noises),
         },
         tables=(_table(observations, fit), *drift_tables([fit], basis)),
         plots=(residual_plot(observations, fit),),

@@ -15,6 +15,7 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import count_of
 from planrunner.estimators import rank
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.uncertainty.derivatives import jacobian
@@ -65,7 +66,7 @@ def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
 
 def too_few(count: int) -> str:
     """The message that there are fewer poses than parameters."""
-    return f"{count} {'pose' if count == 1 else 'poses'} cannot determine {len(NAMES)} parameters"
+    return f"{count_of(count, 'pose')} cannot determine {len(NAMES)} parameters"
 
 
 def _too_alike(sight: rank.MatrixRank, readings: Array) -> str:

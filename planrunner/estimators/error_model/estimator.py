@@ -61,7 +61,7 @@ from planrunner.estimators.tables import Role, Table, TableColumn, by_columns
 from planrunner.observation.correlated_errors import CorrelatedError, functionals_of
 from planrunner.observation.drift import DriftCourse, DriftCourses, drift_of
 from planrunner.observation.flicker import flicker_errors, unstated_flicker
-from planrunner.observation.observations import SIGNIFICANCE, Observations, observe, recorded_times
+from planrunner.observation.observations import SIGNIFICANCE, Observations, observe, recorded_times, weights_of
 from planrunner.plan.schedule import RecordedMotion, Segment
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, unit
 from planrunner.uncertainty.budget import merged
@@ -233,7 +233,9 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
             settings={
                 "uncertainty": basis,
                 "outputs": {name: list(effects) for name, effects in request.parameters.outputs.items()},
-                "weights": {one.model.name: one.fit.noises[0].weighting for one in made.outputs},
+                "weights": weights_of(
+                    [one.model.name for one in made.outputs], [one.fit.noises[0] for one in made.outputs]
+                ),
             },
             tables=(
                 *(

@@ -29,7 +29,7 @@ from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.observation.correlated_errors import functionals_of
 from planrunner.observation.drift import drift, thermometer
 from planrunner.observation.flicker import drift_span
-from planrunner.observation.observations import Observations, observe
+from planrunner.observation.observations import Observations, observe, weights_of
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import CHANNEL, Boolean, Choice, ListOf, Record, key
 from planrunner.plan.quantity import Quantity
@@ -161,7 +161,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
                 "uncertainty": basis,
                 "pool_outputs": fit.pooled,
                 "terms": list(found.design.model.names),
-                "weights": [noise.weighting for noise in fit.noises],
+                "weights": weights_of(found.observations.channels, fit.noises),
             },
             tables=(
                 residual_table("Residuals per position", "position", found.observations, fit),

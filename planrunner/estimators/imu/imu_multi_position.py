@@ -41,7 +41,7 @@ from planrunner.estimators.stated_errors import mean_poses
 from planrunner.estimators.tables import FilledColumn, Role, Table, TableColumn, by_columns
 from planrunner.observation.drift import drift, thermometer
 from planrunner.observation.flicker import drift_span
-from planrunner.observation.observations import Observations, observe, recorded_times
+from planrunner.observation.observations import Observations, observe, recorded_times, weights_of
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import StimulusError
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
@@ -191,7 +191,11 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
                 "uncertainty": basis,
                 "misalignment": parameters.misalignment,
                 "terms": {one.kind: list(one.design.model.names) for one in triads},
-                "weights": {one.kind: [noise.weighting for noise in one.fit.noises] for one in triads},
+                "weights": {
+                    name: words
+                    for one in triads
+                    for name, words in weights_of(one.observations.channels, one.fit.noises).items()
+                },
             },
             tables=(
                 *(table for one in frame.responses for table in matrices(one)),

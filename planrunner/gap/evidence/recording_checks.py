@@ -13,7 +13,7 @@ import numpy as np
 
 from planrunner.archive.recording import RecordedSegment, in_time_order
 from planrunner.base.arrays import Array
-from planrunner.base.findings import Findings, Mark
+from planrunner.base.findings import Findings, Mark, count_of
 from planrunner.error_model.observed import Observed
 from planrunner.instruments.models import SensorModel
 from planrunner.observation.samples import measures_motion
@@ -234,7 +234,7 @@ def _check_missing(recording: Sequence[RecordedSegment], mark: Mark, log: Findin
     elif rejected:
         where = f", most of them in {_named([item.label for item in poor])}" if poor else ""
         message = (
-            f"{_count(rejected, 'row')} with a missing number {'was' if rejected == 1 else 'were'} left out{where}"
+            f"{count_of(rejected, 'row')} with a missing number {'was' if rejected == 1 else 'were'} left out{where}"
         )
         log.warning("gap-missing-numbers", mark, message, "check the logger; a few missing rows do no harm")
 
@@ -303,8 +303,4 @@ def _check_ranges(recording: Sequence[RecordedSegment], sensor: SensorModel, mar
 
 def _named(labels: Sequence[str]) -> str:
     shown = ", ".join(f"'{label}'" for label in labels[:3])
-    return f"{shown} and {len(labels) - 3} more segments" if len(labels) > 3 else f"{shown}"
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}" + ("" if number == 1 else "s")
+    return f"{shown} and {count_of(len(labels) - 3, 'more segment')}" if len(labels) > 3 else f"{shown}"
