@@ -113,11 +113,21 @@ class Driver(Protocol[P]):
     def connect(cls, parameters: P, surroundings: Surroundings) -> Instrument: ...
 
 
-class PlaysBack:
+class OnlyRead:
+    """Base of the sensors that receive no command and hold no resource."""
+
+    def make_safe(self) -> None:
+        """Does nothing: what is only read is always safe."""
+
+    def close(self) -> None:
+        """Does nothing: there are no open resources."""
+
+
+class PlaysBack(OnlyRead):
     """Base of the drivers whose samples come from a recording: orientations, rates and temperatures come from the recording, too."""
 
 
-class TakesEffects:
+class TakesEffects(OnlyRead):
     """Base of the virtual sensors to whose outputs effects of the catalogue can be added."""
 
 

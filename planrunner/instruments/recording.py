@@ -205,12 +205,6 @@ class RecordingPlayer(PlaysBack):
     def identify(self) -> Mapping[str, str]:
         return {"manufacturer": "recording", "model": self.parameters.kind, "file": self.parameters.file}
 
-    def make_safe(self) -> None:
-        """Does nothing: a file is always safe."""
-
-    def close(self) -> None:
-        """Does nothing: the file is opened and closed for each segment."""
-
     def checkpoint(self) -> Mapping[str, Json]:
         return {"served": self._served}
 

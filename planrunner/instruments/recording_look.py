@@ -26,6 +26,7 @@ from planrunner.instruments.formats.guessing import (
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording_keys import SECONDS
 from planrunner.plan.span import Span
+from planrunner.plan.units import STANDARD_GRAVITY
 
 FileRows = Iterator[tuple[int, Array, dict[str, Array]]]
 WINDOW = 0.5
@@ -174,7 +175,7 @@ def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Gu
         three = guesses[begin : begin + 3]
         norm = np.sqrt(sum(first[one.column] ** 2 for one in three))
         level = float(np.median(norm))
-        if not (abs(math.log(max(level, 1e-9) / 9.80665)) < 0.1 or abs(math.log(max(level, 1e-9))) < 0.1):
+        if not (abs(math.log(max(level, 1e-9) / STANDARD_GRAVITY)) < 0.1 or abs(math.log(max(level, 1e-9))) < 0.1):
             continue
         others = guesses[begin + 3 : begin + 6] if len(guesses) >= begin + 6 else guesses[max(begin - 3, 0) : begin]
         sensed = {one.column: ("accel", "xyz"[k]) for k, one in enumerate(three)}

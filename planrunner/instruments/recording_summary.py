@@ -103,12 +103,6 @@ class SummaryPlayer(PlaysBack):
     def identify(self) -> Mapping[str, str]:
         return {"manufacturer": "recording", "model": self.parameters.kind, "file": self.parameters.file}
 
-    def make_safe(self) -> None:
-        """Does nothing: a file is always safe."""
-
-    def close(self) -> None:
-        """Does nothing: the file has been read."""
-
     def checkpoint(self) -> Mapping[str, Json]:
         return {}
 

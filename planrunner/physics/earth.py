@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.plan.units import STANDARD_GRAVITY
 
 EARTH_RATE = math.radians(15.041067) / 3600  # rad/s, sidereal rotation 15.041067 deg/h
 
@@ -27,7 +28,7 @@ class Site:
     """
 
     latitude: float
-    gravity: float = 9.80665
+    gravity: float = STANDARD_GRAVITY
     azimuth: float = 0.0
     earth_rate: float = EARTH_RATE
     longitude: float = 0.0

@@ -35,7 +35,7 @@ from planrunner.plan.model import NOMINAL_TERMS, Plan
 from planrunner.plan.schedule import RecordedMotion
 from planrunner.plan.selection import Detection, select
 from planrunner.plan.span import Span
-from planrunner.plan.units import DIMENSIONS, unit
+from planrunner.plan.units import DIMENSIONS, STANDARD_GRAVITY, unit
 from planrunner.tasks.check import Sound, check_plan
 from planrunner.tasks.run import sound_run
 
@@ -234,7 +234,10 @@ def _noise(found: Diagnosis) -> dict[Sense, float]:
 
     weighing = found.grounds.weighing
     seen, measured = weighing.declared, weighing.white / math.sqrt(weighing.declared.sample_rate)
-    units = {"gyro": (Sense.RATE, math.degrees(1) * 60), "accel": (Sense.FORCE, math.sqrt(2) / 9.80665e-6)}
+    units = {
+        "gyro": (Sense.RATE, math.degrees(1) * 60),
+        "accel": (Sense.FORCE, math.sqrt(2) / (STANDARD_GRAVITY * 1e-6)),
+    }
     return {
         sense: factor * median(seen.channels[index].white or float(measured[index]) for index in seen.of_kind(kind))
         for kind, (sense, factor) in units.items()

@@ -38,7 +38,7 @@ from planrunner.physics.earth import Site
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key, optional
 from planrunner.plan.quantity import Quantity, QuantityError, parse_quantity, without_uncertainty
 from planrunner.plan.selection import matches
-from planrunner.plan.units import DIMENSIONS, unit
+from planrunner.plan.units import DIMENSIONS, STANDARD_GRAVITY, unit
 from planrunner.uncertainty.influences import Aspect, InputQuantity, Inputs
 
 S = TypeVar("S")
@@ -54,7 +54,7 @@ _INTERVALS = 4400  # of a navigation, in each of which a bias that wanders is it
 _GYRO = math.radians(0.1) / 3600  # rad/s
 
 
-_ACCELEROMETER = 9.80665e-3  # m/s^2, 1 mg
+_ACCELEROMETER = STANDARD_GRAVITY * 1e-3  # m/s^2, 1 mg
 
 
 @dataclass(frozen=True, slots=True)

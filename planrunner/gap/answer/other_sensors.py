@@ -22,9 +22,10 @@ from planrunner.gap.answer.foreseen import foresee
 from planrunner.gap.answer.rivals import Layout
 from planrunner.gap.hypotheses.candidates import Weighing, nominal_columns
 from planrunner.plan.schedule import Segment
+from planrunner.plan.units import STANDARD_GRAVITY
 
 ENOUGH = 0.9  # expected probability of the true explanation with the instrument
-ACCELEROMETER = 50e-6 * 9.80665  # SI·√s, white noise of an additional instrument
+ACCELEROMETER = 50e-6 * STANDARD_GRAVITY  # SI·√s, white noise of an additional instrument
 ARCSECOND = np.pi / 180 / 3600  # standard uncertainty of an autocollimator with a level
 _LOOKED_AT = 40  # segments
 

@@ -18,6 +18,7 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.effects.declared import rearranged, turned_back
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.recording_checks import MISFIT, STIRRED, segment_means
+from planrunner.plan.units import STANDARD_GRAVITY
 
 FITS = 0.1
 """Residual of the fit of M, relative to the applied input, up to which M describes the channel."""
@@ -39,9 +40,9 @@ FACTORS: Mapping[str, tuple[tuple[float, str, str], ...]] = {
         (2.0, "half units", "whole units"),
     ),
     "accel": (
-        (9.80665, "m/s²", "g"),
+        (STANDARD_GRAVITY, "m/s²", "g"),
         (1000.0, "thousandths", "whole units"),
-        (9806.65, "mm/s²", "g"),
+        (1000 * STANDARD_GRAVITY, "mm/s²", "g"),
         (100.0, "hundredths", "whole units"),
         (2.0, "half units", "whole units"),
     ),

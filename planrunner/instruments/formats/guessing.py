@@ -19,6 +19,7 @@ from planrunner.instruments.formats.choice import ENDINGS, Format, open_file
 from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
 from planrunner.instruments.formats.text import MAX_HEADER, SEPARATORS, TextKeys
 from planrunner.instruments.interfaces import InstrumentError
+from planrunner.plan.units import STANDARD_GRAVITY
 
 MOST_COLUMNS = 200
 """Columns that are looked at."""
@@ -208,7 +209,7 @@ def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
     """The unit of a column whose name does not contain it. level: for a gyro, its largest absolute value; for an accelerometer, the
     length of the mean vector at rest; accel_unit: unit of the accelerometers, for a gyro."""
     if sensed == "accel":
-        for unit, one_g in (("m/s^2", 9.80665), ("g", 1.0), ("mg", 1000.0)):
+        for unit, one_g in (("m/s^2", STANDARD_GRAVITY), ("g", 1.0), ("mg", 1000.0)):
             if abs(math.log(max(level, 1e-9) / one_g)) < 0.25:
                 return unit
         return ""

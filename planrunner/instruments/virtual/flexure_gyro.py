@@ -18,7 +18,7 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.documents import Json
-from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings
+from planrunner.instruments.interfaces import Block, InstrumentError, OnlyRead, Surroundings
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.parameters import QuantityLike
 from planrunner.instruments.virtual.courses import Value
@@ -122,7 +122,7 @@ def _flicker(parameters: VirtualFlexureGyroParameters) -> float:
     return parameters.bias_instability.value if parameters.bias_instability is not None else 0.0
 
 
-class VirtualFlexureGyro:
+class VirtualFlexureGyro(OnlyRead):
     """A simulated flexure gyro on the virtual table."""
 
     role = "sensor"
@@ -185,12 +185,6 @@ class VirtualFlexureGyro:
 
     def identify(self) -> Mapping[str, str]:
         return {"manufacturer": "planrunner", "model": "virtual flexure gyro"}
-
-    def make_safe(self) -> None:
-        """Does nothing: a gyro that is only read is always safe."""
-
-    def close(self) -> None:
-        """Does nothing: there are no open resources."""
 
     def checkpoint(self) -> Mapping[str, Json]:
         return {name: flicker.checkpoint() for name, flicker in self.flicker.items()}

@@ -164,12 +164,6 @@ class VirtualImu(TakesEffects):
     def identify(self) -> Mapping[str, str]:
         return {"manufacturer": "planrunner", "model": f"virtual {self.parameters.kind}"}
 
-    def make_safe(self) -> None:
-        """Does nothing: a sensor that is only read is always safe."""
-
-    def close(self) -> None:
-        """Does nothing: there are no open resources."""
-
     def checkpoint(self) -> Mapping[str, Json]:
         return {
             "powered": self.powered,
