@@ -19,7 +19,6 @@ from planrunner.base.arrays import Array
 from planrunner.base.findings import InputError, Mark, closest
 from planrunner.error_model.effects.held import SamplesStuck, sticking
 from planrunner.error_model.effects.interface import (
-    ActsOnNoise,
     Column,
     Curved,
     CurvedAndShaped,
@@ -27,7 +26,8 @@ from planrunner.error_model.effects.interface import (
     HasAlternatives,
     HasShape,
     InEveryWorld,
-    NoiseKind,
+    OutsideCoefficients,
+    OutsideKind,
     PerOrientation,
     Shaped,
     Variant,
@@ -40,7 +40,7 @@ from planrunner.plan.quantity import QuantityError, without_uncertainty
 from planrunner.plan.units import UnknownUnitError, unit
 
 STAGES = ("stimulus", "sensor", "output", "acquisition", "covariance")
-NOISE: dict[NoiseKind, tuple[str, str]] = {
+NOISE: dict[OutsideKind, tuple[str, str]] = {
     "white": ("density", "*sqrt(s)"),
     "resolution": ("count", ""),
     "random walk": ("density", "/sqrt(s)"),
@@ -48,7 +48,7 @@ NOISE: dict[NoiseKind, tuple[str, str]] = {
 """Noise effects: their parameter, and its unit after that of the triad. White noise and counts replace those of the sensor."""
 OF_TRIAD: dict[str, str] = {"gyro": "deg/s", "accel": "m/s^2"}
 """Unit of a triad, in which its noise is stated."""
-BY_AXIS: dict[NoiseKind, str] = {"white": "white", "resolution": "count"}
+BY_AXIS: dict[OutsideKind, str] = {"white": "white", "resolution": "count"}
 """Noise effects whose parameter may also be stated for single axes, as a diagnosis finds it: `white_x`, `count_z`. Axes that are not named
 keep the noise of the sensor."""
 SIGMA = "sigma"
@@ -115,7 +115,7 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
     shape = effect.shape_name if isinstance(effect, HasShape) else None
     named = any(key not in ("", shape, SHARE) for key in stated)
     values = {one.name: 0.0 if named and one.name != shape else one.natural for one in known.values()}
-    if isinstance(effect, ActsOnNoise) and any(key in further for key in stated):
+    if isinstance(effect, OutsideCoefficients) and any(key in further for key in stated):
         values = {} if shape is None else {shape: known[shape].natural}
     for key, text in stated.items():
         amplitudes = [one for one in known if one != shape] or list(known)
@@ -132,10 +132,12 @@ def _optional(
     effect: Effect, known: Mapping[str, EffectParameter], observed: Observed, stated: Mapping[str, str]
 ) -> list[EffectParameter]:
     """Parameters that a diagnosis may find, but that have no natural value. They act only if they are stated."""
-    if isinstance(effect, ActsOnNoise) and effect.noise in BY_AXIS:
+    if isinstance(effect, OutsideCoefficients) and effect.outside in BY_AXIS:
         (whole,) = known.values() or (None,)
         axes = sorted({observed.channels[index].axis for index in observed.of_kind(triad_of(effect))})
-        return [] if whole is None else [replace(whole, name=f"{BY_AXIS[effect.noise]}_{'xyz'[axis]}") for axis in axes]
+        return (
+            [] if whole is None else [replace(whole, name=f"{BY_AXIS[effect.outside]}_{'xyz'[axis]}") for axis in axes]
+        )
     if isinstance(effect, SamplesStuck):
         return [replace(known[LASTING], name=f"{LASTING}_{channel.name}") for channel in observed.channels]
     if isinstance(effect, PerOrientation) and known:
@@ -175,22 +177,22 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
     """Parameters of an effect; empty if it cannot act here."""
     if isinstance(effect, SamplesStuck):
         return [EffectParameter("time", "s", 60.0, "zero"), EffectParameter(LASTING, "s", 1.0, "zero")]
-    if isinstance(effect, ActsOnNoise) and effect.noise == "gauss-markov":
+    if isinstance(effect, OutsideCoefficients) and effect.outside == "gauss-markov":
         text = OF_TRIAD[triad_of(effect)]
         found = [EffectParameter("tau", "s", 300.0, "above zero"), EffectParameter(SIGMA, text, _SIGMA, "zero")]
         return found if observed.of_kind(triad_of(effect)) else []
-    if isinstance(effect, ActsOnNoise) and effect.noise in NOISE:
+    if isinstance(effect, OutsideCoefficients) and effect.outside in NOISE:
         triad = triad_of(effect)
         indices = observed.of_kind(triad)
         if not indices:
             return []
-        name, text = NOISE[effect.noise]
+        name, text = NOISE[effect.outside]
         channel = observed.channels[indices[0]]
         declared: float = {
             "white": channel.white,
             "resolution": max(channel.resolution, channel.white * math.sqrt(observed.sample_rate)),
             "random walk": _WALK * unit(OF_TRIAD[triad]).factor / _UNUSUAL,
-        }[effect.noise]
+        }[effect.outside]
         own = unit(OF_TRIAD[triad])
         return [EffectParameter(name, OF_TRIAD[triad] + text, _UNUSUAL * declared / own.factor, "zero")]
     if isinstance(effect, HasAlternatives):

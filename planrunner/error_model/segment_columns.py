@@ -17,12 +17,12 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.effects.interface import (
-    ActsOnNoise,
     ChangesWithinSegments,
     Column,
     Effect,
     HasAlternatives,
     HasShape,
+    OutsideCoefficients,
     PerOrientation,
     ShapedOverSegments,
     WrongDeclarationOf,
@@ -314,7 +314,7 @@ def amplitudes_of(
 
 def estimable(effect: Effect) -> str:
     """The reason why an estimate cannot fit an effect; empty if it can."""
-    if isinstance(effect, ActsOnNoise):
+    if isinstance(effect, OutsideCoefficients):
         return "it acts on the noise, not on means: use allan_deviation"
     if isinstance(effect, HasShape) and not isinstance(effect, ShapedOverSegments | ChangesWithinSegments):
         return (

@@ -31,16 +31,16 @@ from planrunner.plan.units import ZERO_CELSIUS, unit
 
 if TYPE_CHECKING:
     from planrunner.error_model.added import Addition
-    from planrunner.error_model.effects.interface import NoiseKind
+    from planrunner.error_model.effects.interface import OutsideKind
     from planrunner.error_model.observed import Observed, TemperatureCourse
 
 NAME = r"[a-z][a-z0-9_]{0,59}"
 _CHANGED = 1.0  # K between segments: less is no change of temperature
-_SLOW: tuple[NoiseKind, ...] = ("random walk", "gauss-markov")
+_SLOW: tuple[OutsideKind, ...] = ("random walk", "gauss-markov")
 _WALKS = 2  # second part of a generator's key, of the first of four processes: different from those of segments and of switching on
 
 
-def _of_axis(item: Addition, kind: NoiseKind, output: str) -> float | None:
+def _of_axis(item: Addition, kind: OutsideKind, output: str) -> float | None:
     """The value of a noise effect for an output; None if the effect does not change this output."""
     from planrunner.error_model.added import BY_AXIS, NOISE
     from planrunner.error_model.observed import axis_of
@@ -105,12 +105,12 @@ class AddedEffects:
 
     def noise(self, output: str, gives: Gives) -> Gives:
         from planrunner.error_model.added import OF_TRIAD
-        from planrunner.error_model.effects.interface import ActsOnNoise, triad_of
+        from planrunner.error_model.effects.interface import OutsideCoefficients, triad_of
 
         for item in self.additions:
-            if not isinstance(item.effect, ActsOnNoise):
+            if not isinstance(item.effect, OutsideCoefficients):
                 continue
-            kind, own = item.effect.noise, unit(OF_TRIAD[triad_of(item.effect)])
+            kind, own = item.effect.outside, unit(OF_TRIAD[triad_of(item.effect)])
             if kind in ("white", "resolution") and unit(gives.unit).dimension == own.dimension:
                 value = _of_axis(item, kind, output)
                 if value is None:
@@ -258,20 +258,20 @@ class AddedEffects:
     def _walked(self, moments: Moments, observed: Observed) -> Array:
         """Slow random parts of the biases over the samples, (N, K), SI."""
         from planrunner.error_model.added import OF_TRIAD, SIGMA
-        from planrunner.error_model.effects.interface import ActsOnNoise, triad_of
+        from planrunner.error_model.effects.interface import OutsideCoefficients, triad_of
 
         total = np.zeros((len(moments.time), len(observed.channels)))
         for item in self.additions:
-            if not isinstance(item.effect, ActsOnNoise) or item.effect.noise not in _SLOW:
+            if not isinstance(item.effect, OutsideCoefficients) or item.effect.outside not in _SLOW:
                 continue
             triad = triad_of(item.effect)
-            occasion = _WALKS + 2 * _SLOW.index(item.effect.noise) + (triad == "accel")
+            occasion = _WALKS + 2 * _SLOW.index(item.effect.outside) + (triad == "accel")
             draw = generator(self.world.seed, round(moments.time[0] * moments.sample_rate), occasion)
             factor = unit(OF_TRIAD[triad]).factor
             for index in observed.of_kind(triad):
                 name = observed.channels[index].name
                 process: RandomWalk | GaussMarkov
-                if item.effect.noise == "random walk":
+                if item.effect.outside == "random walk":
                     process = self.walks.setdefault(name, RandomWalk(0.0))
                     process.coefficient = item.values["density"] * factor
                 else:

@@ -122,14 +122,16 @@ def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
     """The samples of the nominal simulation at the recorded motion, without and with effects. Each has its own white noise. The
     noise level is that of the recording. It is the declared level in the simulation without an effect that changes the noise."""
     from planrunner.error_model.added import stuck
-    from planrunner.error_model.effects.interface import ActsOnNoise, triad_of
+    from planrunner.error_model.effects.interface import OutsideCoefficients, triad_of
 
     weighing = made.diagnosis.grounds.weighing
     seen, fitted = weighing.declared, weighing.fitted()
     additions = _additions(made, stated)
     declared = np.array([channel.white for channel in seen.channels]) * math.sqrt(seen.sample_rate)
     noisier = {
-        triad_of(e) for e in (one.effect for one in additions) if isinstance(e, ActsOnNoise) and e.noise == "white"
+        triad_of(e)
+        for e in (one.effect for one in additions)
+        if isinstance(e, OutsideCoefficients) and e.outside == "white"
     }
     excess = np.array([channel.kind in noisier for channel in seen.channels])
     level = np.where(excess & (declared > 0), declared, weighing.white)
@@ -137,7 +139,7 @@ def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
     before = fitted + level * draw.standard_normal(fitted.shape)
     after = _plus(made, fitted, additions) + weighing.white * draw.standard_normal(fitted.shape)
     for one in additions:
-        if isinstance(one.effect, ActsOnNoise) and one.effect.noise == "random walk":
+        if isinstance(one.effect, OutsideCoefficients) and one.effect.outside == "random walk":
             after += _walk(seen, triad_of(one.effect), one.in_si("density"), draw)
     for index, channel in enumerate(seen.channels):
         after[:, index] = stuck(channel.name, seen.time, after[:, index], additions)
@@ -259,10 +261,10 @@ def _plus(made: Diagnosed, fitted: Array, additions: Sequence[Addition]) -> Arra
 
 
 def _on_noise(name: str) -> bool:
-    from planrunner.error_model.effects.interface import ActsOnNoise, effect_named
+    from planrunner.error_model.effects.interface import OutsideCoefficients, effect_named
 
     effect = effect_named(name)
-    return isinstance(effect, ActsOnNoise) and effect.noise != "line"
+    return isinstance(effect, OutsideCoefficients) and effect.outside != "line"
 
 
 def _base(recorded: Recorded, simulation: str | None) -> Sound:

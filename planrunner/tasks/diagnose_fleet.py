@@ -617,13 +617,13 @@ def _named(verdicts: Sequence[RunVerdict]) -> tuple[str, ...]:
 
 def _with_amplitudes(names: Sequence[str]) -> tuple[tuple[str, ...], dict[str, str]]:
     """The effects that have amplitudes, and the others with the reason why they are not attributed."""
-    from planrunner.error_model.effects.interface import ActsOnNoise, effect_named
+    from planrunner.error_model.effects.interface import OutsideCoefficients, effect_named
 
     kept, left = [], {}
     for name in names:
         if name == "unknown":
             continue
-        if isinstance(effect_named(name), ActsOnNoise):
+        if isinstance(effect_named(name), OutsideCoefficients):
             left[name] = "it acts on the noise and has no amplitude"
         else:
             kept.append(name)

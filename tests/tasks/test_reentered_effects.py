@@ -14,11 +14,11 @@ from planrunner.base import plugins
 from planrunner.base.findings import InputError, Mark
 from planrunner.error_model.added import NOISE, OF_TRIAD, parameters
 from planrunner.error_model.effects.interface import (
-    ActsOnNoise,
     Curved,
     Effect,
     HasAlternatives,
     HasShape,
+    OutsideCoefficients,
     PerOrientation,
     Shaped,
     is_whole,
@@ -107,13 +107,13 @@ def without(sound: Sound, tmp_path_factory: pytest.TempPathFactory) -> Observed:
 
 def _stated(effect: Effect, observed: Observed) -> dict[str, tuple[float, str]]:
     """Parameters by the names that a diagnosis gives them, none of natural size: value and unit."""
-    if isinstance(effect, ActsOnNoise) and effect.noise == "gauss-markov":
+    if isinstance(effect, OutsideCoefficients) and effect.outside == "gauss-markov":
         return {"tau": (30.0, "s"), "sigma": (0.1, OF_TRIAD[triad_of(effect)])}
     if effect.id == "samples_stuck":
         return {"time": (10.0, "s"), "lasting_gyro_y": (1.5, "s"), "lasting_accel_z": (0.5, "s")}
-    if isinstance(effect, ActsOnNoise) and effect.noise in NOISE:
-        unit = OF_TRIAD[triad_of(effect)] + NOISE[effect.noise][1]
-        names = {"white": "white_{}", "resolution": "count_{}"}.get(effect.noise)
+    if isinstance(effect, OutsideCoefficients) and effect.outside in NOISE:
+        unit = OF_TRIAD[triad_of(effect)] + NOISE[effect.outside][1]
+        names = {"white": "white_{}", "resolution": "count_{}"}.get(effect.outside)
         if names is None:
             return {"density": (0.01, unit)}
         return {names.format(axis): (0.005 * (place + 1), unit) for place, axis in enumerate("xyz")}
@@ -129,7 +129,7 @@ def _stated(effect: Effect, observed: Observed) -> dict[str, tuple[float, str]]:
         found["n"] = (2.0, "per turn")
     elif effect.id == "gyro_dead_zone":
         found["d"] = (1.0, "deg/s")
-    elif isinstance(effect, ActsOnNoise):
+    elif isinstance(effect, OutsideCoefficients):
         found[shape] = (113.0, "Hz")  # appears at 13 Hz
     elif effect.id == "gyro_saturation":
         found["limit"] = (70.0, "deg/s")
@@ -172,7 +172,7 @@ def _check(name: str, sound: Sound, without: Observed, folder: Path) -> None:
     seen = _simulated(bench.encode(), folder)
     if effect.id == "samples_stuck":
         return _check_stuck(seen, without, {key: value for key, (value, _) in stated.items()})
-    if isinstance(effect, ActsOnNoise) and effect.noise in (*NOISE, "gauss-markov"):
+    if isinstance(effect, OutsideCoefficients) and effect.outside in (*NOISE, "gauss-markov"):
         return _check_noise(effect, seen, without, {key: value for key, (value, _) in stated.items()})
     predicted = _predicted(effect, _with_levels(without), stated)
     change = seen.values - without.values
@@ -204,16 +204,16 @@ def _check_stuck(seen: Observed, without: Observed, stated: dict[str, float]) ->
         assert len(inside) == {"gyro_y": 75, "accel_z": 25}.get(channel.name, 0)
 
 
-def _check_noise(effect: ActsOnNoise, seen: Observed, without: Observed, stated: dict[str, float]) -> None:
+def _check_noise(effect: OutsideCoefficients, seen: Observed, without: Observed, stated: dict[str, float]) -> None:
     resting = without.owner < 6
     values = np.degrees(seen.values[resting][:, :3])
     if triad_of(effect) == "accel":
         values = seen.values[resting][:, 3:]
-    if effect.noise == "white":
+    if effect.outside == "white":
         expected = [np.sqrt(stated[f"white_{axis}"] ** 2 * 50.0) for axis in "xyz"]
         own = np.concatenate([part - part.mean(axis=0) for part in np.split(values, 6)])
         assert own.std(axis=0) == pytest.approx(expected, rel=0.1)
-    elif effect.noise == "resolution":
+    elif effect.outside == "resolution":
         for channel, axis in enumerate("xyz"):
             counts = values[:, channel] / stated[f"count_{axis}"]
             assert np.abs(counts - np.round(counts)).max() < 1e-6
@@ -223,7 +223,7 @@ def _check_noise(effect: ActsOnNoise, seen: Observed, without: Observed, stated:
         change = factor * (seen.values - without.values)
         assert not np.delete(change, np.r_[part], axis=1).any()
         middles = [change[seen.owner == s, part].mean(axis=0) for s in range(len(seen))]
-        if effect.noise == "random walk":
+        if effect.outside == "random walk":
             assert 0.005 < np.diff(middles[:6], axis=0).std() < 0.3  # 0.01 /√s over some ten seconds
         else:
             assert 0.05 < np.std(middles) < 0.2

@@ -185,7 +185,7 @@ class AccelThermalHysteresis:
 class AccelNoiseExcess:
     """White noise density of the accelerometers larger than declared."""
 
-    id, stage, noise, of_accelerometers = "accel_noise_excess", "covariance", "white", True
+    id, stage, outside, of_accelerometers = "accel_noise_excess", "covariance", "white", True
     about = About(
         "accelerometer noise is larger than declared",
         "The white noise of the accelerometers is stronger than the bench file declares.",
@@ -200,7 +200,7 @@ class AccelNoiseExcess:
 class AccelQuantization:
     """Resolution of the accelerometers coarser than declared: every output is a multiple of a larger count."""
 
-    id, stage, noise, of_accelerometers = "accel_quantization", "covariance", "resolution", True
+    id, stage, outside, of_accelerometers = "accel_quantization", "covariance", "resolution", True
     about = About(
         "accelerometer counts are coarser than declared",
         "The output of the accelerometers is rounded to multiples of a count that is larger than the bench file declares.",

@@ -244,7 +244,7 @@ def _changed(
 class GyroBiasRandomWalk:
     """A bias with a random walk beyond the declared noise: covariance q²·min(t, t') between the times t and t'."""
 
-    id, stage, noise = "gyro_bias_random_walk", "covariance", "random walk"
+    id, stage, outside = "gyro_bias_random_walk", "covariance", "random walk"
     about = About(
         "gyro bias wanders",
         "The bias of each gyro changes at random, and the changes add up over time.",
@@ -259,7 +259,7 @@ class GyroBiasRandomWalk:
 class GyroNoiseExcess:
     """White noise density larger than declared."""
 
-    id, stage, noise = "gyro_noise_excess", "covariance", "white"
+    id, stage, outside = "gyro_noise_excess", "covariance", "white"
     about = About(
         "gyro noise is larger than declared",
         "The white noise of the gyros is stronger than the bench file declares.",
@@ -274,7 +274,7 @@ class GyroNoiseExcess:
 class GyroQuantization:
     """Resolution coarser than declared: every output is a multiple of a larger count."""
 
-    id, stage, noise = "gyro_quantization", "covariance", "resolution"
+    id, stage, outside = "gyro_quantization", "covariance", "resolution"
     about = About(
         "gyro counts are coarser than declared",
         "The output of the gyros is rounded to multiples of a count that is larger than the bench file declares.",

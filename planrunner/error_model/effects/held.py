@@ -13,7 +13,7 @@ from planrunner.error_model.observed import Observed
 class SamplesStuck:
     """Outputs that keep the value of one sample, including its noise. They are stuck from a moment on, which is a time since power-on."""
 
-    id, stage, noise, shape_name, shape_unit = "samples_stuck", "covariance", "stuck", "time", "s"
+    id, stage, outside, shape_name, shape_unit = "samples_stuck", "covariance", "stuck", "time", "s"
     about = About(
         "samples repeat the last value",
         "For some time the outputs keep the value of one sample, because the sensor or the logger gives no new one.",

@@ -165,27 +165,27 @@ class WrongDeclarationOf(Effect, Protocol):
     of_declaration: Literal[True]
 
 
-NoiseKind = Literal["white", "resolution", "random walk", "gauss-markov", "line", "stuck"]
+OutsideKind = Literal["white", "resolution", "random walk", "gauss-markov", "line", "stuck"]
 
 
 @runtime_checkable
-class ActsOnNoise(Effect, Protocol):
-    """An effect that changes the noise of the gyros: a diagnosis finds it outside the coefficients on which other effects act. An effect
-    of stage covariance has no columns. A line of interference has columns, which a simulation adds."""
+class OutsideCoefficients(Effect, Protocol):
+    """An effect that a diagnosis finds outside the coefficients on which other effects act: noise of the gyros, a line of interference, or
+    samples that repeat their values. An effect of stage covariance has no columns. A line has columns, which a simulation adds."""
 
-    noise: NoiseKind
+    outside: OutsideKind
 
 
 @runtime_checkable
-class OnAccelerometerNoise(ActsOnNoise, Protocol):
-    """An effect that changes the noise of the accelerometers instead of the gyros."""
+class OfAccelerometers(OutsideCoefficients, Protocol):
+    """Such an effect of the accelerometers instead of the gyros."""
 
     of_accelerometers: Literal[True]
 
 
-def triad_of(effect: ActsOnNoise) -> Literal["gyro", "accel"]:
-    """The triad whose noise an effect changes."""
-    return "accel" if isinstance(effect, OnAccelerometerNoise) else "gyro"
+def triad_of(effect: OutsideCoefficients) -> Literal["gyro", "accel"]:
+    """The triad on which such an effect acts."""
+    return "accel" if isinstance(effect, OfAccelerometers) else "gyro"
 
 
 @runtime_checkable

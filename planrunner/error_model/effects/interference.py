@@ -34,7 +34,7 @@ def _about(triad: str) -> About:
 class _LineInterference(Shaped):
     """Output + a·cos 2πft + b·sin 2πft per axis, t since power-on, at the times of the samples."""
 
-    stage, noise, shape_name, shape_unit = "output", "line", "frequency", "Hz"
+    stage, outside, shape_name, shape_unit = "output", "line", "frequency", "Hz"
     kind: str
 
     def grid(self, observed: Observed) -> Array:

@@ -11,7 +11,13 @@ from planrunner.error_model.observed import Observed
 class AccelBiasRandomWalk:
     """A bias of the accelerometers that walks at random: covariance q²·min(t, t') between moments."""
 
-    id, stage, noise, of_accelerometers, hypothesis = "accel_bias_random_walk", "covariance", "random walk", True, False
+    id, stage, outside, of_accelerometers, hypothesis = (
+        "accel_bias_random_walk",
+        "covariance",
+        "random walk",
+        True,
+        False,
+    )
     about = About(
         "accelerometer bias wanders",
         "The bias of each accelerometer changes at random, and the changes add up over time.",
@@ -26,7 +32,7 @@ class AccelBiasRandomWalk:
 class _GaussMarkov:
     """Bias + b per axis with the covariance σ²·exp(−|t − t'|/τ) (IEEE Std 952, annex C, exponentially correlated noise)."""
 
-    stage, noise, hypothesis, shape_name, shape_unit = "covariance", "gauss-markov", False, "tau", "s"
+    stage, outside, hypothesis, shape_name, shape_unit = "covariance", "gauss-markov", False, "tau", "s"
 
     def variants(self, observed: Observed) -> list[Variant]:
         return []

@@ -13,7 +13,7 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.added import LASTING
-from planrunner.error_model.effects.interface import ActsOnNoise, Column, Effect, Shaped, triad_of
+from planrunner.error_model.effects.interface import Column, Effect, OutsideCoefficients, Shaped, triad_of
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.evidence.bayes_factors import log_mean_exp
@@ -42,7 +42,7 @@ class Apart:
 def likely_repeats(observed: Observed, effects: Sequence[Effect]) -> Repeated | None:
     """The stretches of repeated samples; None if stuck samples are not among `effects`, or if the recording does not show such stretches
     clearly."""
-    if not any(isinstance(effect, ActsOnNoise) and effect.noise == "stuck" for effect in effects):
+    if not any(isinstance(effect, OutsideCoefficients) and effect.outside == "stuck" for effect in effects):
         return None
     found = repeated(observed)
     return found if found.log_bayes > PLAIN and found.stretches else None
@@ -72,10 +72,10 @@ def found_apart(weighing: Weighing, effects: Sequence[Effect], repeats: Repeated
     log_bayes, parameters, lines = {}, {}, list[Line]()
     removed = np.zeros_like(observed.values)
     for effect in effects:
-        if repeats is not None and isinstance(effect, ActsOnNoise) and effect.noise == "stuck":
+        if repeats is not None and isinstance(effect, OutsideCoefficients) and effect.outside == "stuck":
             log_bayes[effect.id] = repeats.log_bayes
             parameters[effect.id] = repeated_parameters(observed, effect.id, repeats)
-        if not (isinstance(effect, ActsOnNoise) and effect.noise == "line" and isinstance(effect, Shaped)):
+        if not (isinstance(effect, OutsideCoefficients) and effect.outside == "line" and isinstance(effect, Shaped)):
             continue
         members = observed.of_kind(triad_of(effect))
         names = {observed.channels[index].name for index in members}

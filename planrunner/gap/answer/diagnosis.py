@@ -16,11 +16,11 @@ import numpy as np
 from planrunner.base import plugins
 from planrunner.base.documents import Json, JsonObject
 from planrunner.error_model.effects.interface import (
-    ActsOnNoise,
     Effect,
     HasShape,
     NoHypothesis,
     NotFitted,
+    OutsideCoefficients,
     ShownInSome,
 )
 from planrunner.error_model.observed import Observed
@@ -169,7 +169,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
     apart = found_apart(weighing, effects, repeats)
     if apart.removed is not None:
         weighing = Weighing(observed, options.nominal, apart.removed, repeats.held if repeats else None)
-    with_signatures = [effect for effect in effects if not isinstance(effect, ActsOnNoise)]
+    with_signatures = [effect for effect in effects if not isinstance(effect, OutsideCoefficients)]
     candidates = candidates_of(weighing, with_signatures)
     plain, given = weighing, _given(candidates, options.given)
     if given:
@@ -185,7 +185,9 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))
     key = key_of(named)
     after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
-    walks = {effect.id for effect in effects if isinstance(effect, ActsOnNoise) and effect.noise == "random walk"}
+    walks = {
+        effect.id for effect in effects if isinstance(effect, OutsideCoefficients) and effect.outside == "random walk"
+    }
     exact = _exact(weighing, by_id[named[0]]) if len(named) == 1 else {}
     choices = _choices(found, by_id, walks, exact) or [FoldChoice(c.best, 0.0) for c in ranked[:_CHOICES]]
     if after is not None and all(after is not choice.weighed for choice in choices):
@@ -310,11 +312,13 @@ def _parameters(
 ) -> list[ParameterEstimate]:
     """Estimates for the most probable effects. The effects of a set are fitted together."""
     listed: list[ParameterEstimate] = []
-    walking = any(isinstance(e, ActsOnNoise) and e.noise == "random walk" and e.id in said.effects for e in effects)
+    walking = any(
+        isinstance(e, OutsideCoefficients) and e.outside == "random walk" and e.id in said.effects for e in effects
+    )
     together = found.sets.get(key_of(name for name in said.effects if name in by_id))
     for name in said.named:
         if name not in by_id:
-            on_noise = next(one for one in effects if one.id == name and isinstance(one, ActsOnNoise))
+            on_noise = next(one for one in effects if one.id == name and isinstance(one, OutsideCoefficients))
             listed += apart.parameters.get(name) or estimates.of_noise(weighing, on_noise)
             continue
         shaped = shape_alone(by_id[name])

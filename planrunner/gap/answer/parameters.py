@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planrunner.error_model.effects.interface import ActsOnNoise, HasShape, Shaped, triad_of
+from planrunner.error_model.effects.interface import HasShape, OutsideCoefficients, Shaped, triad_of
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 
 _ALONE = (
@@ -95,10 +95,10 @@ def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
     ]
 
 
-def of_noise(weighing: Weighing, effect: ActsOnNoise) -> list[ParameterEstimate]:
+def of_noise(weighing: Weighing, effect: OutsideCoefficients) -> list[ParameterEstimate]:
     """Parameters of an effect on the noise: white level or resolution of each channel of the triad, or the density of the random
     walk."""
-    observed, name, noise = weighing.observed, effect.id, effect.noise
+    observed, name, noise = weighing.observed, effect.id, effect.outside
     gyros = observed.of_kind("gyro")
     triad = observed.of_kind(triad_of(effect))
     found = []

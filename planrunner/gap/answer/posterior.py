@@ -20,7 +20,7 @@ from typing import TypeVar, get_args
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.interface import ActsOnNoise, Effect, triad_of
+from planrunner.error_model.effects.interface import Effect, OutsideCoefficients, triad_of
 from planrunner.gap.answer.apart import Apart
 from planrunner.gap.answer.sets import EffectSet, key_of, sets_of
 from planrunner.gap.evidence.dispersion import dispersion
@@ -112,13 +112,15 @@ def posterior(
     effects that were found outside the coefficients."""
     apart = apart or Apart()
     nothing = np.zeros(len(weighing.base))
-    on_noise = [effect for effect in effects if isinstance(effect, ActsOnNoise)]
-    walk = next((effect.id for effect in on_noise if effect.noise == "random walk" and triad_of(effect) == "gyro"), "")
+    on_noise = [effect for effect in effects if isinstance(effect, OutsideCoefficients)]
+    walk = next(
+        (effect.id for effect in on_noise if effect.outside == "random walk" and triad_of(effect) == "gyro"), ""
+    )
     acting: dict[tuple[str, Level], str] = {
         (triad_of(effect), level): effect.id
         for effect in on_noise
         for level in get_args(Level)
-        if effect.noise == level
+        if effect.outside == level
     }
     densities = log_densities(weighing.declared, weighing.white, weighing.white_degrees, weighing.steps)
     noise = _NoiseOnly(walk, acting, densities, apart.log_bayes)
