@@ -22,7 +22,7 @@ from planrunner.estimators.strapdown.standing import Stops
 from planrunner.estimators.strapdown.wandering import WanderingBias
 from planrunner.observation.drift import DriftCourse, courses_by_evidence
 from planrunner.observation.flicker import mean_covariance
-from planrunner.observation.observations import SIGNIFICANCE, WithinSegmentNoise
+from planrunner.observation.observations import SIGNIFICANCE, Weighting, WithinSegmentNoise
 
 _MOST_POSITIONS = 0.5  # of the observations: otherwise a drift looks like a change of position
 
@@ -74,7 +74,7 @@ def stop_drift(stops: Stops, response: WanderingBias, flicker: Mapping[int, floa
     def fits(columns: Array) -> Sequence[LinearFit]:
         return least_squares.fit_each(columns, stops.means.T, sigma, whitening=whitening)
 
-    noises = [WithinSegmentNoise(one, True, "individual", stops.freedom) for one in sigma]
+    noises = [WithinSegmentNoise(one, True, Weighting.INDIVIDUAL, stops.freedom) for one in sigma]
     names = [f"position {k + 1}" for k in range(len(places))]
     found = fitted_drift(matrix, np.ones(len(places)), names, seen, noises, np.eye(len(sigma)), fits, "within_segment")
     shown = [next(one for one in whole.courses if one.name == course.name) for course in found.courses]
