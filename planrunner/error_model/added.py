@@ -1,7 +1,7 @@
 """Effects of the catalogue added to a simulation: their parameters with units, and their contributions to the outputs of a sensor.
 
-An effect is added with the same columns that a diagnosis searches for. If the diagnosis then finds it, simulation and diagnosis agree with
-each other, but this does not validate either; recordings from other sources do.
+An effect is added with the same columns that a diagnosis searches for. If the diagnosis then finds the effect, this shows only that
+simulation and diagnosis agree. Only recordings from other sources can validate them.
 """
 
 from __future__ import annotations
@@ -67,8 +67,9 @@ _SIGMA = 1e-3  # deg/s or m/s², by default
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """A parameter of an effect. natural: default value, in `unit`. least: the values that make sense. A time constant, a frequency or
-    another shape is above zero; a duration or a standard deviation is not below zero; an amplitude may have either sign."""
+    """A parameter of an effect. natural: default value, in `unit`. least: the permitted values: 'above zero' for a shape such as a
+    time constant or a frequency, 'zero' (zero or above) for a duration or a standard deviation, 'any' for an amplitude, which may
+    have either sign."""
 
     name: str
     unit: str
@@ -81,7 +82,7 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class Addition:
-    """An effect with all its parameters, in their units. units: of the parameters."""
+    """An effect with all its parameters. values: parameter → value in its unit. units: parameter → unit."""
 
     effect: Effect
     values: Mapping[str, float]
@@ -97,11 +98,11 @@ class Addition:
 
 
 def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mark) -> Addition:
-    """An effect with its stated parameters. stated: parameter → value with its unit; the empty name means the only parameter, or all
-    amplitudes. Parameters that are not stated have their natural size. If the text states some amplitudes, the other amplitudes are
-    zero.
+    """Makes an `Addition` from the name of an effect and the parameters that are stated for it. stated: parameter → value with its
+    unit; the empty name means the only parameter, or all amplitudes. Parameters that are not stated have their natural size. If an
+    amplitude is stated by name, all amplitudes that are not stated are zero.
 
-    observed: any recording or schedule of the plan; it determines the available parameters. Raises `InputError`.
+    observed: any recording or schedule of the plan; it determines which parameters the effect has. Raises `InputError`.
     """
     if name not in plugins.names(plugins.EFFECTS):
         hint = closest(name, plugins.names(plugins.EFFECTS))
@@ -174,7 +175,7 @@ def _value(text: str, parameter: EffectParameter, effect: str, mark: Mark) -> fl
 
 
 def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
-    """Parameters of an effect; empty if it cannot act here."""
+    """The parameters of an effect; empty if the effect cannot act in this recording."""
     if isinstance(effect, SamplesStuck):
         return [EffectParameter("time", "s", 60.0, "zero"), EffectParameter(LASTING, "s", 1.0, "zero")]
     if isinstance(effect, OutsideCoefficients) and effect.outside == "gauss-markov":
@@ -216,7 +217,8 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
 
 
 def stuck(name: str, time: Array, values: Array, additions: Sequence[Addition], before: float | None = None) -> Array:
-    """Readings (n,) of an output at times (n,), s since power-on, with its stuck stretches. before: the reading before the first."""
+    """The readings (n,) of an output, in which stuck samples repeat an earlier reading. time: (n,), s since power-on. before: the
+    reading before the first of `values`."""
     for item in additions:
         if isinstance(item.effect, SamplesStuck):
             lasting = item.values.get(f"{LASTING}_{name}", item.values.get(LASTING, 0.0))
@@ -228,11 +230,11 @@ def stuck(name: str, time: Array, values: Array, additions: Sequence[Addition], 
 def added(
     observed: Observed, levels: Array, additions: Sequence[Addition], seed: int, orientation: int | None = None
 ) -> Array:
-    """Outputs without noise (N, K), SI, after the effects are added stage by stage.
+    """The outputs (N, K), SI, without noise, after the effects are added stage by stage.
 
-    seed, orientation: for data of one segment, the seed of the values that are drawn for each orientation, and the number of the
-    segment's orientation, from 1 in the order of first use. If the data contain several segments, orientations have only the values
-    that are stated for them.
+    seed, orientation: used only if the data contain one segment: the seed from which the amplitudes of each orientation are drawn,
+    and the number of the segment's orientation, from 1 in the order of first use. If the data contain several segments, no
+    amplitudes are drawn: an orientation has only the amplitudes that are stated for it.
     """
     out = levels.copy()
     for stage in STAGES[:-1]:
@@ -247,7 +249,7 @@ def added(
 
 
 def _amplitudes(item: Addition, observed: Observed, seed: int, orientation: int | None) -> list[tuple[Column, float]]:
-    """Columns with their amplitudes in SI."""
+    """Pairs of a column and its amplitude in SI."""
     effect, values = item.effect, item.values
     if isinstance(effect, PerOrientation) and len(observed) == 1:
         return _each_orientation(item, observed, seed, orientation)
@@ -278,8 +280,9 @@ def _amplitudes(item: Addition, observed: Observed, seed: int, orientation: int 
 def _each_orientation(
     item: Addition, observed: Observed, seed: int, orientation: int | None
 ) -> list[tuple[Column, float]]:
-    """Amplitudes of the orientation of one segment: those that are stated for its number, and those that are drawn. The seed and the
-    orientation determine the draw, so an orientation always has the same values."""
+    """Pairs of a column and its amplitude for the orientation of a single segment. Each amplitude is the sum of a random value and
+    of the value that is stated for the number of the orientation. The seed and the orientation determine the random value, so an
+    orientation always has the same amplitudes."""
     (variant,) = item.effect.variants(_among_others(observed))
     found = []
     for column in variant.columns:
@@ -295,7 +298,8 @@ def _each_orientation(
 
 
 def _among_others(observed: Observed) -> Observed:
-    """One segment, with short copies in other orientations. A single orientation would have no separate error."""
+    """The recording of one segment, with short copies of the segment in other orientations. An effect with amplitudes for each
+    orientation has no columns for a single orientation."""
     turns = [np.roll(np.eye(3), k, axis=0) for k in (1, 2)]
     half = np.diag([1.0, -1.0, -1.0])
     attitudes = [observed.attitude[0]] + [turn @ observed.attitude[0] for turn in (*turns, half, turns[0] @ half)]

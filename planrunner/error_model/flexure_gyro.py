@@ -41,7 +41,7 @@ _DRIFT_COLUMNS = (0, 3, 4, 5)
 
 
 def static_model(products: tuple[str, ...] = ()) -> ErrorModel:
-    """The static model of either output: bias, ω_Y, ω_X, a_X, a_Y, a_Z and any of the `PRODUCTS`."""
+    """The static model of each of the two outputs: bias, ω_Y, ω_X, a_X, a_Y, a_Z and any of the `PRODUCTS`."""
     return ErrorModel((BIAS, RATE_Y, RATE_X, ACCEL_X, ACCEL_Y, ACCEL_Z, *(PRODUCTS[name][0] for name in products)))
 
 
@@ -85,8 +85,9 @@ def output_coefficients(physical: Array) -> Array:
 
 
 def physical_coefficients(outputs: Array) -> Array:
-    """The closed-form inverse of `output_coefficients`, shape (4 + 2·(p − 2),), from [U; V], shape (2, p); for many at once, (2, p, n),
-    shape (4 + 2·(p − 2), n). The formula is analytic, so its derivatives can be computed (`uncertainty.derivatives`).
+    """The closed-form inverse of `output_coefficients`: [U; V] of shape (2, p) gives shape (4 + 2·(p − 2),), and n sets of shape
+    (2, p, n) give shape (4 + 2·(p − 2), n). The formula is analytic, so its derivatives can be computed
+    (`uncertainty.derivatives`).
 
     tan(ε+ξ) = U2/U1 and tan ε = −V1/V2 with both angles within ±90°, so a torquer of reversed polarity shows as a negative scale
     factor. Raises ValueError if U1, V2 or the determinant of M is zero.
@@ -108,9 +109,9 @@ def physical_coefficients(outputs: Array) -> Array:
 def compensated_rates(outputs: Array, observed: Array, specific_force: Array) -> Array:
     """The rates [ω_Y, ω_X] computed from the two outputs by the compensation model G0, shape (n, 2) or (n, 2, k), rad/s.
 
-    outputs: [U; V], (2, p) with p = 6, or k of them, (2, p, k); observed: (n, 2), i_x and i_y; specific_force: (n, 3), m/s^2.
-    M⁻¹ applied to the outputs gives
-    [ω_Y + D(X); ω_X + D(Y)], from which D(X) = D(X)_F + D(X)_X·a_X + D(X)_Y·a_Y + D(X)_Z·a_Z and D(Y) likewise are subtracted.
+    outputs: the output coefficients [U; V], (2, p) with p = 6, or k sets of them, (2, p, k); observed: (n, 2), i_x and i_y;
+    specific_force: (n, 3), m/s^2. M⁻¹ applied to the outputs gives [ω_Y + D(X); ω_X + D(Y)], from which D(X) = D(X)_F + D(X)_X·a_X
+    + D(X)_Y·a_Y + D(X)_Z·a_Z and D(Y) likewise are subtracted.
     """
     _, inverse = _mixing(outputs)
     drifts = physical_coefficients(outputs)[4:].reshape(2, -1, *outputs.shape[2:])

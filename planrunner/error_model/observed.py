@@ -1,7 +1,7 @@
 """Input of effects: the samples of a recording or schedule, with the stimulus of the sensor at each sample.
 
-All values are SI with radians, except temperature (degC). Samples of all segments are concatenated; `bounds` gives the first sample of
-each. The nominal stimulus at every sample follows from attitude, table angle and site; an Observed holds no error model.
+All values are SI with radians, except temperature (degC). Samples of all segments are concatenated; `bounds` gives the first sample
+of each. The nominal stimulus at every sample follows from attitude, table angle and site; an `Observed` contains no error model.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ KINDS = {unit("rad/s").dimension: "gyro", unit("m/s^2").dimension: "accel"}
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A measured channel. kind: 'gyro' or 'accel'; axis: index 0, 1, 2 of the sensor's axis it measures along. factor: SI value of one
-    `unit`. white: one-sided declared noise, SI·√s, so that a sample at rate f has the standard deviation white·√f; flicker: declared bias
-    instability, SI; resolution: one count, SI."""
+    """A measured channel. kind: 'gyro' or 'accel'; axis: index 0, 1 or 2 of the sensor axis along which the channel measures.
+    factor: SI value of one `unit`. white: declared one-sided noise density, SI·√s, so that a sample at rate f has the standard
+    deviation white·√f; flicker: declared bias instability, SI; resolution: one count, SI."""
 
     name: str
     kind: str
@@ -41,15 +41,15 @@ class Channel:
 
 
 def axis_of(name: str) -> int | None:
-    """The sensor axis along which a channel measures. It is the first x, y or z among the words of its name, in small or capital
-    letters, such as gyro_x, x_rate or accel_z_filtered. None if the name contains no axis. Recordings, schedules and simulations all
-    use this function."""
+    """The sensor axis along which a channel measures. The axis is the first x, y or z among the words of the channel's name, in
+    small or capital letters, such as gyro_x, x_rate or accel_z_filtered. None if the name contains no axis. Recordings, schedules
+    and simulations all use this function."""
     return next(("xyz".index(word) for word in name.lower().split("_") if word in ("x", "y", "z")), None)
 
 
 def channel_of(name: str, text: str, white: float, flicker: float, resolution: float) -> Channel | None:
-    """The channel of an output of angular rate (a gyro) or acceleration whose name gives an axis; None for other outputs. text: unit of the
-    output and of its noise."""
+    """The channel of an output that measures angular rate (a gyro) or acceleration and whose name contains an axis; None for other
+    outputs. text: unit of the output and of its noise."""
     kind, axis = KINDS.get(unit(text).dimension), axis_of(name)
     if kind is None or axis is None:
         return None
@@ -59,8 +59,8 @@ def channel_of(name: str, text: str, white: float, flicker: float, resolution: f
 
 @dataclass(frozen=True, slots=True)
 class TemperatureCourse:
-    """Temperature over a segment or a part of it. time: (n,), s since power-on, ascending; temperature: (n,), degC; rate: K/s, at the
-    end."""
+    """Temperature over a segment or a part of it. time: (n,), s since power-on, ascending; temperature: (n,), degC; rate: slope at
+    the end, K/s."""
 
     time: Array
     temperature: Array
@@ -69,9 +69,9 @@ class TemperatureCourse:
 
 @dataclass(frozen=True, slots=True)
 class ObservedSegment:
-    """One segment of an `Observed`, with n samples. motion, attitude (3, 3), last_change: of the segment; time, angle, rate,
-    acceleration, temperature, temperature_rate: (n,); values: (n, K). course: of a motion that attitude and angle do not determine.
-    overvoltage, overpressure: (n,), or None for zero."""
+    """One segment of an `Observed`, with n samples. motion, attitude (3, 3), last_change: one for the whole segment; time, angle,
+    rate, acceleration, temperature, temperature_rate: (n,); values: (n, K). course: the motion, if attitude and table angle do not
+    determine it. overvoltage, overpressure: (n,), or None for zero."""
 
     label: str
     motion: Motion
@@ -141,19 +141,21 @@ def _excess(parts: Sequence[Array | None], segments: Sequence[ObservedSegment]) 
 class Observed:
     """A recording with its plan. It has S segments, N samples and K channels.
 
-    labels, attitude (S, 3, 3; rows are the sensor's axes in East-North-Up at table angle 0), motions: of the segments. bounds: (S +
-    1,). time: (N,), s since power-on. angle: (N,), table angle, rad. rate, acceleration: (N,), of the table, rad/s and rad/s².
-    temperature, temperature_rate: (N,), degC and K/s, smoothed. last_change: (S,), sign of the last change of temperature, 0 before the
-    first. values: (N, K), SI. magnetic: Earth's field in ENU, any unit, None where it is not declared. rejected: number of rows that
-    were omitted because of a NaN. along: (S, 3), for a sensor in unknown orientations: the direction of gravity in its axes, estimated
-    from the readings. Its accelerometers are then observed only along gravity, as one channel: perpendicular to it, errors cannot be
-    distinguished from the unknown orientation. bins: for a long recording, whose "samples" are means over consecutive samples; None for
-    single samples. felt: angular rate and specific force (N, 3) each, if they do not follow from site, attitude and table. fitted:
-    output (N, K) of the fitted nominal model. response: (K, 3), change of each output per rate about the axes of the sensor in that
-    model; None for an ideal sensor. courses: (S,), of segments whose motion the recording shows; an entry is None if attitude and angle
-    give the motion, and the tuple is empty if all entries are. excess_voltage, excess_pressure: (N,), as `overvoltage` and
-    `overpressure`, or None for zero. past: the temperatures before the first sample, by value of the shape of an effect, if these
-    samples are a part of a simulation. reach: m, largest distance of a sensor from the axis of a table.
+    labels, motions, attitude: one per segment; attitude is (S, 3, 3), and its rows are the sensor's axes in East-North-Up at table
+    angle 0. bounds: (S + 1,), index of the first sample of each segment, then N. time: (N,), s since power-on. angle: (N,), table
+    angle, rad. rate, acceleration: (N,), of the table, rad/s and rad/s². temperature, temperature_rate: (N,), degC and K/s,
+    smoothed. last_change: (S,), sign of the last change of temperature, 0 before the first. values: (N, K), SI. magnetic: Earth's
+    magnetic field in East-North-Up, in any unit; None if it is not declared. rejected: number of rows that were omitted because of
+    a NaN. along: for a sensor in unknown orientations, (S, 3), the direction of gravity in the sensor's axes, estimated from the
+    readings. The accelerometers of such a sensor are observed only along gravity, as one channel: perpendicular to gravity, errors
+    cannot be distinguished from the unknown orientation. bins: the bins of a long recording, whose "samples" are means over
+    consecutive samples; None for single samples. felt: angular rate and specific force (N, 3) each, if they do not follow from
+    site, attitude and table. fitted: output (N, K) of the fitted nominal model. response: (K, 3), change of each output per rate
+    about each sensor axis in the fitted nominal model; None for an ideal sensor. courses: one entry per segment: the motion if only
+    the recording shows it, None if attitude and angle determine it. The tuple is empty if all entries would be None.
+    excess_voltage, excess_pressure: (N,), as `overvoltage` and `overpressure`; None means zero everywhere. past: if the samples are
+    one block of a simulation, the temperatures before the first sample, for each value of an effect's shape. reach: largest
+    distance of a sensor from the axis of a table, m.
     """
 
     site: Site
@@ -187,7 +189,7 @@ class Observed:
         return len(self.labels)
 
     def segments(self) -> list[slice]:
-        """The samples of every segment."""
+        """The samples of every segment, as slices."""
         return self._slices
 
     @cached_property
@@ -209,7 +211,7 @@ class Observed:
 
     @cached_property
     def turn(self) -> Array:
-        """Rotation of the sensor in its axes, (N, 3), rad/s, relative to the Earth as far as the attitude is known."""
+        """Angular rate of the sensor in its axes, (N, 3), rad/s, relative to the Earth as far as the attitude is known."""
         return self._by_course(self.rate[:, None] * self.table_axis, lambda course: course.turn)
 
     @cached_property
@@ -218,9 +220,9 @@ class Observed:
         return self._by_course(self.acceleration[:, None] * self.table_axis, lambda course: course.swing)
 
     def turn_before(self, seconds: float) -> Array:
-        """`turn` at an earlier time, minus `turn`, (N, 3). While the table rocks with angular frequency p, the motion is harmonic: ω(t
-        − d) = ω·cos pd − (dω/dt)/p·sin pd. If only the recording shows the motion, the rate counts as constant before the first sample
-        of a segment and after the last."""
+        """`turn` at a time `seconds` earlier, minus `turn`, (N, 3). While the table rocks with angular frequency p, the motion is
+        harmonic: ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd. If only the recording shows the motion, the rate counts as constant before
+        the first and after the last sample of a segment."""
         from scipy.interpolate import CubicSpline
 
         change = np.zeros((len(self.time), 3))
@@ -329,8 +331,8 @@ class Observed:
 
     @cached_property
     def _turned(self) -> Array:
-        """The number 1, and the cosine and sine of the table's angle, (N, 3). Over a bin they are means to the second order in its
-        length."""
+        """Columns with the number 1, and with the cosine and the sine of the table's angle, (N, 3). For bins, cosine and sine are
+        means over each bin, to the second order in its length."""
         cosine, sine = np.cos(self.angle), np.sin(self.angle)
         if self.bins is not None:
             spread = ((self.bin_size**2 - 1) / (24 * self.sample_rate**2))[self.owner]
@@ -400,15 +402,15 @@ class Observed:
         return np.where(np.abs(component) > rounding, component, 0.0)
 
     def inputs(self, kind: str) -> list[tuple[int, int, Array | float]]:
-        """Input axes of a triad as (axis, channel, cosine): the index of the axis; the index of a channel that shows its input; and the
-        direction cosine between the axis and the direction of the channel, (N,) or 1."""
+        """Input axes of a triad as (axis, channel, cosine): the index of the axis; the index of a channel that shows the input of
+        this axis; and the direction cosine between the axis and the direction of the channel, (N,) or 1."""
         if self.along is None:
             return [(self.channels[index].axis, index, 1.0) for index in self.of_kind(kind)]
         return [(axis, index, self.along[self.owner, axis]) for index in self.of_kind(kind) for axis in range(3)]
 
     @cached_property
     def warmth(self) -> Array:
-        """Temperature above the reference, (N,), K."""
+        """Temperature above the reference temperature, (N,), K."""
         return self.temperature - REFERENCE_TEMPERATURE
 
     @cached_property
@@ -423,7 +425,7 @@ class Observed:
 
     @property
     def sampled(self) -> dict[str, Array]:
-        """All fields of an `Observed` with one value per sample, except the values: name of the field → (N,)."""
+        """All fields of an `Observed` with one value per sample, except `values`: name of the field → (N,)."""
         names = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate")
         found = {name: getattr(self, name) for name in (*names, "excess_voltage", "excess_pressure")}
         return {name: own for name, own in found.items() if own is not None}
@@ -454,9 +456,10 @@ STANDARD_PRESSURE = 101325.0  # Pa
 
 @dataclass(frozen=True)
 class Bins:
-    """Composition of bins. size: (S,), samples of each bin of a segment. rate: Hz, of the samples. energy: (S, K, K), SI², products of
-    DCT-II coefficients of the upper three quarters of the orders. count: (S,), number of these coefficients for each channel. spikes:
-    (K,), samples replaced. levels: by channel, distinct values in counts."""
+    """How the bins of a recording are made. size: (S,), number of samples per bin in each segment. rate: rate of the samples, Hz.
+    energy: (S, K, K), SI², products of the DCT-II coefficients of two channels in the upper three quarters of the orders. count:
+    (S,), number of these coefficients for each channel. spikes: (K,), number of samples that were replaced. levels: for each
+    channel, the distinct values in counts."""
 
     size: NDArray[np.int64]
     rate: float

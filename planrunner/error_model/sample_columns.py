@@ -1,12 +1,13 @@
-"""Effects of the catalogue at the samples of a recording, or at bins of them: the model of an output that changes within segments.
+"""Effects of the catalogue at the samples of a recording, or at the bins of a long recording: the model of an output that changes
+within segments.
 
     output = F(own input + Σ amplitude · column)
 
-An effect of the stimulus that has amplitudes (a lever arm, a ripple of the table's rate) changes the stimulus of all other columns. The
-sensor's scale factor and misalignments therefore act on it too, and the model is not linear in it. An effect that changes the rate (a
-lag, a delay) acts next. All columns are then evaluated at the changed rate. An effect on the output (a dead zone, a limit) acts last,
-as the function F. Neither of these two kinds has an amplitude. The columns come from the catalogue. A simulation adds the same columns,
-and a diagnosis searches for them.
+An effect of the stimulus that has amplitudes (a lever arm, a ripple of the table's rate) changes the stimulus of all other columns.
+The sensor's scale factor and misalignments therefore act on this change too, and the model is not linear in its amplitude. An
+effect that changes the rate (a lag, a delay) acts next. All columns are then evaluated at the changed rate. An effect on the output
+(a dead zone, a limit) acts last, as the function F. Effects on the rate and effects on the output have no amplitudes. The columns
+come from the catalogue. A simulation adds the same columns, and a diagnosis searches for them.
 """
 
 from __future__ import annotations
@@ -32,9 +33,8 @@ def shaped(part: EffectPart) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleColumns:
-    """Columns of an output at samples. own: (N,), SI, input along the axis of the output after effects on the rate; rows: (p, N), SI
-    per SI amplitude, zero for an amplitude of the stimulus; available: by effect, the names of all amplitudes that it has for this
-    output."""
+    """Columns of an output at samples. own: (N,), SI, input along the axis of the output after effects on the rate; rows: (p, N),
+    SI per SI amplitude, zero for an amplitude of the stimulus; available: effect → names of all its amplitudes for this output."""
 
     own: Array
     amplitudes: tuple[Amplitude, ...]
@@ -44,7 +44,7 @@ class SampleColumns:
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAtSamples:
-    """The model of one output. observed: stimulus at N samples, with any channels."""
+    """The model of one output. observed: the stimulus at N samples; `of` replaces the channels by two ideal triads."""
 
     observed: Observed
     errors: OutputErrors
@@ -55,7 +55,8 @@ class ErrorsAtSamples:
         return cls(replace(observed, channels=TRIADS, values=ideal, along=None), errors)
 
     def grid(self, part: EffectPart) -> Array:
-        """The values of the shape that the catalogue gives for an effect here, ascending; empty if it cannot act."""
+        """The values of the shape that the catalogue gives for an effect here, ascending; empty if the effect cannot act on this
+        output."""
         effect = part.effect
         seen = replace(self.observed, fitted=self._alone(self._own(self.observed)))
         variants = effect.variants(seen)
@@ -66,7 +67,8 @@ class ErrorsAtSamples:
         return np.array(sorted({one.shape for one in effect.variants(seen) if one.shape is not None}))
 
     def columns(self, shapes: Mapping[str, float], stimulus: Mapping[tuple[str, str], float]) -> SampleColumns:
-        """Columns of the effects. shapes: effect → value of its shape; stimulus: (effect, amplitude) → SI value, for nonzero values."""
+        """Columns of the effects. shapes: effect → value of its shape; stimulus: (effect, name of an amplitude) → value in SI,
+        where amplitudes that are not listed are zero."""
         felt = self._felt(shapes, stimulus)
         amplitudes: list[Amplitude] = []
         rows: list[Array] = []
@@ -83,7 +85,7 @@ class ErrorsAtSamples:
         return SampleColumns(self._own(felt), tuple(amplitudes), matrix, available)
 
     def output(self, linear: Array, shapes: Mapping[str, float]) -> Array:
-        """The function F of an output (N,), SI."""
+        """Applies the function F to the values (N,), SI, of an output that is linear so far."""
         for part in self.errors.chosen:
             effect = part.effect
             if isinstance(effect, ChangesWithinSegments) and effect.acts_on == "output":
@@ -93,7 +95,7 @@ class ErrorsAtSamples:
         return linear
 
     def slope(self, linear: Array, shapes: Mapping[str, float]) -> Array:
-        """The derivative dF of an output (N,)."""
+        """The derivative (N,) of the function F at the values `linear`."""
         step = _STEP * max(float(np.abs(linear).max()), 1e-12)
         return np.asarray((self.output(linear + step, shapes) - self.output(linear - step, shapes)) / (2 * step))
 
@@ -114,7 +116,7 @@ class ErrorsAtSamples:
         return made
 
     def _felt(self, shapes: Mapping[str, float], stimulus: Mapping[tuple[str, str], float]) -> Observed:
-        """The samples with the changed stimulus of the sensor, and with the rate that the output shows."""
+        """The samples with the stimulus changed by the effects, and with the rate that the output shows."""
         observed = self.observed
         change = np.zeros((len(TRIADS), len(observed.time)))
         for part in self.errors.chosen:

@@ -26,13 +26,14 @@ _SAMPLES = 8  # of each segment
 
 
 def sensor_channels(sensor: SensorModel) -> tuple[Channel, ...]:
-    """The outputs that can have effects."""
+    """The channels of a sensor on which effects can act."""
     listed = ((o.name, o.unit, o.noise.white, o.noise.bias_instability, o.noise.resolution) for o in sensor.outputs)
     return tuple(made for one in listed if (made := channel_of(*one)) is not None)
 
 
 def everything(site: Site, channels: Sequence[Channel], rate: float) -> Observed:
-    """A schedule that contains everything an effect may need: orientations, a rate, rocking, changes of temperature."""
+    """A schedule that contains everything an effect may need: several orientations, a constant rate, rocking, and changes of
+    temperature."""
     places = [np.eye(3), np.roll(np.eye(3), 1, 0), np.roll(np.eye(3), 2, 0), np.diag([1.0, -1.0, -1.0])]
     spin, rock = Spin(np.radians(100.0)), Rock(np.radians(5.0), 1.0, (0.0,), 10.0)
     motions: list[Motion] = [Rest(), Rest(), Rest(), Rest(), spin, rock]
@@ -62,7 +63,8 @@ def scheduled(
     rate: float,
     nominal_supply: float = NOMINAL_SUPPLY,
 ) -> Observed:
-    """A few samples of every segment that rests or turns about one axis; other segments are omitted. rate: Hz; nominal_supply: V."""
+    """A few samples of every segment in which the sensor rests or turns about one axis; other segments are omitted. rate: Hz;
+    nominal_supply: V."""
     usable = [s for s in segments if s.attitude is not None and isinstance(s.motion, Rest | Spin | Rock)]
     since = np.arange(_SAMPLES) / rate
     warm = [_celsius(segment.begins_at) for segment in usable]

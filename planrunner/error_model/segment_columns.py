@@ -1,8 +1,8 @@
 """Effects of the catalogue at the means of segments: the design matrix of an estimate, at the planned or the recorded stimulus.
 
 An effect gives its columns at single moments, but the mean of a product is not the product of means. Each segment is therefore
-represented by a few nodes: evenly spaced angles of a table that turns, and the nodes of Gauss and Legendre along a ramp of temperature.
-Over whole turns, the result is exact for polynomials up to the seventh degree of quantities that turn with the table; along a ramp, for
+represented by a few nodes: evenly spaced angles of a table that turns, and Gauss–Legendre nodes along a ramp of temperature. Over
+whole turns, the result is exact for polynomials up to the seventh degree in quantities that turn with the table; along a ramp, for
 polynomials up to the fifth degree in time. The weighted mean over the nodes is the mean over the segment.
 """
 
@@ -54,9 +54,10 @@ _CHANGED = 1.0  # K between segments: less is no change of temperature
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SegmentStates:
-    """Time, temperature, supply and pressure of n segments, all (n,). time: s since power-on, the middle; seconds: length; celsius: mean;
-    ramp: change of the temperature from beginning to end, K; last_change: sign of the last change of temperature, 0 before the first.
-    overvoltage: V above the nominal supply of the sensor; overpressure: Pa above the standard atmosphere, means."""
+    """Time, temperature, supply and pressure of n segments, all (n,). time: middle of the segment, s since power-on; seconds:
+    length; celsius: mean temperature; ramp: change of the temperature from the beginning to the end, K; last_change: sign of the
+    last change of temperature, 0 before the first. overvoltage: mean excess over the nominal supply of the sensor, V; overpressure:
+    mean excess over the standard atmosphere, Pa."""
 
     time: Array
     seconds: Array
@@ -79,8 +80,8 @@ class SegmentStates:
 
 
 def states_of(segments: Sequence[Segment], start: Array, seconds: Array, nominal_supply: float) -> SegmentStates:
-    """Planned temperatures, supply voltages and pressures; reference values if none are planned. start, seconds: (n,), s, planned or
-    recorded; nominal_supply: of the sensor, V."""
+    """The planned states of segments; a temperature, voltage or pressure that is not planned has its reference value. start,
+    seconds: (n,), s, planned or recorded; nominal_supply: of the sensor, V."""
     kelvin = [one.begins_at for one in segments]
     begin = np.array([REFERENCE_TEMPERATURE if one is None else one - ZERO_CELSIUS for one in kelvin])
     ends = [one.ramp_to for one in segments]
@@ -108,9 +109,10 @@ def _last_changes(begin: Array, end: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class EffectPart:
-    """An effect in the model of one output. only: names of its columns without the output's axis; empty for all. shape: value of its
-    shape, None for an effect without shape. sizes: amplitudes in SI by name of a column without the axis, at which the derivative with
-    respect to the shape is computed as a further column; empty if there is no such column."""
+    """An effect in the model of one output. only: names of the columns in the model, without the output's axis; empty for all
+    columns of the effect. shape: value of the effect's shape; None for an effect without shape. sizes: if the derivative with
+    respect to the shape is a further column, the amplitudes at which it is computed: name of a column without the axis → value in
+    SI. Empty if there is no such column."""
 
     effect: Effect
     only: tuple[str, ...] = ()
@@ -120,7 +122,7 @@ class EffectPart:
 
 @dataclass(frozen=True, slots=True)
 class OutputErrors:
-    """The errors of one output. kind: gyro or accel; axis: 0, 1, 2 for the sensor's x, y, z, the axis along which it measures."""
+    """The errors of one output. kind: gyro or accel; axis: 0, 1 or 2 for the sensor axis x, y or z along which the output measures."""
 
     output: str
     kind: str
@@ -134,11 +136,11 @@ class OutputErrors:
 
 @dataclass(frozen=True, slots=True)
 class Amplitude:
-    """One coefficient of an output. name: of the column without the output's axis; several: whether the effect has other amplitudes for
-    this output; alone: whether the column acts on this output only. unit, factor: unit for display and its SI value. along: as in
-    `Column`, the axis whose input it is. size: largest absolute value of such columns of the effect at any moment and for any axis; 0
-    if nothing excites it. origin: for a shape, the value in `unit` that corresponds to a fitted amplitude of zero. shape: whether the
-    amplitude is a shape."""
+    """One coefficient of an output. name: name of the column without the output's axis; several: True if the effect has other
+    amplitudes for this output; alone: True if the column acts on this output only. unit, factor: unit for display and its SI value.
+    along: the axis whose input the column is, as in `Column`. size: largest absolute value, at any moment and for any axis, of the
+    effect's columns with the same unit; 0 if nothing excites these columns. origin: for a shape, the value in `unit` that
+    corresponds to a fitted amplitude of zero. shape: True if the amplitude is a change of the shape."""
 
     effect: Effect
     name: str
@@ -154,8 +156,8 @@ class Amplitude:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutputColumns:
-    """Columns of an output at segments. own: (n,), SI, the output of an ideal sensor; matrix: (n, p), SI per SI amplitude, one column
-    for each amplitude. available: by effect, the names of all amplitudes that it has for this output."""
+    """Columns of an output at segments. own: (n,), SI, the output of an ideal sensor; matrix: (n, p), SI per SI amplitude, one
+    column for each amplitude. available: effect → names of all its amplitudes for this output."""
 
     own: Array
     available: Mapping[str, tuple[str, ...]]
@@ -170,7 +172,7 @@ class OutputColumns:
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAtSegments:
-    """The model of m outputs at n segments, which rest or turn in known orientations. stimulus: planned means."""
+    """The model of m outputs at n segments, which rest or turn in known orientations. stimulus: planned means over the segments."""
 
     outputs: tuple[OutputErrors, ...]
     segments: tuple[Segment, ...]
@@ -181,8 +183,8 @@ class ErrorsAtSegments:
 
     def columns(self, stimulus: Stimulus) -> Array:
         """Columns of all outputs, (k·n, P), output after output. For each output, its own input comes first, then its amplitudes.
-        stimulus: k·n rows, the planned stimulus of the n segments, k times, each time with other small changes; k may be 1. A change of a
-        mean stimulus applies to all nodes of the segment."""
+        stimulus: k·n rows: k copies of the planned stimulus of the n segments, each copy with different small changes; k may be 1.
+        A change of a mean stimulus applies to all nodes of the segment."""
         n, found = len(self.segments), []
         for low in range(0, len(stimulus), n):
             part = slice(low, low + n)
@@ -203,7 +205,8 @@ class ErrorsAtSegments:
         return self._evaluated((np.zeros((len(self.segments), 3)),) * 2, np.zeros(len(self.segments)))
 
     def _evaluated(self, changes: tuple[Array, Array], faster: Array) -> tuple[OutputColumns, ...]:
-        """Evaluates the columns. changes: of angular rate and specific force, each (n, 3); faster: (n,), of the table's rate."""
+        """Evaluates the columns at a changed stimulus. changes: additional angular rate and specific force, each (n, 3); faster:
+        (n,), additional rate of the table."""
         observed, owner = self._planned, self._planned.owner
         felt = tuple(own + change[owner] for own, change in zip((observed.omega, observed.force), changes, strict=True))
         moved = replace(observed, felt=(felt[0], felt[1]), rate=observed.rate + faster[owner])
@@ -246,7 +249,7 @@ class ErrorsAtSegments:
         return OutputColumns(self._means(felt[:, output.axis][None])[0], available, tuple(amplitudes), matrix)
 
     def _means(self, rows: Array) -> Array:
-        """Means (k, n) over the segments of rows (k, N) at the nodes."""
+        """Means (k, n) over the segments, from rows (k, N) of values at the nodes."""
         weight = np.concatenate([weight for _, _, weight in self._nodes])
         return np.asarray(np.add.reduceat(rows * weight, self._planned.bounds[:-1], axis=1))
 
@@ -266,7 +269,7 @@ class ErrorsAtSegments:
 
     @cached_property
     def _planned(self) -> Observed:
-        """The segments with their nodes as samples of two ideal triads."""
+        """The planned segments as a recording of two ideal triads, with the nodes as samples."""
         states, made = self.states, []
         for row, (segment, (angle, along, _)) in enumerate(zip(self.segments, self._nodes, strict=True)):
             zero = np.zeros(len(angle))
@@ -295,7 +298,7 @@ def amplitudes_of(
     part: EffectPart, output: OutputErrors, observed: Observed, columns: Sequence[Column]
 ) -> tuple[list[Amplitude], list[Array], tuple[str, ...]]:
     """The amplitudes of an effect in an output, their columns (N,), and the names of all amplitudes that the effect has there.
-    columns: of the effect."""
+    columns: all columns of the effect."""
     here = [column for column in columns if output.channel in column.parts]
     several = len(here) > 1 or isinstance(part.effect, ShapedOverSegments | ChangesWithinSegments)
     amplitudes, rows = [], []
@@ -330,7 +333,7 @@ def estimable(effect: Effect) -> str:
 
 
 def _beside(part: EffectPart) -> tuple[float, ...]:
-    """Two values of the shape for the numerical derivative."""
+    """Two values of the shape, around the chosen one, for the numerical derivative."""
     return (part.shape * (1 + _STEP), part.shape * (1 - _STEP)) if part.shape is not None and part.sizes else ()
 
 

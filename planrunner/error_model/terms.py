@@ -1,9 +1,9 @@
 """Terms of an inertial sensor's error model: named functions of the stimulus, and models that consist of them.
 
-A linear term gives one column of a design matrix. An estimator solves for its coefficient with the recorded stimulus; the check uses the
-planned stimulus to predict its observability and uncertainty. (The virtual gyro uses none of this code: it has separate formulas for the
-balance of its rotor, so that simulator and estimators cannot share an error.) Terms are found through the entry-point group
-`planrunner.terms`.
+A linear term gives one column of a design matrix. An estimator determines the coefficient of the term from the recorded stimulus;
+the check uses the planned stimulus to predict the observability and the uncertainty of the coefficient. (The virtual gyro uses none
+of this code: it has separate formulas for the balance of its rotor, so that simulator and estimators cannot share an error.) Terms
+are found through the entry-point group `planrunner.terms`.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ from planrunner.plan.units import STANDARD_GRAVITY
 class Term:
     """One term, linear in its coefficient.
 
-    of: computes the column for a stimulus of n rows, shape (n,), SI. magnitude: the declared size of that column, by which columns are
-    divided before rank and condition are judged. unit: of the column. degree: polynomial degree in the components of the stimulus. A
-    term of degree two or more cannot be computed from means over a moving attitude. of_motion: whether the column depends on angular
-    rate and specific force alone; plans with the same orientations then share it at all temperatures and times.
+    of: computes the column for a stimulus of n rows, shape (n,), SI. magnitude: the declared size of the column. Columns are
+    divided by it before rank and condition are judged. unit: of the column. degree: polynomial degree in the components of the
+    stimulus. A term of degree two or more cannot be computed from means over a moving attitude. of_motion: True if the column
+    depends on angular rate and specific force alone; plans with the same orientations then share the column at all temperatures and
+    times.
     """
 
     name: str
@@ -97,7 +98,7 @@ def design_matrix(terms: Sequence[Term], stimulus: Stimulus) -> Array:
 
 
 class LinearModel(Protocol):
-    """A model of outputs that is linear in its coefficients. of_motion: as for `Term`."""
+    """A model of outputs that is linear in its coefficients. of_motion: as in `Term`, for all columns."""
 
     @property
     def of_motion(self) -> bool: ...
@@ -142,7 +143,7 @@ class ErrorModel:
         return design_matrix(self.terms, stimulus)
 
     def predict(self, coefficients: Mapping[str, float] | Array, stimulus: Stimulus) -> Array:
-        """The output, shape (n,), for coefficients by name (others are zero) or as an array of shape (p,)."""
+        """The output, shape (n,), from coefficients given by name (those that are not named are zero) or as an array of shape (p,)."""
         if isinstance(coefficients, Mapping):
             unknown = set(coefficients) - set(self.names)
             if unknown:

@@ -51,7 +51,7 @@ def _of_axis(item: Addition, kind: OutsideKind, output: str) -> float | None:
 
 
 class AddedEffectsParameters(Record):
-    """Effects of a simulation beyond the declared errors of its sensor, table and site."""
+    """The effects that a simulation contains beyond the declared errors of its sensor, table and site."""
 
     effects: dict[str, dict[str, str]] = key(
         MapOf(MapOf(Text(), pattern=r"[A-Za-z][A-Za-z0-9_]{0,59}"), pattern=NAME),
@@ -62,7 +62,7 @@ class AddedEffectsParameters(Record):
 
 
 class AddedEffects:
-    """The added effects as an instrument of the virtual world."""
+    """The instrument of the virtual world that adds the effects."""
 
     role = "effects"
     Parameters = AddedEffectsParameters
@@ -229,7 +229,8 @@ class AddedEffects:
         return replace(made, past=dict(self.past))
 
     def _remember(self, observed: Observed) -> None:
-        """Keeps the part of the past that effects with a memory need. Every checkpoint contains it, so it must not grow."""
+        """Keeps the part of the past that effects with a memory need later. Every checkpoint contains this part, so it must not
+        grow."""
         from planrunner.error_model.effects.interface import DependsOnPast
 
         for item in self.additions:
@@ -256,7 +257,7 @@ class AddedEffects:
             self.before = now
 
     def _walked(self, moments: Moments, observed: Observed) -> Array:
-        """Slow random parts of the biases over the samples, (N, K), SI."""
+        """The slow random changes of the biases at the samples, (N, K), SI."""
         from planrunner.error_model.added import OF_TRIAD, SIGMA
         from planrunner.error_model.effects.interface import OutsideCoefficients, triad_of
 

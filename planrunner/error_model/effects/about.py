@@ -12,8 +12,9 @@ from planrunner.error_model.effects.interface import Effect
 
 
 class Actor(StrEnum):
-    """Who acts. BENCH: table, chamber, mounting and their synchronisation. SENSOR: the unit under test, or its compensation. PLAN: states
-    and times. SITE: the declared place on the Earth. BOOKKEEPING: what files declare: labels, units, signs, noise."""
+    """Who can remove the cause of an effect. BENCH: table, chamber, mounting and their synchronisation. SENSOR: the unit under
+    test, or its compensation. PLAN: states and times of the plan. SITE: the declared place on the Earth. BOOKKEEPING: declarations
+    in files: labels, units, signs, noise."""
 
     BENCH = "bench"
     SENSOR = "sensor"
@@ -24,9 +25,9 @@ class Actor(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What an effect states about itself. name: in plain words. physics: one sentence. remedy: what to do; in this text, `{found}` is
-    replaced by the fitted parameters. figures: computes further values for the remedy, by name, from the fitted shape in `shape_unit`,
-    such as a bandwidth from a time constant."""
+    """What an effect states about itself. name: the effect in plain words. physics: the cause, in one sentence. remedy: what to do;
+    in this text, `{found}` is replaced by the fitted parameters. figures: a function that computes further values for the remedy,
+    such as a bandwidth from a time constant. Its argument is the fitted shape in `shape_unit`; it returns name → text."""
 
     name: str
     physics: str
@@ -35,7 +36,7 @@ class About:
     figures: Callable[[float], Mapping[str, str]] | None = None
 
     def advice(self, found: str, shape: float | None) -> str:
-        """The remedy with the fitted parameters in words."""
+        """The remedy, with the fitted parameters inserted as text."""
         values = {} if self.figures is None or shape is None else dict(self.figures(shape))
         wanted = {field for _, field, _, _ in Formatter().parse(self.remedy) if field}
         return self.remedy.format(**dict.fromkeys(wanted, "unknown") | values | {"found": found})
@@ -52,8 +53,8 @@ _BY_STAGE = {"stimulus": Actor.BENCH, "acquisition": Actor.BENCH}
 
 
 def about(effect: Effect) -> About:
-    """What the effect states about itself. For a plug-in that states nothing, this consists of its identifier, the first paragraph of
-    its docstring, and the actor for its stage."""
+    """What an effect states about itself. For a plug-in that states nothing, the result consists of the identifier of the effect,
+    the first paragraph of its docstring, and the actor that belongs to its stage."""
     if isinstance(effect, TellsAbout):
         return effect.about
     physics = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())

@@ -14,7 +14,7 @@ from planrunner.plan.units import STANDARD_GRAVITY as G
 
 
 class AccelBiasTemperature:
-    """Bias + c·ΔT per axis, ΔT from 25 degC."""
+    """Bias + c·ΔT per axis, where ΔT is the temperature minus 25 degC."""
 
     id, stage, with_temperature = "accel_bias_temperature", "sensor", "c"
     about = About(
@@ -30,7 +30,7 @@ class AccelBiasTemperature:
 
 
 class AccelScaleTemperature:
-    """Scale factor × (1 + k·ΔT) per axis, ΔT from 25 degC."""
+    """Scale factor × (1 + k·ΔT) per axis, where ΔT is the temperature minus 25 degC."""
 
     id, stage = "accel_scale_temperature", "sensor"
     about = About(
@@ -47,7 +47,7 @@ class AccelScaleTemperature:
 
 
 class AccelSecondOrder:
-    """Output + k·f² per axis, f the specific force along the axis (K2)."""
+    """Output + k·f² per axis, where f is the specific force along the axis (K2)."""
 
     id, stage = "accel_second_order", "sensor"
     about = About(
@@ -63,7 +63,7 @@ class AccelSecondOrder:
 
 
 class AccelThirdOrder:
-    """Output + k·f³ per axis, f the specific force along the axis (K3)."""
+    """Output + k·f³ per axis, where f is the specific force along the axis (K3)."""
 
     id, stage, hypothesis = "accel_third_order", "sensor", False
     about = About(
@@ -79,7 +79,7 @@ class AccelThirdOrder:
 
 
 class AccelAsymmetry:
-    """Output + k·|f| per axis, f the specific force along the axis: a scale factor that differs between the two senses of f."""
+    """Output + k·|f| per axis, where f is the specific force along the axis: a scale factor that differs between the two senses of f."""
 
     id, stage, hypothesis = "accel_asymmetry", "sensor", False
     about = About(
@@ -95,7 +95,7 @@ class AccelAsymmetry:
 
 
 class AccelCrossCoupling:
-    """Output + K·[f_x·f_y, f_y·f_z, f_z·f_x], f the specific force in sensor axes, K a 3×3 matrix."""
+    """Output + K·[f_x·f_y, f_y·f_z, f_z·f_x], where f is the specific force in sensor axes and K is a 3×3 matrix."""
 
     id, stage, hypothesis = "accel_cross_coupling", "sensor", False
     about = About(
@@ -114,7 +114,8 @@ class AccelCrossCoupling:
 
 
 class AccelMisalignmentTemperature:
-    """Output + m·ΔT·(specific force along another axis of the sensor), ΔT from 25 degC; six amplitudes m per triad."""
+    """Output + m·ΔT·(specific force along another axis of the sensor) per axis, where ΔT is the temperature minus 25 degC; six
+    amplitudes m per triad."""
 
     id, stage, hypothesis = "accel_misalignment_temperature", "sensor", False
     about = About(
@@ -130,7 +131,7 @@ class AccelMisalignmentTemperature:
 
 
 class AccelThermalGradient:
-    """Output + k·dT/dt per axis, T the temperature of the sensor."""
+    """Output + k·dT/dt per axis, where T is the temperature of the sensor."""
 
     id, stage, hypothesis = "accel_thermal_gradient", "sensor", False
     about = About(
@@ -148,7 +149,7 @@ class AccelThermalGradient:
 
 
 class AccelBiasDrift:
-    """Bias + d·t per axis, t since power-on."""
+    """Bias + d·t per axis, where t is the time since power-on."""
 
     id, stage, hypothesis = "accel_bias_drift", "sensor", False
     about = About(
@@ -164,7 +165,7 @@ class AccelBiasDrift:
 
 
 class AccelThermalHysteresis:
-    """Output + h·(sign of the last temperature change; 0 before the first) per axis."""
+    """Output + h·s per axis, where s is the sign of the last temperature change (0 before the first change)."""
 
     id, stage, hypothesis = "accel_thermal_hysteresis", "sensor", False
     about = About(
@@ -183,7 +184,7 @@ class AccelThermalHysteresis:
 
 
 class AccelNoiseExcess:
-    """White noise density of the accelerometers larger than declared."""
+    """A white noise density of the accelerometers that is larger than declared."""
 
     id, stage, outside, of_accelerometers = "accel_noise_excess", "covariance", "white", True
     about = About(
@@ -198,7 +199,7 @@ class AccelNoiseExcess:
 
 
 class AccelQuantization:
-    """Resolution of the accelerometers coarser than declared: every output is a multiple of a larger count."""
+    """A resolution of the accelerometers that is coarser than declared: every output is a multiple of a larger count."""
 
     id, stage, outside, of_accelerometers = "accel_quantization", "covariance", "resolution", True
     about = About(

@@ -1,7 +1,8 @@
 """Wrong declarations: axes, signs, units and senses of rotation that a plan or a bench file states differently from the recording.
 
-A diagnosis does not evaluate these effects like others, because they change a whole output; `gap/hypotheses/declarations.py` finds them
-before the effects of the sensor are evaluated. If they are added to a simulation, its recordings contain these mistakes.
+These effects change a whole output. A diagnosis therefore does not evaluate them like other effects:
+`gap/hypotheses/declarations.py` finds them before the effects of the sensor are evaluated. A simulation to which such an effect is
+added makes recordings that contain the mistake.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def _channels(observed: Observed) -> Iterator[tuple[str, int, int]]:
 
 
 class AxisReversed:
-    """Output × −1: the channel has the opposite sign of its declaration. 1: reversed, 0: as declared."""
+    """Output × −1: the channel has the opposite sign of its declaration. Amplitude 1: reversed; amplitude 0: as declared."""
 
     id, stage, hypothesis = "axis_reversed", "output", False
     of_declaration: Literal[True] = True
@@ -54,7 +55,8 @@ class AxisReversed:
 
 
 class AxesMirrored:
-    """Outputs of the gyro and the accelerometer along one axis × −1: the axes of the sensor are declared as a left-handed system."""
+    """The outputs of the gyro and of the accelerometer along one axis × −1: the declared axes of the sensor form a left-handed
+    system."""
 
     id, stage, hypothesis = "axes_mirrored", "output", False
     of_declaration: Literal[True] = True
@@ -76,7 +78,7 @@ class AxesMirrored:
 
 
 class AxesExchanged:
-    """Outputs of a triad with exchanged names. 1: exchanged, 0: as declared."""
+    """The names of two or three outputs of a triad are exchanged. Amplitude 1: exchanged; amplitude 0: as declared."""
 
     id, stage, hypothesis = "axes_exchanged", "output", False
     of_declaration: Literal[True] = True
@@ -100,7 +102,7 @@ class AxesExchanged:
 
 
 class UnitWrong:
-    """Output × (1 + e): the values are in another unit than declared; e = factor − 1."""
+    """Output × (1 + e): the values are in another unit than declared, and 1 + e is the factor between the units."""
 
     id, stage, hypothesis = "unit_wrong", "output", False
     of_declaration: Literal[True] = True
@@ -122,7 +124,7 @@ class UnitWrong:
 
 
 class TableSenseReversed:
-    """The table turns in the opposite sense of the plan: rate and angle × −1."""
+    """The table turns in the opposite sense to the plan: rate and angle × −1."""
 
     id, stage, hypothesis = "table_sense_reversed", "stimulus", False
     of_declaration: Literal[True] = True
@@ -167,7 +169,7 @@ class MountTurned:
 
 
 def turned_back(observed: Observed) -> Observed:
-    """The same recording, but with the table turning in the opposite sense."""
+    """The recording with the opposite sense of rotation of the table, otherwise unchanged."""
     motions = tuple(replace(m, rate=-m.rate) if isinstance(m, Spin) else m for m in observed.motions)
     return replace(
         observed,

@@ -1,4 +1,4 @@
-"""Effects at a gyro's output: its bandwidth, dead zone and limits, exact at every grid value; and effects on its noise."""
+"""Effects at a gyro's output: bandwidth, dead zone and limits, computed exactly at every grid value, and effects on the noise."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def _frequencies(tau: float) -> Mapping[str, str]:
 
 
 class GyroBandwidth(Shaped):
-    """First-order lag 1/(τs + 1) of the output. The lag is in steady state when a segment begins; it is visible if the rate changes."""
+    """First-order lag 1/(τs + 1) of the output. The lag is in steady state when a segment begins; it has an effect only if the rate
+    changes."""
 
     id, stage, shape_name, shape_unit = "gyro_bandwidth", "output", "tau", "s"
     about = About(
@@ -45,8 +46,8 @@ class GyroBandwidth(Shaped):
 
 
 def lagging(observed: Observed, tau: float) -> Array:
-    """Nominal rate after a first-order lag minus the nominal rate, (N, 3); zero in segments with a constant rate. While the table
-    rocks, the lagged rate is (ω − τ·dω/dt)/(1 + (pτ)²) for steady harmonic motion, where p is the angular frequency."""
+    """The change (N, 3) of the nominal rate due to a first-order lag; zero in segments with a constant rate. While the table rocks,
+    its motion is taken as steady and harmonic with the angular frequency p: the lagged rate is (ω − τ·dω/dt)/(1 + (pτ)²)."""
     change = observed.turn_lagged(tau)
     for rows in observed.rocked:
         squared = (observed.pulsation[rows] * tau) ** 2
@@ -56,7 +57,8 @@ def lagging(observed: Observed, tau: float) -> Array:
 
 
 class GyroAxisDelay:
-    """Each gyro has its own delay: its output at a moment is the output for an earlier rate. The delay is negative if the gyro is early."""
+    """Each gyro has its own delay: at any moment, its output shows the rate at an earlier moment. The delay is negative if the gyro
+    is early."""
 
     id, stage = "gyro_axis_delay", "acquisition"
     about = About(
@@ -71,7 +73,7 @@ class GyroAxisDelay:
         return self.around(observed, np.zeros(3))
 
     def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
-        """The secant of an axis: the change of its output due to a delay, divided by the delay."""
+        """One column per gyro, as a secant: the change of the output due to a delay, divided by the delay."""
         gyros = [index for index in observed.of_kind("gyro") if observed.along is None]
         if not observed.unsteady.any() or not gyros:
             return []
@@ -128,8 +130,8 @@ class GyroSaturation(Shaped):
 
 class _OneSided(Shaped):
     """Output clipped at one of its two limits. sign: 1 for the upper limit, −1 for the lower one. The shape is the magnitude of the
-    limit. A limit that the output does not exceed in both directions cannot be distinguished from `gyro_saturation`, and is not on the
-    grid."""
+    limit. The grid contains only limits that the output exceeds in both directions. With another limit, the effect cannot be
+    distinguished from `gyro_saturation`."""
 
     stage, shape_unit, acts_on = "output", "deg/s", "output"
     sign: int
@@ -231,8 +233,8 @@ class GyroFoldOver(Shaped):
 def _changed(
     observed: Observed, output: Callable[[Array], Array], shape: float, acting: NDArray[np.bool_] | None
 ) -> Variant:
-    """The change that a function of the gyros' nominal output causes. acting: (S,), the segments in which it is not zero; None for all
-    segments."""
+    """The variant of an effect that replaces the nominal output of the gyros by a function of this output. acting: (S,), True for
+    the segments in which the function changes the output; None for all segments."""
     nominal = observed.gyro_output
     change = np.zeros_like(nominal)
     for part in [part for index, part in enumerate(observed.segments()) if acting is None or acting[index]]:
@@ -242,7 +244,7 @@ def _changed(
 
 
 class GyroBiasRandomWalk:
-    """A bias with a random walk beyond the declared noise: covariance q²·min(t, t') between the times t and t'."""
+    """A random walk of the bias beyond the declared noise, with the covariance q²·min(t, t') between the times t and t'."""
 
     id, stage, outside = "gyro_bias_random_walk", "covariance", "random walk"
     about = About(
@@ -257,7 +259,7 @@ class GyroBiasRandomWalk:
 
 
 class GyroNoiseExcess:
-    """White noise density larger than declared."""
+    """A white noise density of the gyros that is larger than declared."""
 
     id, stage, outside = "gyro_noise_excess", "covariance", "white"
     about = About(
@@ -272,7 +274,7 @@ class GyroNoiseExcess:
 
 
 class GyroQuantization:
-    """Resolution coarser than declared: every output is a multiple of a larger count."""
+    """A resolution of the gyros that is coarser than declared: every output is a multiple of a larger count."""
 
     id, stage, outside = "gyro_quantization", "covariance", "resolution"
     about = About(

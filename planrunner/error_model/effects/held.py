@@ -11,7 +11,8 @@ from planrunner.error_model.observed import Observed
 
 
 class SamplesStuck:
-    """Outputs that keep the value of one sample, including its noise. They are stuck from a moment on, which is a time since power-on."""
+    """Outputs that keep the value of one sample, including its noise. They are stuck from a moment on, which is stated as a time
+    since power-on."""
 
     id, stage, outside, shape_name, shape_unit = "samples_stuck", "covariance", "stuck", "time", "s"
     about = About(
@@ -26,8 +27,8 @@ class SamplesStuck:
 
 
 def sticking(time: Array, values: Array, begin: float, lasting: float, before: float) -> Array:
-    """Values (n,) at times (n,), s, of which those from `begin` on repeat, for `lasting` s, the last value before `begin`. before: the
-    value before the first of `values`."""
+    """The values (n,) of an output at times (n,), s: from `begin` on, they repeat the last value before `begin` for `lasting`
+    seconds. before: the value before the first of `values`."""
     inside = np.flatnonzero((time >= begin) & (time < begin + lasting))
     if not len(inside):
         return values

@@ -1,8 +1,9 @@
 """Interface of effects: the physics of a sensor's errors, and of its surroundings, as columns over the samples of a recording.
 
-An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds it, the estimator `error_model` fits its
-amplitudes to the means of segments, and the diagnosis decides whether the data support it. It may act on several channels at once, have a
-shape, or change the noise. An estimate fits effects without a shape, and effects with a shape that last longer than a segment.
+An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds effects, the estimator
+`error_model` fits their amplitudes to the means of segments, and the diagnosis decides whether the data support them. An effect may
+act on several channels at once, have a shape, or change the noise. An estimate fits effects without a shape, and effects with a
+shape that last longer than a segment.
 
     class MyEffect:
         id = "my_effect"                      # the entry point's name
@@ -11,14 +12,14 @@ shape, or change the noise. An estimate fits effects without a shape, and effect
         about = About(…)                      # plain name, physics, who acts and what to do: see `about.py`
         def variants(self, observed) -> list[Variant]
 
-A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect that
-acts on the noise states the kind in `noise`, such as 'random walk', 'white' or 'resolution'. If its stage is covariance, it has no
-columns. With `each = "orientation"`, an effect has independent amplitudes for every orientation. Its columns are then those of each
-orientation in turn, in the order of first use.
+A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect
+that acts on the noise states the kind of change in `noise`, such as 'random walk', 'white' or 'resolution'. If its stage is
+covariance, it has no columns. With `each = "orientation"`, an effect has independent amplitudes for every orientation. Its columns
+are then listed orientation by orientation, in the order of first use.
 
-An effect that becomes nonlinear when large also has a method `around` (see `Curved`). `hypothesis = False`: the diagnosis evaluates the
-effect only if it is named. Additional hypotheses change the probability of all others, so an effect becomes a hypothesis only after blind
-trials.
+An effect that becomes nonlinear when large also has a method `around` (see `Curved`). If `hypothesis = False`, the diagnosis
+evaluates the effect only if the effect is named explicitly. Every additional hypothesis changes the probabilities of all others, so
+an effect becomes a hypothesis only after blind trials.
 """
 
 from __future__ import annotations
@@ -40,18 +41,18 @@ from planrunner.error_model.observed import Observed, TemperatureCourse
 class Column:
     """One amplitude of an effect.
 
-    magnitude: its prior scale in SI, relative to the effect's other columns.
+    magnitude: prior scale of the amplitude in SI, relative to the effect's other columns.
     unit, factor: unit for display and its SI value.
     parts: channel index → signature (N,), SI output for an amplitude of 1 in SI.
-    segments: (S,), where it acts; None for everywhere.
-    whole: the effect is either present or absent, so its amplitude is not a parameter.
-    along: the axis of the sensor (0, 1, 2) if the column is the input along this axis. If this is the axis of the channel, the
+    segments: (S,), True for the segments in which the column acts; None for all segments.
+    whole: True if the effect is either present or absent, so that its amplitude is not a parameter.
+    along: the axis of the sensor (0, 1, 2) if the column is the input along this axis. If the channel measures along the same axis, the
         amplitude is the error of the scale factor.
-    plain: unit without a factor that is not a unit of measurement, such as the strength of a field, if `unit` contains one.
-    axis: the axis (0, 1, 2) if the column belongs to one axis alone, whose letter then ends its name after "_"; None for an
-        amplitude of the whole sensor or of its surroundings. An effect must always state it, because a column of one axis is
-        reported for each output, and a column without axis once for all outputs.
-    smallest, largest: the limits of the amplitude, SI, that are physically possible.
+    plain: `unit` without a factor that is not a unit of measurement, such as the strength of a field; empty if there is no such factor.
+    axis: the axis (0, 1, 2) if the column belongs to one axis alone; the column's name then ends with "_" and the letter of the axis.
+        None for an amplitude of the whole sensor or of its surroundings. An effect must always state the axis, because a column of
+        one axis is reported for each output, and a column without axis once for all outputs.
+    smallest, largest: the physically possible limits of the amplitude, SI.
     """
 
     name: str
@@ -70,8 +71,8 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """An effect at one value of its shape. shape: the value in `shape_unit`, None for an effect without shape. widths: for several
-    combined effects, the number of columns of each."""
+    """An effect at one value of its shape. shape: the value in `shape_unit`, None for an effect without shape. widths: if a variant
+    combines several effects, the number of columns of each effect."""
 
     columns: tuple[Column, ...]
     shape: float | None = None
@@ -108,7 +109,7 @@ def shown_by(effect: Effect) -> str:
 
 @runtime_checkable
 class ExplainsTurning(Effect, Protocol):
-    """An effect that describes the input of accelerometers away from the axis of rotation while the table turns. Without such an
+    """An effect that describes what accelerometers away from the axis of rotation measure while the table turns. Without such an
     effect, an estimate uses accelerometers only at rest."""
 
     explains_turning: Literal[True]
@@ -116,14 +117,14 @@ class ExplainsTurning(Effect, Protocol):
 
 @runtime_checkable
 class FollowsTemperature(Effect, Protocol):
-    """An effect with a single amplitude, proportional to the temperature: the drift of a bias with temperature. with_temperature: name
-    of the amplitude, without the letter of its axis."""
+    """An effect with a single amplitude that is multiplied by the temperature: the drift of a bias with temperature.
+    with_temperature: name of the amplitude, without the letter of its axis."""
 
     with_temperature: str
 
 
 class Follows(StrEnum):
-    """The quantities to which the amplitudes of an effect are proportional, besides the motion."""
+    """The quantities, besides the motion, to which an effect can be proportional."""
 
     SUPPLY = "supply voltage"
     PRESSURE = "ambient pressure"
@@ -131,8 +132,8 @@ class Follows(StrEnum):
 
 @runtime_checkable
 class FollowsSurroundings(Effect, Protocol):
-    """An effect in proportion to the supply voltage or the ambient pressure. If the plan does not state these, the recording may give
-    them."""
+    """An effect that is proportional to the supply voltage or to the ambient pressure. If the plan does not state this quantity,
+    the recording may contain it."""
 
     follows: Follows
 
@@ -146,7 +147,7 @@ class ShownInSome(Effect, Protocol):
 
 @runtime_checkable
 class NoHypothesis(Effect, Protocol):
-    """An effect for simulations and estimates, which the diagnosis evaluates only if it is named."""
+    """An effect for simulations and estimates, which the diagnosis evaluates only if the effect is named explicitly."""
 
     hypothesis: Literal[False]
 
@@ -160,7 +161,8 @@ class NotFitted(Effect, Protocol):
 
 @runtime_checkable
 class WrongDeclarationOf(Effect, Protocol):
-    """An effect for simulations that is a mistake in a file or on the bench: it is corrected, never fitted. of_declaration: always true."""
+    """An effect for simulations that represents a mistake in a file or on the bench. Such a mistake is corrected, never fitted.
+    of_declaration: always True."""
 
     of_declaration: Literal[True]
 
@@ -170,8 +172,9 @@ OutsideKind = Literal["white", "resolution", "random walk", "gauss-markov", "lin
 
 @runtime_checkable
 class OutsideCoefficients(Effect, Protocol):
-    """An effect that a diagnosis finds outside the coefficients on which other effects act: noise of the gyros, a line of interference, or
-    samples that repeat their values. An effect of stage covariance has no columns. A line has columns, which a simulation adds."""
+    """An effect that a diagnosis finds in other coefficients of the data than those on which other effects act: noise of the gyros, a line
+    interference, or samples that repeat their values. An effect of stage covariance has no columns. A line interference has columns,
+    which a simulation adds."""
 
     outside: OutsideKind
 
@@ -208,9 +211,10 @@ class HasShape(Effect, Protocol):
 class ChangesWithinSegments(HasShape, Protocol):
     """An effect that changes an output within segments, so that an estimate fits it to samples.
 
-    acts_on: 'rate' if the effect replaces the angular rate by an earlier or a smoothed rate; 'output' if the effect computes each output
-    from the output without the effect at the same moment (`Observed.fitted`). In both cases, the effect has one column, which is the
-    change of the output. 'amplitudes' if columns with amplitudes are given for each of a few values of the shape.
+    acts_on: 'rate' if the effect replaces the angular rate by an earlier or a smoothed rate; 'output' if the effect computes each
+    output from the value that this output would have without the effect at the same moment (`Observed.fitted`). With 'rate' and
+    with 'output', the effect has one column, which is the change of the output. 'amplitudes' if the effect has a few values of its
+    shape, and columns with amplitudes for each value.
     """
 
     acts_on: Literal["rate", "output", "amplitudes"]
@@ -218,39 +222,40 @@ class ChangesWithinSegments(HasShape, Protocol):
 
 @runtime_checkable
 class DependsOnPast(HasShape, Protocol):
-    """An effect that depends on the temperatures before the first sample (`Observed.past`). A simulation computes it in parts."""
+    """An effect that depends on the temperatures before the first sample (`Observed.past`). A simulation computes such an effect
+    block by block."""
 
     def remembered(self, observed: Observed, value: float) -> tuple[TemperatureCourse, ...]:
-        """A shorter past that can replace the past before `observed` and its samples: at this value of the shape, it has the same effect
-        on later samples. Its length does not grow with the number of samples."""
+        """A short past that can replace both the past before `observed` and the samples of `observed`: at this value of the shape,
+        it has the same effect on later samples. The length of this past does not grow with the number of samples."""
 
 
 @runtime_checkable
 class InEveryWorld(Effect, Protocol):
-    """An effect that every simulated world contains. It has a share as parameter: 1 changes nothing, 0 removes the effect."""
+    """An effect that every simulated world contains. Its parameter is a share: 1 leaves the effect unchanged, 0 removes it."""
 
     in_every_world: Literal[True]
 
 
 @runtime_checkable
 class CurvedAndShaped(HasShape, Protocol):
-    """An effect with a shape that is linear only for small amplitudes."""
+    """An effect that has a shape, and that is linear in its amplitudes only while they are small."""
 
     def secant(self, amplitudes: Array) -> Shaped:
-        """The effect with columns as secants: multiplied by these amplitudes, SI, they give the complete effect."""
+        """The effect with secants as columns: multiplied by these amplitudes (SI) and added, the columns give the complete effect."""
 
 
 @runtime_checkable
 class Curved(Effect, Protocol):
-    """An effect that is linear only for small amplitudes."""
+    """An effect that is linear in its amplitudes only while they are small."""
 
     def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
-        """The columns of the effect as secants. Multiplied by these amplitudes, SI, they give the complete effect."""
+        """Variants with secants as columns: multiplied by these amplitudes (SI) and added, the columns give the complete effect."""
 
 
 class Shaped:
-    """An effect whose shape is one positive number, `shape_name`, in `shape_unit`. `at` gives its variants for the values of a `grid`
-    with a constant ratio; the diagnosis refines between these values."""
+    """An effect whose shape is one positive number, `shape_name`, in `shape_unit`. `grid` gives values of the shape, and `at` gives
+    the variant at one value; the diagnosis refines between the values of the grid."""
 
     id: str
     stage: str
@@ -271,9 +276,9 @@ class Shaped:
 
 @runtime_checkable
 class HasAlternatives(Effect, Protocol):
-    """An effect that acts in one of several ways, each with its own shape, such as a limit above or below. A diagnosis names the most
-    probable way; a simulation may combine all ways whose shapes are stated. alternatives: effects of the same `id` and `stage`, with
-    distinct `shape_name`; each is fully determined by its shape."""
+    """An effect that acts in one of several ways, each with its own shape, such as clipping at an upper or at a lower limit. A
+    diagnosis names the most probable way; a simulation may combine all ways whose shapes are stated. alternatives: effects of the
+    same `id` and `stage`, with distinct `shape_name`; each is fully determined by its shape."""
 
     alternatives: Sequence[Shaped]
 
@@ -285,7 +290,8 @@ def ways_of(effect: Effect) -> Sequence[Effect]:
 
 @runtime_checkable
 class ShapedOverSegments(HasShape, Protocol):
-    """An effect with one shape parameter that the means of segments determine, because the effect lasts longer than a segment."""
+    """An effect with one shape parameter. The means of segments determine this parameter, because the effect lasts longer than a
+    segment."""
 
     over_segments: Literal[True]
 
@@ -297,7 +303,7 @@ class ShapedOverSegments(HasShape, Protocol):
 def per_axis(
     observed: Observed, kind: str, name: str, unit: str, factor: float, magnitude: float, signature: Array
 ) -> list[Column]:
-    """One column per input axis of a triad: `signature` (N,) for all axes, or (N, 3) with one column per axis."""
+    """One column per input axis of a triad. signature: (N,) for all axes, or (N, 3) with one signature per axis."""
     columns = []
     for axis, index, share in observed.inputs(kind):
         own = signature if signature.ndim == 1 else signature[:, axis]
@@ -307,7 +313,8 @@ def per_axis(
 
 
 def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) -> Mapping[int, Array]:
-    """Parts of a column that changes the stimulus: additional rate (N, 3) and specific force (N, 3)."""
+    """The parts of a column that changes the stimulus. omega, force: additional angular rate (N, 3) and specific force (N, 3); None
+    for no change."""
     parts = {}
     for index, channel in enumerate(observed.channels):
         felt = omega if channel.kind == "gyro" else force
@@ -317,8 +324,8 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
 
 
 def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
-    """Parts of a column that changes the rate sensed by the gyros by `omega` (N, 3). The fitted response of the gyros is used if it is
-    known."""
+    """The parts of a column that changes the rate sensed by the gyros. omega: (N, 3), additional angular rate. The response of the
+    gyros in the fitted model is used if this response is known."""
     gyros = observed.of_kind("gyro")
     if observed.response is None:
         return {index: observed.seen(index, omega) for index in gyros}
@@ -327,7 +334,7 @@ def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
 
 
 def whole(parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None) -> Column:
-    """The column of an effect that is fully determined by its shape: a lag, a limit, a delay."""
+    """The column of an effect that is fully determined by its shape, such as a lag, a limit or a delay."""
     return Column("share", "1", 1.0, 1.0, parts, segments, True, axis=None)
 
 
@@ -337,5 +344,5 @@ def single(columns: Sequence[Column]) -> list[Variant]:
 
 
 def is_whole(columns: Sequence[Column]) -> bool:
-    """Whether an effect is fully determined by its shape: a lag, a limit, a delay."""
+    """Whether columns are those of an effect that is fully determined by its shape, such as a lag, a limit or a delay."""
     return len(columns) == 1 and columns[0].whole

@@ -32,7 +32,7 @@ def _about(triad: str) -> About:
 
 
 class _LineInterference(Shaped):
-    """Output + a·cos 2πft + b·sin 2πft per axis, t since power-on, at the times of the samples."""
+    """Output + a·cos 2πft + b·sin 2πft per axis, where t is the time of a sample since power-on."""
 
     stage, outside, shape_name, shape_unit = "output", "line", "frequency", "Hz"
     kind: str
@@ -51,12 +51,12 @@ class _LineInterference(Shaped):
 
 
 class GyroLineInterference(_LineInterference):
-    """Output of each gyro + a·cos 2πft + b·sin 2πft, f one frequency for all."""
+    """Output of each gyro + a·cos 2πft + b·sin 2πft, with one frequency f for all gyros."""
 
     id, kind, about = "gyro_line_interference", "gyro", _about("gyro")
 
 
 class AccelLineInterference(_LineInterference):
-    """Output of each accelerometer + a·cos 2πft + b·sin 2πft, f one frequency for all."""
+    """Output of each accelerometer + a·cos 2πft + b·sin 2πft, with one frequency f for all accelerometers."""
 
     id, of_accelerometers, kind, about = "accel_line_interference", True, "accel", _about("accelerometer")

@@ -1,4 +1,5 @@
-"""Terms of the full nominal model, as candidates for a smaller nominal model: bias, scale factor, misalignment, Earth rate."""
+"""Terms of the full nominal model (bias, scale factor, misalignment, Earth rate) as candidate effects if the nominal model is
+smaller."""
 
 from __future__ import annotations
 
@@ -32,16 +33,16 @@ def scale_factor(observed: Observed, kind: str) -> list[Column]:
 
 
 def misalignment(observed: Observed, kind: str) -> list[Column]:
-    """Output + m·(input of another axis of the sensor), six per triad. In unknown orientations there are only three, the sums of
-    opposite misalignments."""
+    """Output + m·(input of another axis of the sensor) per axis; six amplitudes m per triad. In unknown orientations, a triad has
+    only three amplitudes: the sums of opposite misalignments."""
     return towards_others(observed, kind, "arcsec", 1e-3, inputs=True)
 
 
 def towards_others(
     observed: Observed, kind: str, unit: str, magnitude: float, factor: Array | float = 1.0, inputs: bool = False
 ) -> list[Column]:
-    """The response of each axis to the inputs of the others, times `factor`. unit: arcsec, or arcsec per SI unit of the factor. inputs:
-    whether the columns are the inputs themselves (`Column.along`)."""
+    """The response of each axis to the inputs of the other axes, multiplied by `factor`. unit: arcsec, or arcsec per SI unit of the
+    factor. inputs: True if the columns are the inputs themselves (`Column.along`)."""
     columns = []
     for other in range(3):
         signature = felt(observed, kind)[:, other] * factor

@@ -9,7 +9,7 @@ from planrunner.error_model.observed import Observed
 
 
 class AccelBiasRandomWalk:
-    """A bias of the accelerometers that walks at random: covariance q²·min(t, t') between moments."""
+    """A random walk of the bias of each accelerometer, with the covariance q²·min(t, t') between the times t and t'."""
 
     id, stage, outside, of_accelerometers, hypothesis = (
         "accel_bias_random_walk",
@@ -48,12 +48,12 @@ def _about(triad: str) -> About:
 
 
 class GyroBiasGaussMarkov(_GaussMarkov):
-    """A change of the bias of each gyro over time, at random, with the covariance σ²·exp(−|t − t'|/τ)."""
+    """A random change of the bias of each gyro over time, with the covariance σ²·exp(−|t − t'|/τ)."""
 
     id, about = "gyro_bias_gauss_markov", _about("gyro")
 
 
 class AccelBiasGaussMarkov(_GaussMarkov):
-    """A change of the bias of each accelerometer over time, at random, with the covariance σ²·exp(−|t − t'|/τ)."""
+    """A random change of the bias of each accelerometer over time, with the covariance σ²·exp(−|t − t'|/τ)."""
 
     id, of_accelerometers, about = "accel_bias_gauss_markov", True, _about("accelerometer")

@@ -1,4 +1,4 @@
-"""Steps at one moment, for example after a shock or because a part slips: of a bias, or of the orientation of the sensor."""
+"""Effects of one moment, such as a shock: a step of a bias, a shift of the sensor on its mounting, or lost samples."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ def _about(triad: str) -> About:
 
 
 def _moments(observed: Observed) -> Array:
-    """The moments for which a diagnosis begins its search: beginnings of segments, and the middles of the first and the last segment.
-    It refines between them. Every interval has the same prior, so that the evidence is averaged over the moment."""
+    """The moments at which a diagnosis begins its search: the beginnings of segments, and the middles of the first and the last
+    segment. The diagnosis refines between these moments. Every interval between them has the same prior probability, so that the
+    evidence is averaged over the moment."""
     bounds = observed.bounds
     middles = observed.time[[bounds[1] // 2, (bounds[-2] + bounds[-1]) // 2]]
     return np.unique(np.maximum([middles[0], *observed.time[bounds[1:-1]], middles[1]], 1e-9))
@@ -96,7 +97,7 @@ class MountShift(Shaped):
 
     @staticmethod
     def _from(observed: Observed, value: float, felt: Array) -> Variant:
-        """Columns of the shift. felt: (N, 12), rate and specific force, then both with the opposite sign."""
+        """Columns of the shift. felt: (N, 12): angular rate, specific force, and both again with the opposite sign."""
         after, acting = _after(observed, value, felt)
         parts: list[dict[int, Array]] = [{}, {}, {}]
         for index, channel in enumerate(observed.channels):
@@ -131,7 +132,7 @@ class SamplesDropped(Shaped):
         return SamplesDropped(float(amplitudes[0]))
 
     def grid(self, observed: Observed) -> Array:
-        """Possible moments: from the beginning of the first segment in which the rate changes to the end of the last one."""
+        """Possible moments: from the beginning of the first to the end of the last segment in which the rate changes."""
         if not observed.unsteady.any() or not observed.of_kind("gyro") or observed.along is not None:
             return np.empty(0)
         moments, first = _moments(observed), int(np.flatnonzero(observed.unsteady)[0])
@@ -155,7 +156,7 @@ class SamplesDropped(Shaped):
 
     @staticmethod
     def _last(observed: Observed) -> float:
-        """The end of the last segment in which the rate changes."""
+        """The end of the last segment in which the rate changes, s since power-on."""
         return float(observed.time[observed.bounds[np.flatnonzero(observed.unsteady)[-1] + 1] - 1])
 
     def _shown(self, observed: Observed) -> Array:
@@ -169,8 +170,8 @@ def _both_signs(observed: Observed) -> Array:
 
 
 def _after(observed: Observed, moment: float, table: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """A table (N, P) that is set to zero before a moment, and the segments (S,) that end after it. If no segment contains the moment,
-    the table itself is returned, because columns of one table are evaluated together."""
+    """A copy of a table (N, P) with zeros before a moment, and True for the segments (S,) that end after this moment. If no segment
+    contains the moment, the table itself is returned, because columns of one table are evaluated together."""
     first, last = observed.time[observed.bounds[:-1]], observed.time[observed.bounds[1:] - 1]
     acting = np.asarray(last >= moment)
     if not (acting & (first < moment)).any():

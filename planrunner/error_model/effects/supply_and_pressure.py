@@ -1,4 +1,4 @@
-"""Effects of the supply voltage and of the ambient pressure: on the bias and on the scale factor, in proportion."""
+"""Effects that are proportional to the supply voltage or to the ambient pressure: changes of the bias and of the scale factor."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ DEG = np.pi / 180
 
 
 class _Quantity(NamedTuple):
-    """A quantity that errors follow. unit: of an excess over the nominal value, `size` in SI. name, acts, remedy, shown_by: for `About`
-    and `shown_by`."""
+    """A quantity to which errors are proportional. unit: unit of its excess over the nominal value; size: this unit in SI. name,
+    acts, remedy, shown_by: texts for `About` and `shown_by`."""
 
     unit: str
     size: float
@@ -63,8 +63,8 @@ def _about(kind: str, error: str, follows: Follows, because: str = "") -> About:
 
 
 class _OfSurroundings:
-    """An error of each axis of a triad that follows a quantity. kind: of the triad; natural: usual change per V or hPa, a bias in the unit
-    of `_BIAS` or a relative change of the scale factor."""
+    """An error of each axis of a triad that is proportional to such a quantity. kind: of the triad; natural: usual change per V or
+    hPa: of a bias in the unit of `_BIAS`, or of a scale factor as a fraction."""
 
     stage, hypothesis = "sensor", False
     kind: str
@@ -72,11 +72,11 @@ class _OfSurroundings:
     natural: float
 
     def _excess(self, observed: Observed) -> Array:
-        """(N,), V or Pa above the nominal supply of the sensor or the standard atmosphere of 1013.25 hPa."""
+        """The excess (N,) over the nominal supply voltage of the sensor, V, or over the standard atmosphere of 1013.25 hPa, Pa."""
         return observed.overvoltage if self.follows is Follows.SUPPLY else observed.overpressure
 
     def shown_in(self, observed: Observed) -> bool:
-        """Whether segments differ in the quantity by more than the usual variation from regulation and weather."""
+        """Whether the means of segments differ in the quantity by more than the usual variation from regulation and weather."""
         excess = observed.excess_voltage if self.follows is Follows.SUPPLY else observed.excess_pressure
         if excess is None:
             return False
@@ -116,56 +116,56 @@ class _ScaleFactor(_OfSurroundings):
 
 
 class GyroBiasSupply(_Bias):
-    """Bias + c·ΔV per axis, ΔV above the nominal supply voltage of the sensor."""
+    """Bias + c·ΔV per axis, where ΔV is the excess over the nominal supply voltage of the sensor."""
 
     id, kind, follows, natural = "gyro_bias_supply", "gyro", Follows.SUPPLY, 1e-3
     about = _about(kind, "bias", follows)
 
 
 class GyroScaleSupply(_ScaleFactor):
-    """Scale factor × (1 + k·ΔV) per axis, ΔV above the nominal supply voltage of the sensor."""
+    """Scale factor × (1 + k·ΔV) per axis, where ΔV is the excess over the nominal supply voltage of the sensor."""
 
     id, kind, follows, natural = "gyro_scale_supply", "gyro", Follows.SUPPLY, 1e-4
     about = _about(kind, "scale factor", follows)
 
 
 class AccelBiasSupply(_Bias):
-    """Bias + c·ΔV per axis, ΔV above the nominal supply voltage of the sensor."""
+    """Bias + c·ΔV per axis, where ΔV is the excess over the nominal supply voltage of the sensor."""
 
     id, kind, follows, natural = "accel_bias_supply", "accel", Follows.SUPPLY, 100.0
     about = _about(kind, "bias", follows)
 
 
 class AccelScaleSupply(_ScaleFactor):
-    """Scale factor × (1 + k·ΔV) per axis, ΔV above the nominal supply voltage of the sensor."""
+    """Scale factor × (1 + k·ΔV) per axis, where ΔV is the excess over the nominal supply voltage of the sensor."""
 
     id, kind, follows, natural = "accel_scale_supply", "accel", Follows.SUPPLY, 1e-4
     about = _about(kind, "scale factor", follows)
 
 
 class GyroBiasPressure(_Bias):
-    """Bias + c·Δp per axis, Δp above the standard atmosphere of 1013.25 hPa."""
+    """Bias + c·Δp per axis, where Δp is the excess over the standard atmosphere of 1013.25 hPa."""
 
     id, kind, follows, natural = "gyro_bias_pressure", "gyro", Follows.PRESSURE, 1e-5
     about = _about(kind, "bias", follows)
 
 
 class GyroScalePressure(_ScaleFactor):
-    """Scale factor × (1 + k·Δp) per axis, Δp above the standard atmosphere of 1013.25 hPa."""
+    """Scale factor × (1 + k·Δp) per axis, where Δp is the excess over the standard atmosphere of 1013.25 hPa."""
 
     id, kind, follows, natural = "gyro_scale_pressure", "gyro", Follows.PRESSURE, 1e-6
     about = _about(kind, "scale factor", follows, ", for example because the air damps a vibrating structure")
 
 
 class AccelBiasPressure(_Bias):
-    """Bias + c·Δp per axis, Δp above the standard atmosphere of 1013.25 hPa."""
+    """Bias + c·Δp per axis, where Δp is the excess over the standard atmosphere of 1013.25 hPa."""
 
     id, kind, follows, natural = "accel_bias_pressure", "accel", Follows.PRESSURE, 1.0
     about = _about(kind, "bias", follows)
 
 
 class AccelScalePressure(_ScaleFactor):
-    """Scale factor × (1 + k·Δp) per axis, Δp above the standard atmosphere of 1013.25 hPa."""
+    """Scale factor × (1 + k·Δp) per axis, where Δp is the excess over the standard atmosphere of 1013.25 hPa."""
 
     id, kind, follows, natural = "accel_scale_pressure", "accel", Follows.PRESSURE, 1e-6
     about = _about(kind, "scale factor", follows)

@@ -25,7 +25,7 @@ DEG = np.pi / 180
 
 
 class MagneticSensitivity:
-    """Gyro output + K·m, K a 3×3 matrix, m the Earth's field in sensor axes, which turns with the sensor."""
+    """Gyro output + K·m, where K is a 3×3 matrix and m is the Earth's magnetic field in sensor axes."""
 
     id, stage = "magnetic_sensitivity", "sensor"
     about = About(
@@ -44,7 +44,7 @@ class MagneticSensitivity:
 
 
 class AccelMagneticSensitivity:
-    """Accelerometer output + K·m, K a 3×3 matrix, m the Earth's field in sensor axes."""
+    """Accelerometer output + K·m, where K is a 3×3 matrix and m is the Earth's magnetic field in sensor axes."""
 
     id, stage, hypothesis = "accel_magnetic_sensitivity", "sensor", False
     about = About(
@@ -60,7 +60,7 @@ class AccelMagneticSensitivity:
 
 
 def _response_to_field(observed: Observed, kind: str, unit: str, factor: float) -> list[Column]:
-    """A 3×3 matrix, per strength of the field; nothing if the field is not declared."""
+    """The columns of a 3×3 matrix of sensitivities, per strength of the Earth's magnetic field; none if the field is not declared."""
     if observed.magnetic is None:
         return []
     field = observed.in_sensor_axes(observed.magnetic / np.linalg.norm(observed.magnetic))
@@ -98,8 +98,9 @@ class SiteLatitude:
 
 
 class LeverArm:
-    """Accelerometers off the axis of rotation: ω×(ω×r) + α×r = ω·(ω·r) − ω²·r + α×r, r in sensor axes, ω and α of the table. If other
-    accelerometers show the motion, r is the distance from these."""
+    """Accelerometers off the axis of rotation also sense ω×(ω×r) + α×r = ω·(ω·r) − ω²·r + α×r, where r is their position in sensor
+    axes, and ω and α are the rate and the angular acceleration of the table. If other accelerometers show the motion, r is the
+    position relative to these."""
 
     id, stage = "lever_arm", "stimulus"
     about = About(

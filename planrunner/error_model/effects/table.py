@@ -15,11 +15,12 @@ EAST, NORTH, UP = np.eye(3)
 
 
 def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
-    """Column for a base that is turned by an angle ε about a site axis. The sensor senses every site vector v as v − ε·axis × v.
+    """The column for a table base that is turned by an angle ε about a site axis. The sensor senses every site vector v as v −
+    ε·axis × v.
 
-    The attitude of the sensor is A·R(−θ)·(I − ε[axis×]), with its attitude A at table angle 0 and the rotation R(−θ) of the table. The
-    axis of the table turns with the base, so the sensor senses the rate of the table as before. turned: (3,), rad, the rotation vector
-    about which the column is linearised if the base is turned about several axes; zero if the angles are small.
+    The attitude of the sensor is A·R(−θ)·(I − ε[axis×]), with its attitude A at table angle 0 and the rotation R(−θ) of the table.
+    The axis of the table turns with the base, so the sensor senses the rate of the table as before. turned: (3,), rad, the complete
+    rotation vector of the base, which determines the secant (see `secant`); zero for small angles.
     """
     earth, force = observed.site.earth_rate_enu, observed.site.specific_force_enu
     omega = observed.in_sensor_axes(secant(axis, earth, turned))
@@ -28,16 +29,16 @@ def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
 
 
 def secant(axis: Array, vector: Array, turned: Array) -> Array:
-    """Change of a vector per radian of rotation about an axis. turned: (3,), rad, the rotation vector φ of the complete rotation. The sum
-    of the changes over the axes, weighted by the components of φ, is (R(−φ) − I)·v = −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ × (φ × v)
-    (Rodrigues)."""
+    """Change of a vector per radian of rotation about an axis, as a secant. turned: (3,), rad, the rotation vector φ of the
+    complete rotation. The sum of the changes over the axes, weighted by the components of φ, is (R(−φ) − I)·v = −(sin φ ÷ φ)·φ × v
+    + ((1 − cos φ) ÷ φ²)·φ × (φ × v) (Rodrigues)."""
     first = np.cross(axis, vector)
     angle = float(np.linalg.norm(turned)) / np.pi
     return np.asarray(-np.sinc(angle) * first + np.sinc(angle / 2) ** 2 / 2 * np.cross(turned, first))
 
 
 class TableTilt:
-    """The table's base is not level: two angles about east and north."""
+    """The base of the table is not level: two angles, about east and about north."""
 
     id, stage = "table_tilt", "stimulus"
     about = About(
@@ -58,7 +59,7 @@ class TableTilt:
 
 
 class TableAzimuth:
-    """The table's north is not north: one angle about up."""
+    """The north direction of the table is not true north: one angle about up."""
 
     id, stage = "table_azimuth", "stimulus"
     about = About(
@@ -78,7 +79,8 @@ class TableAzimuth:
 
 
 class TablePositionError:
-    """Each orientation has a small random error, three angles in sensor axes. The error is the same each time the orientation is set."""
+    """Each orientation has a small random error: three angles in sensor axes. The error is the same each time the orientation is
+    set."""
 
     id, stage, each = "table_position_error", "stimulus", "orientation"
     about = About(
@@ -105,7 +107,7 @@ class TablePositionError:
 
 
 class TableRateRipple:
-    """Rate × (1 + a·cos(nθ + φ)), n = 1 or 2 per turn: a ripple that the encoder does not show."""
+    """Rate × (1 + a·cos(nθ + φ)), with n = 1 or 2 per turn: a ripple that the encoder does not show."""
 
     id, stage, shape_name, shape_unit = "table_rate_ripple", "stimulus", "n", "per turn"
     about = About(
@@ -132,10 +134,11 @@ class TableRateRipple:
 
 
 class TableWobble:
-    """While the table turns, attitude = (I + [δ×])·R(θ), δ = a·(cos(θ + φ), sin(θ + φ), 0) in site axes; the rate changes accordingly.
+    """While the table turns, attitude = (I + [δ×])·R(θ) with δ = a·(cos(θ + φ), sin(θ + φ), 0) in site axes; the rate changes
+    accordingly.
 
-    With δ = R·δ₀, (I + [δ×])·R = R·(I + [δ₀×]): seen from the turning table the payload is tilted by the constant δ₀ = a·(cos φ, sin φ,
-    0), and the whole stimulus of the sensor, including the rate of the table, is rotated by −δ₀ in its axes.
+    With δ = R·δ₀, (I + [δ×])·R = R·(I + [δ₀×]). Seen from the turning table, the payload is tilted by the constant δ₀ = a·(cos φ,
+    sin φ, 0). The whole stimulus of the sensor, including the rate of the table, is therefore rotated by −δ₀ in sensor axes.
     """
 
     id, stage = "table_wobble", "stimulus"
@@ -162,7 +165,7 @@ class TableWobble:
 
 
 class TableRateError:
-    """True rate = commanded × (1 + ε): a nominal model with free scale factors absorbs it."""
+    """True rate = commanded rate × (1 + ε). A nominal model with free scale factors absorbs this error."""
 
     id, stage = "table_rate_error", "stimulus"
     about = About(

@@ -28,8 +28,9 @@ def _about(triad: str) -> About:
 
 
 class _BiasTemperatureLagged(Shaped):
-    """Bias + c·(Tₑ − T) per axis: the difference between a bias that depends on the temperature Tₑ of the element and a bias that
-    depends on the temperature T of the thermometer; τ·dTₑ/dt = T − Tₑ, with Tₑ = T when the recording begins."""
+    """Bias + c·(Tₑ − T) per axis, where Tₑ is the temperature of the sensing element and T that of the thermometer: the difference
+    between a bias that depends on Tₑ and a bias that depends on T. The model is τ·dTₑ/dt = T − Tₑ, with Tₑ = T when the recording
+    begins."""
 
     stage, shape_name, shape_unit = "sensor", "tau", "s"
     shown_by = "a recorded temperature ramp, or segments soon after a change of temperature"
@@ -46,29 +47,29 @@ class _BiasTemperatureLagged(Shaped):
         return Variant(tuple(per_axis(observed, self.kind, "c", unit, factor, natural * factor, behind)), value)
 
     def remembered(self, observed: Observed, value: float) -> tuple[TemperatureCourse, ...]:
-        """A short past with the same effect: an instant at the temperature of the element, where it has no lag, and an instant at the
-        temperature of the thermometer."""
+        """A short past with the same effect on later samples: one instant at the temperature of the element, without a lag, and one
+        instant at the temperature of the thermometer."""
         time, shown, behind = observed.time[-1:], observed.temperature[-1:], lag(observed, value)[-1]
         rate = float(observed.temperature_rate[-1])
         return TemperatureCourse(time, shown + behind, 0.0), TemperatureCourse(time, shown, rate)
 
 
 class GyroBiasTemperatureLagged(_BiasTemperatureLagged):
-    """Bias of each gyro + c·(Tₑ − T), Tₑ the temperature T behind a first-order lag."""
+    """Bias of each gyro + c·(Tₑ − T), where Tₑ is the temperature T after a first-order lag."""
 
     id, kind, about = "gyro_bias_temperature_lagged", "gyro", _about("gyro")
 
 
 class AccelBiasTemperatureLagged(_BiasTemperatureLagged):
-    """Bias of each accelerometer + c·(Tₑ − T), Tₑ the temperature T behind a first-order lag."""
+    """Bias of each accelerometer + c·(Tₑ − T), where Tₑ is the temperature T after a first-order lag."""
 
     id, hypothesis, kind, about = "accel_bias_temperature_lagged", False, "accel", _about("accelerometer")
 
 
 def lag(observed: Observed, tau: float) -> Array:
     """Tₑ − T (N,), K, where Tₑ is the temperature T after a first-order lag of `tau` [s]. Between two segments the temperature
-    approaches its next value exponentially. The approach begins with the slope of the earlier segment; without such a slope, the
-    temperature changes at once."""
+    approaches its next value exponentially. It begins with the slope at the end of the earlier segment. If this slope is zero or
+    points away from the next value, the temperature changes at once."""
     found = np.empty(len(observed.time))
     behind, before = 0.0, None
     for course in observed.past.get(tau, ()):
@@ -86,8 +87,9 @@ def lag(observed: Observed, tau: float) -> Array:
 
 
 def _reached(before: TemperatureCourse | None, course: TemperatureCourse, behind: float, tau: float) -> float:
-    """Tₑ − T at the beginning of a temperature course. behind: Tₑ − T at the end of the preceding course. With T = T₁ + D·exp(−t/s), Tₑ
-    − T₁ is the sum of the decay of its own first value and of the convolution of D·exp(−t/s) with exp(−t/τ)/τ."""
+    """Tₑ − T at the beginning of a temperature course. behind: Tₑ − T at the end of the preceding course. Between the courses, T =
+    T₁ + D·exp(−t/s), and Tₑ − T₁ is the sum of the decay of its own first value and of the convolution of D·exp(−t/s) with
+    exp(−t/τ)/τ."""
     if before is None:
         return 0.0
     gap = float(course.time[0] - before.time[-1])
@@ -100,8 +102,8 @@ def _reached(before: TemperatureCourse | None, course: TemperatureCourse, behind
 
 
 def _through(course: TemperatureCourse, tau: float, behind: float) -> Array:
-    """Tₑ − T (n,) along a course. behind: its value at the beginning. The temperature changes linearly between samples: with q =
-    exp(−h/τ) and g = τ/h, one step is d₁ = q·d₀ − g·(1 − q)·(T₁ − T₀)."""
+    """Tₑ − T (n,) along a course. behind: Tₑ − T at the beginning of the course. The temperature changes linearly between samples.
+    With d = Tₑ − T, q = exp(−h/τ) and g = τ/h, a step of length h gives d₁ = q·d₀ − g·(1 − q)·(T₁ − T₀)."""
     from scipy.signal import lfilter
 
     since = course.time - course.time[0]

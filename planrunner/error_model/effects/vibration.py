@@ -1,4 +1,4 @@
-"""Vibration rectification: a shift of the bias in proportion to the mean square of an oscillation."""
+"""Vibration rectification: a shift of the bias that is proportional to the mean square of an oscillation."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _SHOWN_BY = "segments at rest, and rocking segments of two intensities"
 
 
 class GyroVibrationRectification:
-    """Bias + k·⟨|ω'|²⟩ per axis, ω' the oscillating part of the angular rate of the table, ⟨ ⟩ the mean over time (IEEE Std 528, vibration
-    rectification error, here of angular vibration). A term in ω² acts at steady rates too; this one does not."""
+    """Bias + k·⟨|ω'|²⟩ per axis, ω' the oscillating part of the angular rate of the table, ⟨ ⟩ the mean over time (IEEE Std 528,
+    vibration rectification error, here of angular vibration). A term in ω² also acts at steady rates; this effect does not."""
 
     id, stage = "gyro_vibration_rectification", "sensor"
     about = About(
@@ -39,8 +39,8 @@ class GyroVibrationRectification:
 
 
 class AccelVibrationRectification:
-    """Bias + k·⟨|α'|²⟩ per axis, where α' is the oscillating part of the angular acceleration of the table, to which the
-    acceleration of its vibration is proportional. IEEE Std 1293 calls it vibration rectification error; its coefficient per g² is k
+    """Bias + k·⟨|α'|²⟩ per axis, where α' is the oscillating part of the angular acceleration of the table. The acceleration of the
+    vibration is proportional to α'. IEEE Std 1293 calls this effect vibration rectification error; its coefficient per g² is k
     divided by the square of the distance from the axis."""
 
     id, stage = "accel_vibration_rectification", "sensor"
@@ -63,6 +63,6 @@ class AccelVibrationRectification:
 
 
 def _two_intensities(mean_square: Array) -> bool:
-    """Whether the mean squares (N,) of rocking segments differ."""
+    """Whether the largest of the mean squares (N,) of rocking segments is more than `_TWO` times the smallest."""
     rocks = mean_square[mean_square > 0]
     return bool(len(rocks) and rocks.max() > _TWO * rocks.min())

@@ -17,7 +17,7 @@ _SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2 * np.pi / 180), "accel": ("mg", 1
 
 
 def _time_to_settle(tau: float) -> Mapping[str, str]:
-    """Time after which less than one per cent of a warm-up with a time constant in s remains."""
+    """The time after which less than one per cent of a warm-up remains. tau: time constant, s."""
     return {"wait": f"{tau * np.log(100.0) / 60:.2g} min"}
 
 
@@ -32,7 +32,7 @@ def _about(triad: str) -> About:
 
 
 class _WarmUp(Shaped):
-    """Output + a·exp(−t/τ) per axis, t since power-on."""
+    """Output + a·exp(−t/τ) per axis, where t is the time since power-on."""
 
     stage, shape_name, shape_unit = "sensor", "tau", "s"
     shown_by, over_segments = "the same state at several times since power-on, beginning early", True
@@ -42,7 +42,7 @@ class _WarmUp(Shaped):
         return np.geomspace(60.0, 7200.0, 13) if observed.of_kind(self.kind) else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        """The columns are those of the amplitude when the recording begins, which may be long after power-on."""
+        """The amplitudes of the columns are those that remain when the recording begins, which may be long after power-on."""
         unit, factor, magnitude = _SCALES[self.kind]
         decay = np.exp(-(observed.time - observed.time[0]) / value)
         left = max(float(np.exp(-observed.time[0] / value)), 1e-300)
@@ -50,12 +50,12 @@ class _WarmUp(Shaped):
 
 
 class GyroWarmUp(_WarmUp):
-    """Bias of each gyro + a·exp(−t/τ), t since power-on."""
+    """Bias of each gyro + a·exp(−t/τ), where t is the time since power-on."""
 
     id, kind, about = "gyro_warm_up", "gyro", _about("gyro")
 
 
 class AccelWarmUp(_WarmUp):
-    """Bias of each accelerometer + a·exp(−t/τ), t since power-on."""
+    """Bias of each accelerometer + a·exp(−t/τ), where t is the time since power-on."""
 
     id, hypothesis, kind, about = "accel_warm_up", False, "accel", _about("accelerometer")
