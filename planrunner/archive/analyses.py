@@ -1,7 +1,8 @@
 """Analyses of a run: numbered folders, each written atomically with a list of digests and never changed afterwards.
 
-Each list contains the digest of the previous list, and the journal head and seal that the analysis was made from. Analyses therefore form a
-chain, like the events of the journal: a changed or removed analysis is detected as long as a later one exists.
+Each list contains the digest of the previous list, the journal head at the time of the analysis, and the digest of the seal.
+Analyses therefore form a chain, like the events of the journal: a changed or removed analysis is detected as long as a later one
+exists.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ MOST_RESULTS = 2**27
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """The data from which an analysis is made: the journal after `events` events, where the last event has the digest `head`, and
-    the digest of the seal if the run had one."""
+    """The data from which an analysis is made: the first `events` events of the journal, the last of which has the digest `head`,
+    and the digest of the seal if the run had one."""
 
     events: int
     head: str
@@ -58,7 +59,7 @@ class StoredAnalysis:
 
     @property
     def basis(self) -> Basis | None:
-        """The data from which the analysis was made; None in formats that did not record them."""
+        """The data from which the analysis was made; None for an analysis in an earlier format, which did not record them."""
         if self.digests["planrunner_digests"] == 1:
             return None
         return Basis(self.digests["journal"]["events"], self.digests["journal"]["head"], self.digests["seal"])
@@ -107,7 +108,7 @@ class StoredAnalysis:
 
 
 def exchanged(path: Path, other: str) -> IntegrityError:
-    """The error for a file that has the content of another one."""
+    """The error for a file whose content belongs to another file."""
     return IntegrityError(
         f"{path}: it has the content of {other}: files were exchanged; {formats.FROM_BACKUP}", "run-reordered"
     )
@@ -157,8 +158,8 @@ def add_analysis(
 ) -> StoredAnalysis:
     """Adds an analysis in `analyses/<n>` and returns it. files: contents by file name.
 
-    It is written under a temporary name and renamed, so it exists completely or not at all. Two simultaneous analyses get different
-    numbers. Raises `InputError` if it cannot be written.
+    The analysis is written under a temporary name and then renamed, so it exists completely or not at all. Two simultaneous
+    analyses get different numbers. Raises `InputError` if the analysis cannot be written.
     """
     storage = storage or Storage()
     for name in files:

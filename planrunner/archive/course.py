@@ -1,10 +1,12 @@
-"""The signal that a motion causes in the samples of a segment: a turning or rocking sensor measures the Earth's rate, gravity and its
-own motion. The scatter of the samples is computed about this signal.
+"""The course of a motion: the signal that a turning or rocking table causes in the samples of a segment, because the sensor
+measures the Earth's rate, gravity and its own motion. The scatter of the samples is computed about the course.
 
-Whatever its size and phase, the course repeats with the period of the motion: a straight line through the sensed quantity gives the
-fundamental, and a second-order effect gives twice its frequency. The fundamental may change linearly over the segment, because a
-table whose rate is wrong by some ppm drifts away from the planned phase. A rocking table gives more harmonics, because the sensed
-quantity follows sines of an angle that is itself a sine.
+
+
+The course repeats with the period of the motion. An output that is linear in the sensed quantity contains the fundamental; a
+second-order effect adds twice its frequency. The fundamental may change linearly over the segment, because a table whose rate is
+wrong by some ppm drifts away from the planned phase. A rocking table causes more harmonics, because the sensed quantity follows
+sines of an angle that is itself a sine.
 """
 
 from __future__ import annotations
@@ -26,10 +28,10 @@ _PER_COLUMN = 4  # times as many means as columns that a fit needs
 
 @dataclass(frozen=True, slots=True)
 class MotionCourse:
-    """The course of a motion. columns: (c, p), values at c short means of the p functions of which the course consists. Weighted by the
-    number of samples in each mean, the columns are orthonormal and have zero mean. samples: (c,), number of samples of each mean that
-    count; zero if the table is not in its steady motion. products: (p, p), inner products of the same functions over single samples,
-    without averaging."""
+    """The course of a motion. columns: (c, p), means over c short intervals of the p functions that make up the course. Weighted by
+    the number of samples in each interval, the columns are orthonormal and have zero mean. samples: (c,), number of samples in each
+    interval; zero where the table is not in its steady motion. products: (p, p), inner products of the same functions over single
+    samples, which averaging does not attenuate."""
 
     columns: Array
     samples: Array
@@ -42,10 +44,10 @@ def follows_course(motion: Motion) -> bool:
 
 
 def course_of(motion: Motion, time: Array, samples: Array, interval: float) -> MotionCourse | None:
-    """The course of a periodic motion over short means of consecutive samples; None if there are too few of them.
+    """The course of a periodic motion in short means of consecutive samples; None if there are too few short means.
 
-    time: (c,), s, middle of each mean since the segment's first sample. samples: (c,), numbers of samples. interval: s between
-    samples.
+    time: (c,), s, middle of each short mean, counted from the segment's first sample. samples: (c,), number of samples in each
+    mean. interval: time between samples, s.
     """
     if isinstance(motion, Rock):
         since = time - motion.steady

@@ -16,7 +16,7 @@ from planrunner.base.documents import Json, JsonObject
 
 class IntegrityError(Exception):
     """A file of a run folder is missing, changed or does not match its schema. The message names the file and the remedy. code:
-    code of the finding that reports it."""
+    code of the finding that reports this error."""
 
     def __init__(self, message: str, code: str = "run-changed"):
         super().__init__(message)
@@ -36,7 +36,8 @@ FROM_BACKUP = "take the run folder from a backup"
 
 
 def to_bytes(value: Json) -> bytes:
-    """JSON text of a file: full precision, no NaN, the same bytes for the same data. A lone surrogate becomes its escape."""
+    """JSON text of a file: full precision, no NaN, the same bytes for the same data. A lone surrogate is written as its escape
+    sequence."""
     return (json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode("utf-8", "backslashreplace")
 
 

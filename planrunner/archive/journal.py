@@ -1,8 +1,9 @@
 """The journal of a run: one event per line. Each line contains the SHA-256 of the previous line.
 
-A line is acknowledged when `Journal.append` returns; in durable mode it is then on the disk. A process that is killed during a write leaves
-an incomplete last line, which was never acknowledged; resuming the run removes it. A break anywhere else means that the file was changed,
-and the journal is refused. A journal is also refused if a line, the file or the number of events exceeds the limits that writers keep.
+A line is acknowledged when `Journal.append` returns; in durable mode it is then on the disk. A process that is killed during a
+write leaves an incomplete last line, which was never acknowledged; resuming the run removes it. A break anywhere else in the chain
+means that the file was changed, and the journal is refused. A journal is also refused if a line, the file or the number of events
+exceeds the limits that writers keep.
 """
 
 from __future__ import annotations
@@ -82,8 +83,9 @@ class Journal:
     def append(self, event: str, data: Mapping[str, Json], *, acknowledge: bool = True) -> str:
         """Adds one event; returns the digest of its line.
 
-        acknowledge: whether to wait for the disk (in durable mode). It is False for events that only announce something; the next
-        acknowledged event writes them to the disk too. Raises `OSError`, and ValueError for data that JSON cannot represent.
+        acknowledge: if True, waits in durable mode until the event is on the disk. It is False for events that only announce
+        something; the next acknowledged event writes them to the disk too. Raises `OSError`, and ValueError for data that JSON
+        cannot represent.
         """
         if self._broken:
             raise OSError("the journal could not be repaired after a failed write; resume the run to repair it")
@@ -122,9 +124,10 @@ class Journal:
 class JournalScan:
     """Reader of a journal. Iterate once over the events; afterwards `head`, `count`, `size`, `torn`, `heads` and `digests` are known.
 
-    size: bytes of complete lines. torn: bytes of an incomplete last line. marks: event counts at which the head of the chain is stored in
-    `heads`, and the SHA-256 of the file up to this event in `digests`; both are also stored before each event `reopened`. times:
-    the times of the events at the marks. name: of the file. Raises `IntegrityError` if the chain is broken, and `OSError`.
+    size: bytes of complete lines. torn: bytes of an incomplete last line. marks: event counts. After each of these numbers of
+    events, the head of the chain is stored in `heads`, and the SHA-256 of the file up to this event in `digests`; both are also
+    stored before each event `reopened`. times: the times of the events at the marks. name: name of the file. Raises
+    `IntegrityError` if the chain is broken, and `OSError`.
     """
 
     def __init__(self, folder: GuardedFolder, marks: Collection[int] = (), name: str = NAME):
@@ -203,7 +206,8 @@ class JournalScan:
 
 
 def _two_lines(line: bytes) -> bool:
-    """Whether zeros lie between two lines. The first line was then complete and counted, so this is not an interrupted write."""
+    """Whether zero bytes lie between two complete lines. The first line was then complete and counted, so this is not an
+    interrupted write."""
     first, zeros, _ = line.partition(b"\0")
     if not zeros or not line.endswith(b"\n"):
         return False

@@ -56,13 +56,13 @@ class Rejected:
 @dataclass(slots=True)
 class JournalState:
     """The state of a run according to its journal. clock, states: values at the last acknowledged segment, from which the run can
-    be resumed. open: the segment in which the process ended. earlier_seals: SHA-256 of each seal that the run had when it was
-    reopened → number of events at that time. turning_times: number and time of the first and the last event, and of the two events
-    at each place where the time goes back. planned: number of segments of the schedule, 0 if the run never started. stamped,
-    unstamped: the events about time stamps; unstamped_ends: numbers of the events `finished` before which the journal was not
-    stamped to its end. renewals: time of each event with which the run was reopened with further approvals, and their entries.
-    standards: time of each event with which the run was reopened on a bench with a check standard, and the state of the check
-    standard then."""
+    be resumed. open: the segment in which the process ended. earlier_seals: maps the SHA-256 of each seal that the run had when it
+    was reopened to the number of events at that time. turning_times: number and time of the first and of the last event, and of the
+    two events at each place where the time goes back. planned: number of segments of the schedule, 0 if the run never started.
+    stamped, unstamped: the events about time stamps. unstamped_ends: numbers of those events `finished` before which the journal
+    was not stamped to its end. renewals: for each event that reopened the run with further approvals, its time and the entries of
+    these approvals. standards: for each event that reopened the run on a bench with a check standard, its time and the state of the
+    check standard at that time."""
 
     created: JsonObject = field(default_factory=dict)
     acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
@@ -104,8 +104,8 @@ class JournalState:
             self._end_of_others = event.get("seq", self._end_of_others)
 
     def take_time(self, number: int, at: str) -> None:
-        """Updates the times with those of one event. Times of events are written in one form, so that the order of their texts is
-        the order of the times."""
+        """Updates `turning_times` with the time of one event. Times of events are written in one form, so that the order of their
+        texts is the order of the times."""
         kept = self.turning_times
         rising = len(kept) > 1 and kept[-2][1] <= kept[-1][1] <= at
         if rising or len(kept) > MOST_TURNS:

@@ -32,8 +32,8 @@ _STORAGE = Storage("flushed")
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A prompt that waits for an answer. id: a new one each time a prompt is shown, so that an answer cannot apply to another
-    prompt."""
+    """A prompt that waits for an answer. id: a new identifier for each prompt that is shown, so that an answer cannot apply to
+    another prompt."""
 
     id: str
     text: str
@@ -49,7 +49,8 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """Extremes and mean of a channel over short consecutive intervals; NaN for an interval without samples."""
+    """A strip chart of a channel: the smallest value, the mean and the largest value of each of many short consecutive intervals;
+    NaN for an interval without samples."""
 
     least: tuple[float, ...] = ()
     mean: tuple[float, ...] = ()
@@ -58,7 +59,7 @@ class Strip:
 
 @dataclass(frozen=True, slots=True)
 class LiveChannel:
-    """A channel of the sensor: statistics of its samples in the segment so far, and its strip."""
+    """A channel of the sensor: statistics of its samples in the present segment so far, and its strip chart."""
 
     name: str
     unit: str
@@ -72,7 +73,7 @@ class LiveChannel:
 
 @dataclass(frozen=True, slots=True)
 class LiveNotice:
-    """Something unusual. at: UTC, ISO 8601."""
+    """A notice of something unusual in the run. at: time of the notice, UTC, ISO 8601."""
 
     at: str
     text: str
@@ -80,9 +81,9 @@ class LiveNotice:
 
 @dataclass(frozen=True, slots=True)
 class LiveState:
-    """The present state of a run. at: UTC, ISO 8601. index: index of the segment, from 0. fraction: completed part of the planned
-    time, 0 to 1. time_left: s of real time, None if it is not yet known. strip_time: end of each interval of the strips, on the
-    sensor's clock, s. hidden_channels: number of channels beyond those listed."""
+    """The present state of a run. at: time of this state, UTC, ISO 8601. index: index of the present segment, counted from 0.
+    fraction: completed part of the planned time, 0 to 1. time_left: s of real time, None if it is not yet known. strip_time: end of
+    each interval of the strip charts, s, on the sensor's clock. hidden_channels: number of channels beyond those listed."""
 
     at: str
     index: int
@@ -200,7 +201,7 @@ def withdraw(run: GuardedFolder) -> None:
 
 
 def read_live(run: GuardedFolder) -> LiveState | None:
-    """The live state; None if there is none, or if it does not have the expected form."""
+    """The live state of a run; None if there is none, or if its file does not have the expected form."""
     data = _read(run, NAME, "live", "planrunner_live")
     return None if data is None else LiveState.from_json(data)
 

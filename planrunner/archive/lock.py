@@ -12,7 +12,7 @@ NAME = ".lock"
 class FolderLock:
     """An exclusive lock on a folder, held from creation to `release`.
 
-    Raises `InputError` if another process, or another writer of this process, holds it, and `OSError`.
+    Raises `InputError` if another process, or another writer of this process, holds the lock. Raises `OSError`.
     """
 
     def __init__(self, folder: GuardedFolder):

@@ -38,7 +38,7 @@ def tree_hash(leaves: Hashes) -> bytes:
 
 
 def complete_nodes(leaves: Hashes) -> list[list[bytes]]:
-    """Hashes of all complete subtrees, by height: those of 1, 2, 4 … leaves, for `root_of`."""
+    """Hashes of all complete subtrees, grouped by height, for `root_of`: the subtrees of 1, 2, 4 … leaves."""
     levels = [list(leaves)]
     while len(below := levels[-1]) > 1:
         levels.append([node_hash(below[i], below[i + 1]) for i in range(0, len(below) - 1, 2)])
@@ -72,14 +72,15 @@ def inclusion_path(index: int, leaves: Hashes) -> list[bytes]:
 
 
 def consistency_proof(size: int, leaves: Hashes) -> list[bytes]:
-    """PROOF(size, leaves): shows that the tree begins with the tree of its first `size` leaves (2.1.4.1). Empty for size 0."""
+    """PROOF(size, leaves): shows that the tree begins with the tree of its first `size` leaves (2.1.4.1). The proof is empty for
+    size 0."""
     if not 0 <= size <= len(leaves):
         raise ProofError(f"the tree has fewer than {size} leaves")
     return _subproof(size, leaves, whole=True) if 0 < size < len(leaves) else []
 
 
 def _subproof(m: int, leaves: Hashes, *, whole: bool) -> list[bytes]:
-    """SUBPROOF(m, leaves, b), where b is `whole`: whether the verifier knows the hash of the tree of the first m leaves."""
+    """SUBPROOF(m, leaves, b) of the RFC. whole: b, which is True if the verifier knows the hash of the tree of the first m leaves."""
     n = len(leaves)
     if m == n:
         return [] if whole else [tree_hash(leaves)]

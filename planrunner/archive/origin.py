@@ -1,8 +1,9 @@
 """Checks whether this user made a run folder on this computer. It needs no network and does not trust the folder.
 
-A key of 32 random bytes stays in the user's state folder. The run folder contains `.origin`: the HMAC-SHA-256 with that key of the digest
-of the journal's first line, which contains the digests of run.json, plan and bench. It cannot be made without the key, is valid for one run
-only, and reveals nothing about the key, the user or the computer. Without a state folder runs are still made, but their origin is unknown.
+A key of 32 random bytes stays in the user's state folder. The run folder contains `.origin`: an HMAC-SHA-256, made with that key,
+of the digest of the journal's first line. That line contains the digests of run.json, plan and bench. `.origin` cannot be made
+without the key, is valid for one run only, and reveals nothing about the key, the user or the computer. Without a state folder runs
+are still made, but their origin is unknown.
 """
 
 from __future__ import annotations
@@ -84,8 +85,8 @@ def made_here(run: GuardedFolder, first: str) -> bool:
 
 
 def foreign(run: GuardedFolder, first: str) -> str:
-    """The reason why a run folder counts as made elsewhere, so that its bench file must not decide what to connect to or to sign;
-    empty if this user made it on this computer."""
+    """The reason why a run folder counts as made elsewhere; empty if this user made it on this computer. The bench file of a run
+    made elsewhere must not decide what planrunner connects to or signs."""
     try:
         return "" if made_here(run, first) else "you did not make this run folder on this computer"
     except OriginUnknownError as error:
@@ -97,7 +98,8 @@ def _mark(key: bytes, first: str) -> str:
 
 
 def _key(make: bool) -> bytes:
-    """Reads the key. If it does not exist, it is made on request; otherwise the result is empty. Raises `OriginUnknownError`."""
+    """Reads the key. If there is no key and `make` is False, the result is empty; if `make` is True, the key is made first. Raises
+    `OriginUnknownError`."""
     path = state_folder()
     try:
         if make:
@@ -132,7 +134,8 @@ def _make_key(folder: GuardedFolder) -> None:
 
 @contextlib.contextmanager
 def _alone(folder: GuardedFolder) -> Iterator[None]:
-    """Runs alone under a lock. Raises `OSError` if another process does not release the lock."""
+    """Holds a lock, so that only one process at a time runs the enclosed code. Raises `OSError` if another process does not release
+    the lock."""
     deadline = time.monotonic() + PATIENCE
     while True:
         try:

@@ -22,14 +22,15 @@ def asked_to_pause(run: GuardedFolder) -> bool:
 
 
 def take_back(run: GuardedFolder) -> bool:
-    """Ends a requested pause. Returns whether a process continues the run. A run that has ended in the meantime must be resumed."""
+    """Ends a requested pause. Returns True if a process is still there to continue the run. A run whose process has ended in the
+    meantime must be resumed."""
     asked = asked_to_pause(run)
     run.remove(NAME)
     return asked and is_written(run)
 
 
 def is_written(run: GuardedFolder) -> bool:
-    """Whether a process is writing the run."""
+    """Whether a process is writing the run at present."""
     if run.entry(LOCK) is None:
         return False
     try:

@@ -18,8 +18,8 @@ from planrunner.plan.schedule import Segment
 
 
 def played(player: RecordingPlayer | SummaryPlayer, segments: Sequence[Segment]) -> tuple[RecordedSegment, ...]:
-    """The segments as the player plays them back. The recording is kept in memory or in a temporary Parquet file, so that it can be read
-    repeatedly. Raises `InstrumentError`."""
+    """The segments of a recording as the player plays them back. The recording is kept in memory or in a temporary Parquet file, so
+    that it can be read repeatedly. Raises `InstrumentError`."""
     if isinstance(player, SummaryPlayer):
         name, units = player.parameters.file, player.channels()
         return tuple(summarised(one, units, player.summary, player.stream(one), name) for one in segments)
@@ -31,7 +31,8 @@ def played(player: RecordingPlayer | SummaryPlayer, segments: Sequence[Segment])
 
 
 def _play(player: RecordingPlayer, segment: Segment, passed: RowsRead) -> RecordedSegment:
-    """Plays back one segment of the recording. Its blocks are in memory if the recording is; otherwise every pass reads them again."""
+    """Plays back one segment of the recording. If the player holds the recording in memory, the blocks of the segment are in memory
+    too; otherwise every pass reads them again."""
     units = dict(player.channels())
     read = partial(player.stream, segment)
     if isinstance(player.file, HeldRecording):

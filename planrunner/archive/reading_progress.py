@@ -12,7 +12,7 @@ from planrunner.instruments.interfaces import Block
 
 
 class RowsRead:
-    """Number of rows read of a known total, over several segments."""
+    """Counts the rows read from several segments, of which the total number of rows is known."""
 
     def __init__(self, what: str, rows: float, notice: Announce | None):
         self._pace = Pace(what, rows, notice)
@@ -27,8 +27,9 @@ class RowsRead:
 
 
 def announced(recording: Sequence[RecordedSegment], what: str, notice: Announce | None) -> tuple[RecordedSegment, ...]:
-    """The given segments, with a display of progress. Long passes over their samples are reported to `notice` as `what`, with the
-    fraction of all rows that was read at least once. When all have been read, a further pass starts from zero."""
+    """The given segments, with a display of progress. Long passes over their samples are reported to `notice` under the name
+    `what`, with the fraction of all rows that have been read at least once. After all rows have been read, the next pass starts
+    again from zero."""
     if notice is None:
         return tuple(recording)
     passes = _Passes([item.statistics.count + item.statistics.rejected for item in recording], what, notice)
@@ -39,7 +40,7 @@ def announced(recording: Sequence[RecordedSegment], what: str, notice: Announce 
 
 
 class _Passes:
-    """The passes over the segments. rows: number of rows of each segment."""
+    """Counts the rows read in passes over the segments. rows: number of rows of each segment."""
 
     def __init__(self, rows: Sequence[int], what: str, notice: Announce):
         self._rows, self._what, self._notice = rows, what, notice

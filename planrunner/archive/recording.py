@@ -27,12 +27,13 @@ class Statistics:
     """One-pass statistics of one segment. Arrays run over `channels`; values are in the channels' units.
 
     count: samples (rows with a NaN in any channel are left out and counted in `rejected`). mean, minimum, maximum: (k,).
-    covariance: (k, k) between samples. standard_error: (k,) of the mean, from the scatter of `batches` consecutive batch means,
-    which allows for noise that is correlated within a batch. A known motion changes the output within the segment (its course).
-    Both scatters are those of the differences from this course. start, end: s, of the first and the last sample; largest_gap: s
-    between consecutive samples. course: (p, batches), the fitted course: for uncorrelated samples, its part of the scatter of the
-    batch means is the sum of its squares. mean_covariance: (k, k) of the means, from the same scatter as their standard errors; (0,
-    0) if it is unknown.
+    covariance: (k, k) between samples. standard_error: (k,), standard errors of the means, from the scatter of `batches`
+    consecutive batch means, which allows for noise that is correlated within a batch. If a known motion changes the output within
+    the segment (its course), `covariance` and `standard_error` describe the differences from this course. start, end: times of the
+    first and of the last sample, s. largest_gap: longest time between consecutive samples, s. course: (p, batches), functions of
+    the fitted course in the batch means, scaled so that the sum of their squares is the number of degrees of freedom that the fit
+    takes from the scatter of the batch means (for uncorrelated samples). mean_covariance: (k, k), covariance of the means, from the
+    same scatter as their standard errors; shape (0, 0) if it is unknown.
     """
 
     channels: tuple[str, ...]
@@ -57,7 +58,7 @@ class Statistics:
 
     @property
     def period(self) -> float:
-        """Mean sample interval in seconds, without the largest step; NaN for fewer than two samples."""
+        """Mean sample interval in seconds, computed without the largest step; NaN for fewer than two samples."""
         if self.count < 2:
             return math.nan
         if self.count == 2:
@@ -66,7 +67,8 @@ class Statistics:
 
     @property
     def duration(self) -> float:
-        """Duration in seconds, counting one period for each sample: 12 000 samples at 100 Hz last 120 s. 0 for fewer than two samples."""
+        """Duration in seconds, counting one period for each sample: 12 000 samples at 100 Hz last 120 s. The duration is 0 for
+        fewer than two samples."""
         return self.end - self.start + self.period if self.count > 1 else 0.0
 
     def of(self, channel: str) -> int:
@@ -84,7 +86,7 @@ def duration_of(statistics: Iterable[Statistics]) -> float | None:
 
 
 class FindKind(StrEnum):
-    """Kinds of faults of single samples."""
+    """Kinds of faults that the screening finds in samples."""
 
     SPIKE = "spike"
     BURST = "burst"
@@ -99,11 +101,11 @@ class FindKind(StrEnum):
 class Find:
     """Samples of a segment that are faulty or suspect.
 
-    channel: empty if all channels are affected. first, rows: index of the first row in the segment, counted from 0, and number of
-    rows. time: of the first, s; seconds: duration. size: largest distance from the surrounding samples, in the channel's unit; for
-    a stuck or clipped stretch, its value; for lost samples, their number. noise: standard deviation of the surrounding samples,
-    same unit; NaN if unknown. before, after: level of the samples before and after, same unit. count: number of findings that this
-    finding represents. bad: whether the screening excludes the samples.
+    channel: empty if all channels are affected. first: index of the first row in the segment, counted from 0. rows: number of rows.
+    time: time of the first row, s. seconds: duration. size: largest distance from the surrounding samples, in the channel's unit;
+    for a stuck or clipped stretch, the value of its samples; for lost samples, their number. noise: standard deviation of the
+    surrounding samples in the channel's unit; NaN if unknown. before, after: levels of the samples before and after, in the
+    channel's unit. count: number of findings that this finding represents. bad: whether the screening excludes the samples.
     """
 
     kind: FindKind
@@ -122,10 +124,10 @@ class Find:
 
 @dataclass(frozen=True)
 class RecordedSegment:
-    """A recorded segment. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block. expected: the
-    segment was not recorded, and the statistics are predicted from the schedule: the noise is the declared noise, and the means are
-    without noise. finds: findings of the screening; None for a segment that has not been screened. share: fraction of its samples
-    that are used."""
+    """A recorded segment. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block. expected: True
+    if the segment was not recorded and its statistics are predicted from the schedule, with the declared noise and with means that
+    are free of noise. finds: findings of the screening; None if the segment has not been screened. share: the fraction of the
+    segment's samples that is used."""
 
     segment: Segment
     units: dict[str, str]
@@ -143,13 +145,13 @@ class RecordedSegment:
 
     @property
     def in_mode(self) -> float | None:
-        """Time [s] that the sensor had been in its mode when the record began; None if not recorded."""
+        """Time [s] that the sensor had been in its mode when the recording of the segment began; None if it is unknown."""
         return self.readings.get(IN_MODE)
 
 
 def expected_segment(segment: Segment, units: dict[str, str], statistics: Statistics) -> RecordedSegment:
-    """A segment that is not recorded yet, with its expected statistics and a few samples with that mean and scatter, independent of the
-    dwell."""
+    """A segment that is not recorded yet. It has its expected statistics and a few samples with that mean and scatter; the number
+    of these samples does not grow with the dwell."""
 
     def blocks(channels: Sequence[str]) -> Iterator[Block]:
         count = min(statistics.count, _SHOWN)
@@ -166,8 +168,8 @@ def expected_segment(segment: Segment, units: dict[str, str], statistics: Statis
 
 @dataclass(frozen=True, slots=True)
 class Ranges:
-    """Smallest and largest number in a block. values: by channel; NaN if one of the numbers is missing. steps: smallest and largest
-    step of the times between rows, s; infinite for a single row, NaN if not known."""
+    """The smallest and the largest value of each channel and of the time steps in a block. values: by channel name; NaN if a sample
+    is missing. steps: smallest and largest step between the times of the rows, s; infinite for a single row, NaN if unknown."""
 
     values: Mapping[str, tuple[float, float]]
     steps: tuple[float, float]
@@ -177,7 +179,7 @@ class Watcher(Protocol):
     """Examines samples while they are read for their statistics."""
 
     def add(self, block: Block, ranges: Ranges | None = None) -> None:
-        """Processes the next samples. ranges: of all channels in them, if known."""
+        """Processes the next samples. ranges: ranges of all channels in these samples, if known."""
 
     def finds(self) -> tuple[Find, ...]:
         """The findings, after all blocks have been processed."""

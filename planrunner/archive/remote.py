@@ -1,7 +1,7 @@
 """Archives on object storage or another remote file system, through fsspec: `s3://bucket/archive`, `gs://…`, `ftp://…`.
 
 Nothing is read from a remote file system directly. A remote folder is first copied to a private folder of this user (`fetched`).
-The copy is then read like any other folder: through `base.guarded_folder`, with every file checked against its digest. The copy
+The copy is then read like any other folder: through `base.guarded_folder`, with every file checked against its digest. Copying
 accepts only plain names and files of limited size. It never follows a remote name to another place. A verification copies
 everything again, so that it does not check an older copy.
 
@@ -78,8 +78,8 @@ class Pushed:
 
 @dataclass(frozen=True, slots=True)
 class _RemoteFile:
-    """A file of a remote folder. path: for the file system; size: in bytes; changed: ns since 1970, None if the file system does
-    not report it."""
+    """A file of a remote folder. path: path in the file system; size: in bytes; changed: time of the last change in ns since 1970,
+    None if the file system does not report it."""
 
     path: str
     size: int
@@ -184,7 +184,8 @@ def _copy_files(
     place: _Place,
     but: set[str] | None = None,
 ) -> None:
-    """Makes a folder contain these files, by their places, and nothing else. but: entries that are not changed."""
+    """Makes a folder contain exactly the wanted files. wanted: files by their place in this folder. but: entries of the folder that
+    are left as they are."""
     below: dict[str, dict[_Place, _RemoteFile]] = {}
     own: dict[str, _RemoteFile] = {}
     for parts, file in wanted.items():
@@ -236,8 +237,8 @@ def _copy_file(copying: _Copying, file: _RemoteFile, folder: GuardedFolder, name
 
 
 def _counts(info: Mapping[str, object]) -> bool:
-    """Whether an entry belongs to the archive. Empty objects that storage consoles make for folders, and files that are being
-    written, do not."""
+    """Whether an entry belongs to the archive. Empty objects that storage consoles make for folders do not, and neither do files
+    that are being written."""
     name = str(info["name"])
     return not (name.endswith("/") and info["type"] != "directory" and not info["size"]) and not name.endswith(ASIDE)
 
@@ -247,7 +248,7 @@ def _file(info: Mapping[str, object]) -> _RemoteFile:
 
 
 def _changed(info: Mapping[str, object]) -> int | None:
-    """The time when an object was last changed. The names of the attributes are those of the implementations of fsspec."""
+    """The time when an object was last changed. Each implementation of fsspec has its own name for this attribute."""
     for key in ("LastModified", "last_modified", "mtime", "modified", "updated", "created"):
         value = info.get(key)
         if isinstance(value, str):
@@ -265,7 +266,7 @@ def _name(info: Mapping[str, object], root: str) -> str:
 
 
 def _parts(info: Mapping[str, object], root: str, url: str) -> _Place:
-    """Names below the root. Raises `InputError` for an object whose name would lead to another place."""
+    """The names that lead from the root to an object. Raises `InputError` for an object whose name would lead to another place."""
     inner = str(info["name"]).strip("/").removeprefix(root.strip("/")).removeprefix("/")
     parts = tuple(inner.split("/")) if inner else ()
     for part in parts:
@@ -289,15 +290,15 @@ def _refused(url: str, what: str) -> InputError:
 
 @dataclass(frozen=True, slots=True)
 class Pulled:
-    """Result of `pull_runs`. runs: those that were copied; present: number of runs that already existed."""
+    """Result of `pull_runs`. runs: the runs that were copied; present: number of runs that already existed."""
 
     runs: tuple[Path, ...]
     present: int
 
 
 def pull_runs(copy: Path, folder: Path) -> Pulled:
-    """Copies the runs of a copy into a folder, after they have been verified. Runs whose name already exists stay as they are.
-    Raises `IntegrityError` for a run that was changed; in that case no run is copied."""
+    """Copies the runs from the copy of an archive into a folder, after they have been verified. Runs whose name already exists stay
+    as they are. Raises `IntegrityError` for a run that was changed; in this case no run is copied."""
     found = [one for one in find_runs(copy) if not one.fault]
     for one in found:
         examine(open_run(one.path), samples="digests").require_whole()
@@ -320,10 +321,11 @@ def pull_runs(copy: Path, folder: Path) -> Pulled:
 
 
 def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
-    """Writes a sealed run to a remote archive, or the parts that the remote run lacks, such as a new analysis.
+    """Writes a sealed run to a remote archive, or only the files that the remote run lacks, such as a new analysis.
 
-    including: a folder of the run that must be written. Raises `IntegrityError` for a run that was changed. Raises `InputError` if
-    it is not sealed, if the archive has another run of this name, or if the archive cannot be written.
+    including: a folder within the run; it is an error if none of its files is in the remote run afterwards. Raises `IntegrityError`
+    for a run that was changed. Raises `InputError` if the run is not sealed, if `including` is missing, if the archive has another
+    run of this name, or if the archive cannot be written.
     """
     found = examine(open_run(run), samples="digests")
     found.require_whole()
@@ -348,7 +350,7 @@ def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
 
 
 def _content(folder: GuardedFolder) -> Iterator[tuple[str, bytes]]:
-    """The files of a run by place. The seal is the last."""
+    """The files of a run, each with its place. The seal comes last."""
     entries = folder.entries()
     for name, entry in entries.items():
         if entry.kind == "file" and name in FILES and name not in _LOCAL and name != seals.NAME:
@@ -369,15 +371,15 @@ def _below(folder: GuardedFolder, place: str) -> Iterator[tuple[str, bytes]]:
 
 
 def push_back(run: Path, analysis: Path) -> None:
-    """Writes to a remote run what was added to its copy, including this new analysis. For other runs it does nothing. Raises the
-    same errors as `push_run`."""
+    """Writes to a remote run everything that was added to its local copy, including this new analysis. Does nothing if the run is
+    not a copy. Raises the same errors as `push_run`."""
     source = source_of_copy(run)
     if source is not None:
         push_run(run, source.rpartition("/")[0], including=f"{ANALYSES}/{analysis.name}")
 
 
 def source_of_copy(run: Path) -> str | None:
-    """URL of the folder of which this is a copy; None if it is not a copy."""
+    """URL of the remote folder of which this folder is a copy; None if it is not a copy."""
     inner, cache = run.resolve(), _cache().resolve()
     if not inner.is_relative_to(cache) or len(inner.relative_to(cache).parts) < 2:
         return None

@@ -22,8 +22,8 @@ class ResumePoint:
     """The state from which an interrupted run continues. states: states that resumable instruments and the executor stored with the last
     acknowledged segment; clock: time at which they were stored, s.
 
-    instruments: descriptions that the instruments gave of themselves before. files: name → SHA-256 of everything recorded so far, for the
-    seal. attempts: how often each segment was begun.
+    instruments: descriptions that the instruments gave of themselves before the interruption. files: name → SHA-256 of everything
+    recorded so far, for the seal. attempts: how often each segment was begun.
     """
 
     clock: float = 0.0
@@ -36,7 +36,7 @@ class ResumePoint:
 
     @property
     def next_segment(self) -> int:
-        """Index of the first segment not acknowledged."""
+        """Index of the first segment that is not acknowledged."""
         index = 0
         while index in self.acknowledged:
             index += 1

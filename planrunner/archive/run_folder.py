@@ -53,8 +53,8 @@ from planrunner.plan.schedule import Segment
 
 @dataclass(frozen=True, slots=True)
 class Witnessed:
-    """A time stamp of the journal after `events` events, to be kept in the run folder. token: the reply of the authority, in DER, or
-    None. why: the reason why there is no token. at: time in the token, UTC."""
+    """A time stamp of the journal after `events` events, to be kept in the run folder. token: the reply of the authority, in DER,
+    or None. why: reason why there is no token. at: time in the token, UTC."""
 
     events: int
     token: bytes | None
@@ -66,7 +66,7 @@ class Witness(Protocol):
     """Obtains time stamps of the journal while it grows, without making the run wait."""
 
     def see(self, events: int, line: bytes, *, last: bool = False) -> None:
-        """Informs the witness that the journal has this number of acknowledged events and ends with this line. last: whether the
+        """Informs the witness that the journal has this number of acknowledged events and ends with this line. last: True if the
         journal is finished, so that a stamp is due now."""
         ...
 
@@ -124,13 +124,13 @@ class RunWriter:
     ) -> RunWriter:
         """Makes a new run folder in `root`, which is created if it does not exist.
 
-        identity: the last part of the folder's name, hexadecimal digits; random by default. A caller that states it can find the folder
-        even if this process is killed.
+        identity: the last part of the folder's name, hexadecimal digits; random by default. A caller that states this part can find
+        the folder even if this process is killed.
 
         info: JSON data given with the run (device serial, operator, ambient …). approvals: content of approvals.json, if the bench
-        requires approvals. check_standard: state of the check standard of the bench, if it has one. parameters: values that were given
-        for parameters of the plan. If the folder has a log, the run is entered as begun. Raises `InputError` if the folder cannot be
-        written, and `IntegrityError` for a log that was changed.
+        requires approvals. check_standard: state of the check standard of the bench, if it has one. parameters: values that were
+        given for parameters of the plan. If `root` has a log, an entry records that the run has begun. Raises `InputError` if the
+        folder cannot be written, and `IntegrityError` for a log that was changed.
         """
         storage = storage or Storage(durability)
         now = datetime.now(UTC)
@@ -215,14 +215,15 @@ class RunWriter:
     ) -> RunWriter:
         """Continues an interrupted run: removes an incomplete last line and settles the segment in progress.
 
-        run: its path, or the result of `examine` with samples under the given lock, so that nothing is verified twice.
+        run: path of the run folder, or the result of `examine` with samples, made under the given lock, so that nothing is verified
+        twice.
 
         reason: reason for reopening a finished, sealed run; required for such a run. lock: lock of the folder, if the caller
         already holds it; the writer takes it over. bench: a bench file that replaces the one in the folder; the journal records its
         digest. approvals: entries of approvals of the plan that were given since the run began; the journal records them.
         check_standard: the present state of the check standard of the bench.
 
-        Raises `InputError` (in use, finished, unwritable) and `IntegrityError`.
+        Raises `InputError` if the folder is in use, finished or not writable, and `IntegrityError`.
         """
         folder = run.folder if isinstance(run, Examined) else open_run(run)
         file: FileIO | None = None
@@ -302,8 +303,8 @@ class RunWriter:
     def begin(
         self, segment: Segment, clock: float, channels: Mapping[str, str], summary: SummaryChannels | None = None
     ) -> None:
-        """Begins a segment; channels (name → unit) is empty if nothing is recorded. summary: meaning of the channels, if the
-        segment is recorded as a summary."""
+        """Begins a segment. channels: name → unit; empty if nothing is recorded. summary: meaning of the channels, if the segment
+        is recorded as a summary."""
         index = segment.index
         self._attempt = self._point.attempts[index] = self._point.attempts.get(index, 0) + 1
         self._segment, self._parts, self._samples = segment, [], None
@@ -354,8 +355,8 @@ class RunWriter:
         reason: str = "",
         frames: Mapping[str, Json] | None = None,
     ) -> None:
-        """Finishes the segment's files and acknowledges it. clock, states: values from which the run can continue after it; frames:
-        frame counts of the sensor."""
+        """Finishes the segment's files and acknowledges it. clock, states: values from which the run can continue after this
+        segment; frames: frame counts of the sensor."""
         assert self._segment is not None
         parts = self._close_samples()
         event = {
@@ -376,7 +377,8 @@ class RunWriter:
         self._account(parts)
 
     def break_off(self, reason: str, clock: float, states: Mapping[str, Json]) -> None:
-        """Ends the segment in progress, if any, after an interruption. Its samples are kept, and count if the plan says so."""
+        """Ends the segment in progress, if any, after an interruption. Its samples are kept, and they count if the plan says so
+        (`on_break: keep`)."""
         segment = self._segment
         if segment is None:
             return
@@ -446,7 +448,7 @@ class RunWriter:
             self.witness.see(self._journal.count, self._journal.last)
 
     def _keep(self, stamps: Sequence[Witnessed]) -> None:
-        """Stores stamps of the journal and records them in it."""
+        """Stores time stamps of the journal in the run folder, and records them in the journal."""
         for stamp in stamps:
             if stamp.token is None:
                 self._journal.append("unstamped", {"events": stamp.events, "reason": stamp.why})

@@ -3,11 +3,11 @@
     runs/.log/entries.jsonl   one entry per line, only ever appended: a run was begun, sealed, or taken out
     runs/.log/head.json       the tree head: number of entries and root; replaced after each entry
 
-A leaf of the tree is a line without its line feed. An entry counts when its line is complete. A process that is killed between the
-two writes leaves a head that is one entry behind; the next entry brings it up to date. A seal is entered before it is written, so
-that every seal in the archive is in the log. If planrunner ends between these two steps, the run is sealed again when it is
-resumed, and both entries name the same journal. In addition, run.json contains the tree head before the run, so that the runs
-reveal a log that was removed or rewritten.
+A leaf of the tree is a line without its line feed. An entry counts when its line is complete. A process that is killed after it has
+written an entry leaves a head that is one entry behind; the next entry brings the head up to date. A seal is entered before it is
+written, so that every seal in the archive is in the log. If planrunner ends between these two steps, the run is sealed again when
+it is resumed, and both entries name the same journal. In addition, run.json contains the tree head from the time before the run, so
+that the runs reveal a log that was removed or rewritten.
 """
 
 from __future__ import annotations
@@ -48,8 +48,9 @@ LogEvent = Literal["created", "begun", "sealed", "retired"]
 
 @dataclass(frozen=True, slots=True)
 class LogEntry:
-    """One entry. seq: 1, 2, 3 …; at: UTC; events, head: number of events in the journal at that time, and SHA-256 of the last
-    event; seal: SHA-256 of seal.json, for a sealed run; why: reason for removing the run from the archive."""
+    """One entry of the log. seq: number of the entry, 1, 2, 3 …; at: time of the entry, UTC; events, head: number of events in the
+    journal at that time, and SHA-256 of the last of them; seal: SHA-256 of seal.json, for a sealed run; why: reason for removing
+    the run from the archive."""
 
     seq: int
     at: str
@@ -89,7 +90,7 @@ class LogEntry:
 
 @dataclass(frozen=True, slots=True)
 class TreeHead:
-    """Number of entries, root as 64 hexadecimal digits, and the time at which the head was made, UTC."""
+    """A tree head: number of entries, root as 64 hexadecimal digits, and the time at which the head was made, UTC."""
 
     size: int
     root: str
@@ -154,7 +155,7 @@ class RunLog:
 
     @classmethod
     def of(cls, archive: Path, storage: Storage | None = None) -> RunLog | None:
-        """The log of a folder with runs; None if it has none. Raises `OSError`."""
+        """The log of a folder with runs; None if the folder has no log. Raises `OSError`."""
         try:
             above = GuardedFolder.open(archive)
         except FileNotFoundError:
@@ -266,7 +267,7 @@ def require_growth(content: LogContent, path: Path) -> None:
 
 
 def head_faults(content: LogContent, head: TreeHead, named: str) -> Iterator[tuple[str, str]]:
-    """Contradictions to a remembered head, as code and message. named: the head, as messages name it."""
+    """Contradictions between the log and a head that was remembered, each as code and message. named: how messages name this head."""
     if head.size > len(content.entries):
         yield "log-cut", f"the log was cut: {named} counts {head.size} entries, the log has {len(content.entries)}"
     elif content.root(head.size) != head.root:

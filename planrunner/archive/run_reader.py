@@ -1,7 +1,8 @@
 """Reads a run folder: plan and bench, valid segments, their one-pass statistics, and their samples in blocks.
 
-While the samples of a file are used, the next file is read and its digest is checked in another thread. Reading and hashing release the
-interpreter's lock, so both happen at the same time. At most one file waits, so that memory does not grow with the recording.
+While the samples of a file are used, the next file is read and its digest is checked in another thread. Reading and hashing release
+the interpreter's lock, so both happen at the same time. At most one file is read ahead, so that memory does not grow with the
+recording.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ from planrunner.plan.selection import spelt_alike
 class RunReader:
     """A run folder as it was when opened. Reading changes nothing and needs no lock.
 
-    run: the content of run.json. torn: bytes of an incomplete last line of the journal. first: digest of its first line. basis: the
-    data from which an analysis is made. analyses: oldest first. findings: warnings, such as that the run is not sealed. approvals:
-    content of approvals.json, if the bench required approvals.
+    run: the content of run.json. torn: bytes of an incomplete last line of the journal. first: digest of the journal's first line.
+    basis: the data from which an analysis is made. analyses: the stored analyses, oldest first. findings: warnings, such as that
+    the run is not sealed. approvals: content of approvals.json, if the bench required approvals.
     """
 
     folder: GuardedFolder
@@ -58,7 +59,7 @@ class RunReader:
         """Opens a run folder. Digests of everything except samples are checked here; samples are checked when read (see `verifying`).
 
         Raises `InputError` if `path` is not a run folder, and `IntegrityError` if it differs from what was written. The incomplete
-        last line of a killed run is ignored. to_reopen: whether faults that reopening repairs are accepted.
+        last line of a killed run is ignored. to_reopen: True accepts faults that reopening the run repairs.
         """
         return cls.of(examine(open_run(path)), to_reopen=to_reopen)
 
@@ -107,7 +108,8 @@ class RunReader:
         return tuple(self.state.rejected)
 
     def warnings(self, planned: int | None = None) -> list[str]:
-        """Unusual events of the run that a reader must know. planned: number of segments, by default the number in the journal."""
+        """Unusual events of the run that a reader must know. planned: number of planned segments; by default, the number in the
+        journal."""
         planned = self.state.planned if planned is None else planned
         warnings = [f"Fault during the run: {text}" for text in self.state.failures]
         held = len(self.acknowledged())
@@ -175,7 +177,7 @@ class RunReader:
         return tuple(segments)
 
     def blocks(self, item: Acknowledged, channels: Sequence[str] | None = None) -> Iterator[Block]:
-        """The samples of a segment in blocks of bounded size; `channels` None for all."""
+        """The samples of a segment in blocks of bounded size; `channels` is None for all channels."""
         return _blocks((SegmentData(self.folder, part) for part in item.parts), channels)
 
     # -- analyses ------------------------------------------------------------------------------------------------------
@@ -196,7 +198,7 @@ class RunReader:
 
 
 def _with_first(first: SegmentData | None, others: Iterator[SegmentData]) -> Iterator[SegmentData]:
-    """All parts of a segment, beginning with a part that is already open. A part is not kept after it has been used."""
+    """All parts of a segment, beginning with a part that is already open. No part stays in memory after it has been used."""
     if first is not None:
         yield first
     first = None
@@ -224,8 +226,8 @@ T = TypeVar("T")
 
 
 def ahead(items: Iterator[T]) -> Iterator[T]:
-    """Yields the given items in their order; each is made while the one before it is used. An exception in `items` is raised where
-    its item would be."""
+    """Yields the given items in their order; another thread makes the next item while the present one is used. An exception in
+    `items` is raised in place of the item that failed."""
     from concurrent.futures import ThreadPoolExecutor
 
     end = object()

@@ -67,7 +67,7 @@ def _compiled(schema: Json, whole: Mapping[str, Json], known: dict[str, list[Che
 
 
 def _referred(reference: str, whole: Mapping[str, Json], known: dict[str, list[Check]]) -> Check:
-    """A definition that a schema refers to, compiled once. It may refer to itself."""
+    """A definition that a schema refers to, compiled once. The definition may refer to itself."""
     if reference not in known:
         known[reference] = []
         target: Json = whole

@@ -47,7 +47,7 @@ MOST_COLUMNS = 1000
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A finished file: its name within the run folder, SHA-256, rows and size in bytes."""
+    """A finished file: its name within the run folder, its SHA-256, its number of rows, and its size in bytes."""
 
     file: str
     sha256: str
@@ -65,7 +65,7 @@ class Part:
 
 
 def safe_name(label: str) -> str:
-    """A label in a form that every platform accepts in a file name: letters, digits, `+`, `-` and `_`, at most 60."""
+    """A label in a form that every platform accepts in a file name: letters, digits, `+`, `-` and `_`, at most 60 characters."""
     return re.sub(r"[^A-Za-z0-9+_-]+", "_", label).strip("_")[:60] or "segment"
 
 
@@ -172,7 +172,7 @@ class SegmentWriter:
             self._last_time = float(block.time[-1])
 
     def _until(self, block: Block, start: int) -> int:
-        """Index of the first row of the block that no longer fits the current part."""
+        """Index of the first row of the block that no longer fits into the current part."""
         stop = min(len(block.time), start + self._part_rows - self._part_filled)
         begin = self._part_start if self._part_start is not None else float(block.time[start])
         limit = begin + self._part_seconds
@@ -349,7 +349,7 @@ class SegmentData:
             raise self._foreign(str(error)[:200]) from None
 
     def blocks(self, channels: Sequence[str] | None = None) -> Iterator[Block]:
-        """The samples in blocks of a row group; `channels` None for all."""
+        """The samples, with one block for each row group; `channels` is None for all channels."""
         import pyarrow as pa
 
         names = list(self.units) if channels is None else list(channels)
@@ -380,7 +380,8 @@ class SegmentData:
                 raise self._foreign(str(error)[:200]) from None
 
     def _check_shape(self, part: Part, schema: pa.Schema) -> None:
-        """Checks the footer: number of rows as in the journal, columns of 64-bit floats, and no more of both than a part can have."""
+        """Checks the footer: as many rows as in the journal, only columns of 64-bit floats, and no more rows and columns than a
+        part can have."""
         import pyarrow as pa
 
         about: pq.FileMetaData = self._file.metadata

@@ -1,7 +1,8 @@
 """Time stamps in a run folder. `stamps/<number>-<what>.tsr` contains the reply of an authority in DER (RFC 3161).
 
 `0001-after-12.tsr` stamps the journal after 12 events: it contains the digest of line 12. `0004-seal-<digest>.tsr` stamps the seal.
-The journal has ended by then and cannot contain its digest, so the name contains the first digits of the SHA-256 of the file.
+The journal has ended by then and cannot contain the digest of this stamp; the name therefore contains the first digits of the
+SHA-256 of the stamp's own file.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ _FILE = re.compile(r"(?P<number>[0-9]{4,})-(?:after-(?P<events>[1-9][0-9]*)|seal
 
 @dataclass(frozen=True, slots=True)
 class StampName:
-    """The parts of a stamp's name. events: for a stamp of the journal; own: for a stamp of the seal, first digits of the digest of
-    the file."""
+    """The parts of a stamp's name. events: for a stamp of the journal, the number of events. own: for a stamp of the seal, the
+    first digits of the SHA-256 of the stamp's file."""
 
     file: str
     number: int

@@ -5,8 +5,9 @@ blocks, row groups or files. Means and covariances of chunks are merged by the f
 pairwise algorithm for computing sample variances" (1979). The standard error of the mean comes from the scatter of consecutive batch means
 (Law, "Simulation Modeling and Analysis", 5th ed., section 9.5.3), which allows for noise that is correlated over less than a batch.
 
-The scatter of a segment that turns or rocks is computed about the course that the motion causes. The course is fitted to short
-means, of which a batch contains many, and its contribution is subtracted from batch means and covariance.
+If the table turns or rocks during a segment, the scatter is computed about the course that the motion causes. The course is fitted
+to short means, of which a batch contains many. The fitted course is then subtracted from the batch means, and its contribution from
+the covariance.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ def statistics_of(
     watcher: Watcher | None = None,
     motion: Motion = AT_REST,
 ) -> Statistics:
-    """Statistics of `blocks`, which have `rows` rows in total (known from the files before the pass) and were recorded in the given
-    motion.
+    """Statistics of `blocks`, which were recorded in the given motion and have `rows` rows in total. The total is known from the
+    files before the pass.
 
     A row with a non-finite value in any channel is omitted and counted in `rejected`. With one sample, covariance and standard
     error are NaN; without samples, the mean is NaN too. watcher: examines the blocks in the same pass.
@@ -78,7 +79,8 @@ def _range(columns: list[Array]) -> tuple[Array, Array]:
 
 
 class _Gathered:
-    """State of one pass: a chunk of samples and a few numbers per channel and batch, independent of the length.
+    """State of one pass, whose size is independent of the length of the segment: a chunk of samples, and a few numbers for each
+    channel and batch.
 
     The chunk holds samples as deviations from its first sample. Of n samples, none is further than √n standard deviations from
     their mean. Relating sums of products to the mean therefore loses at most a factor n in rounding.
@@ -112,7 +114,8 @@ class _Gathered:
         self.batch_count = np.zeros(batches)
 
     def add(self, time: Array, columns: list[Array]) -> tuple[Array, Array]:
-        """Adds the next rows, one or more. Returns their smallest and largest number by column, NaN if a number is missing."""
+        """Adds the next rows, one or more. Returns the smallest and the largest number of each column in these rows, NaN if a
+        number is missing."""
         here = np.flatnonzero((self.edges[:-1] > self.row) & (self.edges[:-1] <= self.row + len(time)))
         at = self.edges[here] - self.row
         if self.follows:

@@ -20,7 +20,7 @@ ASIDE = ".partial"
 
 
 class Storage:
-    """File operations with one degree of durability. Errors are `OSError`, as the operating system gives them."""
+    """File operations with the same durability for all writes. Errors are `OSError`, as the operating system gives them."""
 
     def __init__(self, durability: Durability = "durable"):
         if durability not in ("durable", "flushed"):
@@ -55,12 +55,12 @@ class Storage:
         file.seek(size)
 
     def sync(self, file: FileIO) -> None:
-        """Waits until the file's content is on the disk, in durable mode."""
+        """In durable mode, waits until the file's content is on the disk."""
         if self.durable:
             os.fsync(file.fileno())
 
     def sync_folder(self, folder: GuardedFolder) -> None:
-        """Waits until the names in a folder are on the disk, in durable mode."""
+        """In durable mode, waits until the names in a folder are on the disk."""
         if self.durable:
             folder.sync()
 

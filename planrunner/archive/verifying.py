@@ -1,7 +1,7 @@
 """Verifying a run folder: its contents are checked against all of its digests, schemas and chains.
 
-All commands use `examine`, which returns the verified contents, and the faults as findings. An error means that the folder differs
-from what was written. A warning means that it is not sealed, so that less can be verified.
+All commands use `examine`, which returns the verified contents together with the faults as findings. An error means that the folder
+differs from what was written. A warning means that the run is not sealed, so that less can be verified.
 """
 
 from __future__ import annotations
@@ -111,8 +111,8 @@ CLOCK_STEP = timedelta(seconds=1)
 class Examined:
     """The verified part of a run folder. findings: errors, warnings and notes.
 
-    seal_digest: SHA-256 of seal.json. sealed_before: whether it was sealed before, according to its contents. state, scan: None if
-    the journal cannot be read; then nothing is verified. unknown: entries that planrunner did not write.
+    seal_digest: SHA-256 of seal.json. sealed_before: True if the contents show that the run was ever sealed. state,
+    scan: None if the journal cannot be read; then nothing is verified. unknown: entries that planrunner did not write.
     """
 
     folder: GuardedFolder
@@ -142,7 +142,7 @@ class Examined:
         self.findings.error(code, Mark(str(self.folder.path)), message, hint)
 
     def require_whole(self, *but: str) -> None:
-        """Raises `IntegrityError` with all errors, except errors with these codes."""
+        """Raises one `IntegrityError` with all errors except those with the codes `but`."""
         found = [
             f"{item.message}; {item.hint}" if item.hint else item.message
             for item in self.findings.errors
@@ -178,8 +178,8 @@ def open_run(path: Path) -> GuardedFolder:
 def examine(folder: GuardedFolder, *, samples: SampleCheck = "sizes") -> Examined:
     """Examines a run folder. samples: how to check the files of samples.
 
-    A run that is being written can be examined too. Files are listed before the journal is read, so the journal can only contain
-    more.
+    A run that is being written can be examined too. Files are listed before the journal is read, so the journal may list more
+    files, but never fewer.
     """
     found = Examined(folder)
     standing = _entries(found)
@@ -345,7 +345,7 @@ def _check_seal(found: Examined, standing: RecordedEntries) -> None:
 
 
 def is_being_written(found: Examined) -> bool:
-    """Whether a process is writing the run, so that its seal or signature may follow."""
+    """Whether a process is writing the run at present, so that its seal or signature may follow."""
     try:
         return pausing.is_written(found.folder)
     except OSError:
@@ -384,14 +384,15 @@ def _check_chain(found: Examined) -> None:
 
 
 def _follows_seal(found: Examined, basis: Basis) -> bool:
-    """Whether the analysis was made after the present seal. In a reopened run it may belong to an earlier seal."""
+    """Whether the analysis was made after the present seal. In a reopened run, the analysis may belong to an earlier seal."""
     return found.seal is not None and basis.events >= int(found.seal["journal"]["events"])
 
 
 def _check_times(found: Examined) -> None:
-    """Checks that no time is before the time of the preceding data, and that none is in the future.
+    """Checks that no time is earlier than the time of the data before it, and that none is in the future.
 
-    A clock that was set back causes the same findings. Therefore other commands only warn; the data themselves are unchanged.
+    A clock that was set back causes the same findings as an altered time. Therefore other commands only warn; the data themselves
+    are unchanged.
     """
     assert found.state is not None and found.scan is not None
     path = found.folder.path
@@ -417,7 +418,7 @@ def _check_times(found: Examined) -> None:
 
 
 def _of_the_whole(found: Examined) -> list[StoredAnalysis]:
-    """The analyses made from the whole journal; earlier ones were made before its last events."""
+    """The analyses that were made from the complete journal, not before its last events were added."""
     assert found.scan is not None
     return [one for one in found.analyses if one.basis is not None and one.basis.events == found.scan.count]
 
@@ -509,7 +510,8 @@ def _check_names(found: Examined, standing: RecordedEntries) -> None:
 
 
 def _tell_unknown(found: Examined, path: Path, entry: Entry) -> None:
-    """Reports an entry that planrunner did not write: an error if the folder was sealed, or if it is not a plain file or folder."""
+    """Reports an entry that planrunner did not write; this is an error if the folder was sealed or if the entry is not a plain file
+    or folder."""
     if entry.kind == "file" and path.name in FILE_MANAGERS:
         return
     message = f"{path}: {entry.what} that planrunner did not write"

@@ -35,8 +35,9 @@ def choose(
     seed: int = 0,
     workers: Workers = ALONE,
 ) -> tuple[int, ...]:
-    """Ascending indices (count,) of different bundles (N, p, p), found by exchange from seeded starts. The bundles in `kept` are
-    always included. workers: share the starts; the same seed gives the same choice with any workers.
+    """The best `count` different bundles of `bundles` (N, p, p), as ascending indices (count,), found by exchange from seeded
+    starts. The bundles in `kept` are always included. workers: processes that share the starts; the same seed gives the same choice
+    with any workers.
 
     Raises ValueError if there are fewer bundles than requested, or if no choice determines all terms.
     """
@@ -76,9 +77,9 @@ def _settle(bundles: Array, fixed: Array, others: Array, criterion: str, start: 
 def shares(
     bundles: Array, fixed: Array, criterion: str = "D", tolerance: float = 1e-6, most_steps: int = 20_000
 ) -> tuple[Array, float]:
-    """The best shares (N,) of a resource, which add up to 1, and the remaining excess of the largest derivative over its mean.
-    `bundles` (N, p, p) is the information of each bundle if it gets the whole resource. The excess is 0 at the optimum (Kiefer and
-    Wolfowitz; multiplicative steps as in `continuous`).
+    """The best shares (N,) of a resource, which add up to 1, and the remaining excess: the ratio of the largest derivative to the
+    mean derivative, minus 1. `bundles` (N, p, p) is the information of each bundle if it gets the whole resource. The excess is 0
+    at the optimum (Kiefer and Wolfowitz; multiplicative steps as in `continuous`).
 
     fixed: (p, p), information that does not depend on the shares. Raises ValueError if the bundles cannot determine all terms.
     """

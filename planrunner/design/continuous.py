@@ -23,10 +23,10 @@ NEGLIGIBLE = 1e-8  # shares below this are dropped from a solution
 
 @dataclass(frozen=True, slots=True)
 class Continuous:
-    """Optimal shares of the candidates, without whole numbers of observations. shares: (N,), adding up to 1. matrix: (p, p), M per
-    observation. excess: the largest value of the derivative over its mean, minus one; 1e-6 means that no design is better by more
-    than one part in a million. value: |M| (D) or tr(W·M⁻¹). mean: mean of the derivative; p (D) or the value itself, less if some
-    information does not depend on the shares."""
+    """Optimal shares of the observations for each candidate, without rounding to whole numbers of observations. shares: (N,),
+    adding up to 1. matrix: (p, p), M per observation. excess: the ratio of the largest derivative to `mean`, minus 1; 1e-6 means
+    that no design is better by more than one part in a million. value: |M| (D) or tr(W·M⁻¹). mean: mean of the derivative, weighted
+    by the shares. It is p (D) or the value itself (linear criterion), and less if some information does not depend on the shares."""
 
     shares: Array
     matrix: Array
@@ -37,12 +37,12 @@ class Continuous:
 
     @property
     def largest_variance(self) -> float:
-        """The certificate of a D-optimal design: max d(x) over the candidates. At the optimum it is p (`mean` with fixed
-        information)."""
+        """The certificate of a D-optimal design: max d(x) over the candidates. At the optimum it is p, or `mean` if there is fixed
+        information."""
         return self.mean * (1.0 + self.excess)
 
     def determinant_bound(self, observations: int) -> float:
-        """Upper bound of the determinant for any set with this number of observations (D designs)."""
+        """Upper bound of the determinant of M for any set with this number of observations (D designs)."""
         # ln|M| is concave: no other design's is larger by more than what the largest derivative exceeds the mean.
         return float(observations ** len(self.matrix) * self.value * np.exp(self.mean * self.excess))
 
@@ -71,10 +71,10 @@ def solve(
 ) -> Continuous:
     """The best shares for the candidates `rows`, shape (N, p), which must have rank p.
 
-    weighting: None for D, W (p, p) for tr(W·M⁻¹). least: smallest share of every candidate. start: shares to begin with. fixed: (p,
-    p), information per observation that does not depend on the shares. The iteration ends when the excess is below `tolerance` or
-    after `most_steps`. The remaining excess is reported, and the bounds allow for it. Raises ValueError if the candidates cannot
-    determine all terms.
+    weighting: None for D, W (p, p) for tr(W·M⁻¹). least: smallest share that any candidate may have. start: shares with which the
+    iteration begins. fixed: (p, p), information per observation that does not depend on the shares. The iteration ends when the
+    excess is below `tolerance` or after `most_steps`. The remaining excess is reported, and the bounds allow for it. Raises
+    ValueError if the candidates cannot determine all terms.
     """
     rows = np.asarray(rows, dtype=float)
     count, p = rows.shape
@@ -112,7 +112,7 @@ def solve(
 def judged(
     rows: Array, shares: Array, weighting: Array | None = None, least: float = 0.0, fixed: Array | None = None
 ) -> Continuous:
-    """The given shares with their certificate over `rows`."""
+    """The design with the given shares, and its certificate over `rows`."""
     matrix = information(rows, shares) + (0.0 if fixed is None else fixed)
     gain = derivative(rows, matrix, weighting)
     free = shares - least
@@ -123,8 +123,8 @@ def judged(
 
 
 def _step(shares: Array, gain: Array, p: int) -> Array:
-    """A step towards the candidate with the largest variance, or away from the candidate with the smallest variance that has a
-    share, whichever violates optimality more. The length of the step maximises |M|."""
+    """A step towards the candidate with the largest variance, or away from the candidate with the smallest variance among those
+    with a share, whichever violates optimality more. The length of the step maximises |M|."""
     up = int(np.argmax(gain))
     held = np.flatnonzero(shares > 0.0)
     down = int(held[np.argmin(gain[held])])
@@ -160,11 +160,11 @@ def solve_with_climbing(
     most_rounds: int = 6,
     fixed: Array | None = None,
 ) -> Continuous:
-    """The best shares over a continuous region. It begins with the candidates and adds better points found by climbing, until there
-    are none.
+    """The best shares over a continuous region. The search begins with the candidates, and adds better points found by climbing
+    until there are none.
 
-    climb(M, W) → (points' rows, their derivatives) at local maxima of the derivative over the region. The excess of the result
-    refers to the region, as far as climbing finds the maxima.
+    climb: a function of (M, W) that returns the rows of points at local maxima of the derivative over the region, and the
+    derivatives there. The excess of the result refers to the region, as far as climbing finds the maxima.
     """
     known = np.asarray(rows, dtype=float)
     shares: Array | None = None

@@ -1,8 +1,10 @@
-"""Searches for rotation cycles whose stops and turns each have zero residual for a constant horizontal error.
+"""Searches for rotation cycles in which a constant horizontal error leaves no residual: its contributions cancel over all stops,
+and also over all turns.
 
 `same_order` keeps the planned order of the stops and chooses the sense of every turn. If one round is not enough, it repeats the
-cycle with other choices. `free_order` chooses the order as well. Every position is held equally often. Both return to the first
-position with unwound cables. They prefer a mean angle of zero, then the smallest range of cable, then the shortest cycle.
+cycle with other choices. `free_order` chooses the order as well. Every position is held equally often. The cycles of both functions
+end at the first position with unwound cables. Among them, both functions prefer a mean angle of zero, then the smallest range of
+cable, then the shortest cycle.
 
 Workers can share a search. `same_order` is divided into parts of equal numbers of choices, `free_order` into parts by the first move. The
 parts are independent of each other, and their results are combined in order. The result is therefore the same with any workers.
@@ -38,7 +40,7 @@ class CycleError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Cable:
-    """Angles from the first position that the axis can reach [rad]."""
+    """The range of angles that the axis can reach, counted from the first position [rad]."""
 
     lowest: float = -math.inf
     highest: float = math.inf
@@ -49,8 +51,9 @@ class Cable:
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """Extent of one search. moves: number of moves of the cycles; tried: number of cycles; balanced: number of cycles with zero
-    residual; wound: number of those that wind the cables up; exhaustive: whether all cycles were tried."""
+    """Extent of one search. moves: number of moves in each cycle; tried: number of cycles that were tried; balanced: number of
+    cycles with zero residual; wound: number of balanced cycles that wind the cables up; exhaustive: whether all possible cycles
+    were tried."""
 
     moves: int
     tried: int
@@ -70,8 +73,8 @@ class FoundCycle:
 
 @dataclass(frozen=True, slots=True)
 class StudiedCycle:
-    """A cycle of the study. cycle: with the same positive sense of angles as the plan; moves: as a plan writes them; drive: growth of the
-    Schuler oscillation relative to the oscillation without rotation."""
+    """A cycle of the study. cycle: the cycle, with angles that are positive in the same sense as in the plan; moves: the moves as a
+    plan writes them; drive: growth of the Schuler oscillation relative to the oscillation without rotation."""
 
     cycle: RotationCycle
     moves: tuple[str, ...]
@@ -79,10 +82,10 @@ class StudiedCycle:
 
 
 def same_order(planned: RotationCycle, cable: Cable = Cable(), workers: Workers = ALONE) -> FoundCycle:
-    """Searches cycles through the planned stops in the planned order. Turns have either sense; each is at most half a turn, or at
-    most the longest planned turn.
+    """Searches cycles through the planned stops in the planned order. A turn may have either sense; it is at most half a turn, or
+    at most the longest planned turn.
 
-    Raises `CycleError` if the stops themselves are not balanced, which no turn can correct, and if there are too many choices.
+    Raises `CycleError` if the stops themselves are not balanced, which no turn can correct, or if there are too many choices.
     """
     if abs(planned.integral()[0]) > NOTHING * planned.period:
         raise CycleError(
@@ -109,7 +112,7 @@ def same_order(planned: RotationCycle, cable: Cable = Cable(), workers: Workers 
 
 
 def _together(moves: int, parts: Iterable[tuple[RotationCycle | None, Round]]) -> tuple[RotationCycle | None, Round]:
-    """The result of a search for cycles of so many moves from those of its parts."""
+    """The result of a search for cycles of `moves` moves, combined from the results of its parts."""
     best: RotationCycle | None = None
     tallies = []
     for found, tally in parts:
@@ -124,20 +127,21 @@ def _together(moves: int, parts: Iterable[tuple[RotationCycle | None, Round]]) -
 def _best_of_part(
     choices: Sequence[Sequence[float]], planned: RotationCycle, cable: Cable, part: range
 ) -> tuple[RotationCycle | None, Round]:
-    """`_best_of` the combinations with these numbers, in the order of `itertools.product`."""
+    """The result of `_best_of` for a part of all combinations of turns, numbered in the order of `itertools.product`."""
     numbers = np.unravel_index(np.array(part), [len(ways) for ways in choices])
     turns = np.column_stack([np.array(ways)[number] for ways, number in zip(choices, numbers, strict=True)])
     return _best_of(turns, planned, cable)
 
 
 def _ways(turn: float, most: float) -> list[float]:
-    """The turns of at most `most` to the same position, `turn` first. A full turn does not become a stop."""
+    """All turns of at most `most` that end at the same position as `turn`; the first of them is `turn` itself. A turn of zero is
+    left out."""
     others = [turn + TURN * whole for whole in range(-2, 3) if whole]
     return [turn, *(other for other in others if abs(other) <= most and abs(other) > _ANGLE)]
 
 
 def _best_of(turns: Array, planned: RotationCycle, cable: Cable) -> tuple[RotationCycle | None, Round]:
-    """The best of (m, n) cycles of equal stops, and the number of cycles with zero residual."""
+    """The best of m cycles, given by their n turns each (m, n), with stops of equal duration; and the counts of this search."""
     ends = np.cumsum(turns, axis=1)
     begins = ends - turns
     left = np.zeros(len(turns), dtype=complex)
@@ -288,7 +292,8 @@ class _Search:
 
 
 def _steps(angles: Sequence[float], start: int, most: float, near: bool) -> list[tuple[int, float]]:
-    """The steps from one position, as (index of a position, turn to it); the shortest first, and of two equal ones the positive."""
+    """The steps from one position, as (index of a position, turn to it), the shortest first; of two equally long turns, the
+    positive turn comes first."""
     count = len(angles)
     ends = [(start + 1) % count, (start - 1) % count] if near else [index for index in range(count) if index != start]
     found = set()

@@ -1,7 +1,8 @@
 """Rows of a design matrix as polynomials of the attitude's nine direction cosines, so that a search can evaluate millions of them.
 
 At rest a sensor senses the Earth's rate and gravity, which are linear in the direction cosines; products of two of them are of
-second degree. A polynomial of that degree is fitted to the rows of the estimator. It is used only if it reproduces them everywhere.
+second degree. A polynomial of that degree is fitted to the rows of the estimator. The polynomial is used only if it reproduces
+these rows everywhere.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ _UPPER = np.triu_indices(9)
 
 
 def quick(rows_at: RowsAt, seed: int = 0) -> RowsAt:
-    """A fast replacement of `rows_at`, which gives rows (m, p) at attitudes (m, 3, 3); `rows_at` itself if the rows are not polynomials
-    of second degree in the direction cosines."""
+    """A fast replacement for `rows_at`, which gives rows (m, p) at attitudes (m, 3, 3); `rows_at` itself if its rows are not
+    polynomials of second degree in the direction cosines."""
     random = np.random.default_rng(seed)
     attitudes = np.linalg.qr(random.normal(size=(_FITTED + _TRIED, 3, 3)))[0]
     attitudes = attitudes * np.linalg.det(attitudes)[:, None, None]

@@ -1,10 +1,10 @@
 """The information in a set of observations by the four usual criteria of optimal design, and its efficiency relative to the best set.
 
-rows: shape (n, p), one observation each, columns divided by their declared magnitudes; M = Σ w_i·x_i·x_iᵀ is the information matrix in
-units of the inverse variance of one observation. D maximises |M|. A minimises the trace of M⁻¹ (sum of the coefficients' variances). G
-minimises the largest variance xᵀM⁻¹x of a predicted output, and I its mean over a region. Efficiencies are per observation: if the
-efficiency of a set is 80 %, the best design needs 0.8 times as many observations for the same value of the criterion (Atkinson, Donev &
-Tobias, Optimum Experimental Designs, with SAS, 2007, chapters 10 and 11).
+rows: shape (n, p), one row for each observation, columns divided by their declared magnitudes; M = Σ w_i·x_i·x_iᵀ is the
+information matrix in units of the inverse variance of one observation. D maximises |M|. A minimises the trace of M⁻¹ (sum of the
+coefficients' variances). G minimises the largest variance xᵀM⁻¹x of a predicted output, and I its mean over a region. Efficiencies
+are per observation: if the efficiency of a set is 80 %, the best design needs 0.8 times as many observations for the same value of
+the criterion (Atkinson, Donev & Tobias, Optimum Experimental Designs, with SAS, 2007, chapters 10 and 11).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ SINGULAR = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Merit:
-    """The criteria of one set of n observations of p terms.
+    """The values of the criteria for a set of n observations of p terms.
 
-    determinant: |M|, zero if M is singular; trace: of M⁻¹; worst, mean: largest and mean variance of a predicted output over the
-    region, in units of one observation's variance. The last three are infinite if M is singular.
+    determinant: |M|, zero if M is singular; trace: trace of M⁻¹; worst, mean: largest and mean variance of a predicted output over
+    the region, in units of one observation's variance. `trace`, `worst` and `mean` are infinite if M is singular.
     """
 
     observations: int
@@ -52,13 +52,13 @@ class Efficiency:
 
 
 def information(rows: Array, weights: Array | None = None) -> Array:
-    """The information matrix M, shape (p, p). weights: (n,), by default one for each row."""
+    """The information matrix M, shape (p, p). weights: (n,), 1 for each row by default."""
     rows = np.asarray(rows, dtype=float)
     return rows.T @ rows if weights is None else (rows * np.asarray(weights)[:, None]).T @ rows
 
 
 def region_moment(region: Array) -> Array:
-    """The mean of x·xᵀ over the rows of a region, shape (p, p), so that the mean variance there is trace(moment·M⁻¹)."""
+    """The mean of x·xᵀ over the rows of a region, shape (p, p), so that the mean variance over the region is trace(moment·M⁻¹)."""
     return information(region) / len(region)
 
 
@@ -68,8 +68,8 @@ def variances(rows: Array, matrix: Array) -> Array:
 
 
 def merit(rows: Array, region: Array, weights: Array | None = None, fixed: Array | None = None) -> Merit:
-    """The criteria of a set. region: rows for which predictions are required; weights: of each observation, by default one; fixed:
-    rows (k, p) that are always observed and that `observations` does not count."""
+    """The values of the criteria for a set. region: rows for which predictions are required; weights: weight of each observation, 1
+    by default; fixed: rows (k, p) that are always observed and that `observations` does not count."""
     n, p = rows.shape
     used = rows if weights is None else rows * np.sqrt(weights)[:, None]
     if fixed is not None:

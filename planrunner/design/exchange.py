@@ -1,9 +1,9 @@
-"""The best n of a list of candidates: by trying all choices if they are few, otherwise by exchange from many starts.
+"""Chooses the best n candidates of a list: by trying all choices if there are few, otherwise by exchange from many starts.
 
-In an exchange (Fedorov 1972; in the form of Cook & Nachtsheim, Technometrics 22, 1980), the candidate that is best in combination
-with the others replaces each point in turn, until nothing changes. With S the inverse information of the others and d = xᵀSx,
-adding x multiplies the determinant by 1 + d and lowers tr(W·M⁻¹) by xᵀSWSx/(1 + d). `fixed`, shape (p, p), is information that does
-not depend on the choice.
+In an exchange (Fedorov 1972; in the form of Cook & Nachtsheim, Technometrics 22, 1980), each point in turn is replaced by the
+candidate that is best in combination with the other points, until nothing changes. With S the inverse information of the other
+points and d = xᵀSx, adding x multiplies the determinant by 1 + d and lowers tr(W·M⁻¹) by xᵀSWSx/(1 + d). `fixed`, shape (p, p), is
+information that does not depend on the choice.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _RIDGE = 1e-10  # keeps the others' information matrix invertible while a set is
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """Result of a choice. indices: (n,), of the candidates, ascending; loss: −ln|M| (D) or tr(W·M⁻¹), infinite if no choice
-    determines all terms. tried: number of choices or restarts; exhaustive: whether all choices were tried."""
+    """Result of a choice. indices: (n,), indices of the chosen candidates, ascending; loss: −ln|M| (D) or tr(W·M⁻¹), infinite if no
+    choice determines all terms. tried: number of choices or restarts that were tried; exhaustive: whether all choices were tried."""
 
     indices: Indices
     loss: float
@@ -187,7 +187,7 @@ def _settle(rows: Array, start: Indices, weighting: Array | None, repeats: bool,
 
 
 def _worth(rows: Array, others: Array, weighting: Array | None) -> Array:
-    """The value of each candidate in addition to the others. Only the order of the values matters."""
+    """The value of each candidate in addition to the other points. Only the order of the values matters."""
     values, vectors = np.linalg.eigh(others)
     inverse = (vectors / np.maximum(values, 1e-13 * max(values[-1], 1e-300))) @ vectors.T
     carried = rows @ inverse

@@ -16,9 +16,10 @@ from planrunner.estimators.interface import Design, DesignBlock
 class Identifiability:
     """Information that the planned segments give about one output.
 
-    rank: of `columns` terms; condition: of the columns divided by their declared magnitudes, infinite if the rank is deficient.
-    determinant: of the information matrix of those columns with equal weights, to compare sets of positions. unidentifiable: names.
-    explanation: in words, empty if all terms can be identified.
+    rank: rank of the design matrix, whose columns are the terms. condition: condition number of the columns divided by their
+    declared magnitudes; infinite if the rank is deficient. determinant: determinant of the information matrix of these columns with
+    equal weights, for the comparison of sets of positions. unidentifiable: names of the terms that cannot be identified.
+    explanation: in words; empty if all terms can be identified.
     """
 
     output: str

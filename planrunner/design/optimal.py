@@ -28,7 +28,7 @@ CLIMBERS = 24  # places from which the variance is climbed
 @dataclass(frozen=True, slots=True)
 class Region:
     """A region of settings. settings: (N, k), candidates spread over the region; rows: (N, p), their design rows; bounds: (lowest,
-    highest) of each of the k numbers, infinite if there is none."""
+    highest) of each of the k numbers, infinite where there is no bound."""
 
     rows_of: RowsOf
     settings: Array
@@ -38,8 +38,8 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Result of a search. settings: (n, k); loss: −ln|M| or tr(W·M⁻¹); starts: number of local optimisations; agreeing: number of
-    those that ended within 1e-4 of the best."""
+    """Result of a search. settings: (n, k), the best settings; loss: −ln|M| or tr(W·M⁻¹); starts: number of local optimisations;
+    agreeing: number of local optimisations that ended within 1e-4 of the best."""
 
     settings: Array
     loss: float
@@ -74,7 +74,8 @@ def search(
     """The best `count` settings found. Exchange among the candidates gives sets, and local optimisation improves each set.
 
     starts: additional settings (count, k) to improve, such as those of a plan. fixed: (p, p), information that does not depend on
-    the choice. workers: processes that share the sets to improve. The same seed gives the same settings with any workers.
+    the choice. workers: number of processes that share the sets to improve. The same seed gives the same settings for any number of
+    workers.
     """
     sets = exchange.exchange_all(over.rows, count, weighting, restarts=restarts, seed=seed, repeats=True, fixed=fixed)
     begun = [*starts, *(over.settings[chosen.indices] for chosen in sets)]
@@ -94,7 +95,7 @@ def _refined(over: Region, weighting: Array | None, fixed: Array | None, start: 
 
 
 def refine(over: Region, start: Array, weighting: Array | None = None, fixed: Array | None = None) -> Array:
-    """The nearest local optimum, in the shape of `start` (n, k), by L-BFGS-B with the exact gradient in the rows."""
+    """The local optimum nearest to `start` (n, k), in the same shape, by L-BFGS-B. The gradient with respect to the rows is exact."""
     from scipy.optimize import minimize
 
     shape = start.shape
@@ -156,8 +157,8 @@ def bound(
 ) -> Continuous:
     """The continuous optimum over the region with its certificate, as far as climbing from the candidates finds the maxima.
 
-    begin: (m, k), settings to begin with, such as the best sets found. The closer they are to the optimum, the sooner it is
-    certified.
+    begin: (m, k), settings to begin with, such as the best sets found. The closer these settings are to the optimum, the sooner the
+    optimum is certified.
     """
     spots = over.rows[np.argsort(-np.sum(over.rows**2, axis=1), kind="stable")[: len(over.rows) // 20]]
     rows = np.vstack([over.rows_of(begin), spots])

@@ -1,5 +1,5 @@
-"""The positions of a plan that a design may move: the segments at rest at them, and the response of an estimate at any other
-attitude.
+"""The positions of a plan that a design may move: the segments that rest at each position, and the response of an estimate at any
+other attitude.
 
 A place is one orientation in the text of the plan. Segments that share it (repeats, temperatures) move together. The estimator
 itself gives the information of a position at rest, so this module does not depend on any sensor.
@@ -42,10 +42,10 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """Response of one output of an estimate: its terms, and the estimator's rows at any attitude.
+    """The response of one output of an estimate: its terms, and the rows of the estimator's design matrix at any attitude.
 
-    magnitudes: (p,), divisors of the columns. fixed: rows (k, p) of the unchanged segments, such as spins, in units of a position's
-    noise.
+    magnitudes: (p,), divisors of the columns. fixed: rows (k, p) of the segments that stay unchanged, such as spins, in units of
+    the noise of a segment at a position.
     """
 
     name: str
@@ -73,8 +73,8 @@ class Sight:
 
 
 def places(segments: Sequence[Segment], patterns: Sequence[str]) -> tuple[tuple[Place, ...], tuple[Segment, ...]]:
-    """The places of the segments that an estimate uses, and its spinning segments, which stay. Raises `EstimationError` for
-    segments that no design of positions can move."""
+    """The places of the segments that an estimate uses, and the spinning segments of the estimate, which stay unchanged. Raises
+    `EstimationError` for segments that no design of positions can move."""
     chosen = set(select([segment.label for segment in segments], patterns))
     groups: dict[tuple[int, int], list[Segment]] = {}
     spins = tuple(segments[index] for index in sorted(chosen) if isinstance(segments[index].motion, Spin))
@@ -112,8 +112,8 @@ def sight(
     spins: Sequence[Segment] = (),
     output: str | None = None,
 ) -> Sight:
-    """Computes the response of an estimate at the places, in addition to the spins that stay unchanged. output: name of the output,
-    if the outputs differ. Raises `EstimationError`."""
+    """Computes the response of an estimate at the places, together with its spins, which stay unchanged. output: name of the
+    output, required if the outputs differ. Raises `EstimationError`."""
     at_rest = tuple(place.segments[0] for place in found)
     design = _design(name, spec, (*at_rest, *spins), site, sensor, uses, setup)
     if design is None or not design.blocks:
@@ -211,8 +211,8 @@ def reachable(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float
 
 
 def quick_order(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float) -> list[int]:
-    """An order of the attitudes that gives the table a short path: the nearest next attitude each time, then exchanges of two as long as
-    they shorten the path."""
+    """An order of the attitudes that gives the table a short path: it always takes the nearest remaining attitude next, and then
+    exchanges pairs of attitudes if this shortens the path."""
 
     def travel(order: Sequence[int]) -> float:
         joints, total = np.zeros(len(axes)), 0.0

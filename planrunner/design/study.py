@@ -1,8 +1,8 @@
 """A design study: its options, the result of its search, and its output.
 
 Positions, rates and cycles are three kinds of study. Each kind has a search (`planrunner.tasks.design_positions` and so on), whose
-result is a `Found…`. Its facts, tables and pictures (`planrunner.reporting.positions_study` and so on) make it a `Study`. All
-further steps are the same for all kinds: one task, one command, one page.
+result is a `Found…`. Modules such as `planrunner.reporting.positions_study` add its facts, tables and pictures, and so make a
+`Study` of it. All further steps are the same for all kinds: one task, one command, one page.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ SearchProgress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Options of a study; each kind uses only its own options. estimate: by default the first that can be designed. criterion: D,
-    A, G or I; for rates D or A. time: s, for the whole plan; dwells are allotted within it.
+    """Options of a study; each kind uses only its own options. estimate: name of the estimate; by default, the first estimate that
+    can be designed. criterion: D, A, G or I; for rates, D or A. time: duration of the whole plan, s; dwells are allotted within it.
 
-    For positions, output: the output to design for, if outputs differ; orientations: the set to put into the plan, free, cardinal
-    or planned; restarts, seed: of the search over free orientations. For rates, rates: whether to design them even if something
-    else could be designed; line_only: whether to use only the estimator's own terms; keep_lowest: whether to keep the lowest
-    planned rate, at which threshold and resolution are determined. For cycles, segment: label of the segment, by default the first
-    with a cycle; order: the cycle to put into the plan, free or same.
+    For positions, output: name of the output to design for, if outputs differ; orientations: the set to put into the plan, free,
+    cardinal or planned; restarts, seed: number of restarts and seed of the search over free orientations. For rates, rates: True
+    designs the rates even if something else could be designed; line_only: True uses only the estimator's own terms; keep_lowest:
+    True keeps the lowest planned rate, at which threshold and resolution are determined. For cycles, segment: label of the segment,
+    by default the first one with a cycle; order: the cycle to put into the plan, free or same.
     """
 
     estimate: str | None = None
@@ -53,9 +53,9 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class PositionSet:
-    """One set of positions in the order of the plan's labels. of_found, of_bound: efficiencies relative to the best set found among
-    all reachable orientations and to the continuous bound; of_cardinal: for cardinal sets, relative to the best cardinal set found.
-    schedule: the plan with this set; designs: the expected results of its estimates."""
+    """One set of positions in the order of the plan's labels. of_found: efficiency relative to the best set found among all
+    reachable orientations; of_bound: efficiency relative to the continuous bound; of_cardinal: for cardinal sets, efficiency
+    relative to the best cardinal set found. schedule: the plan with this set; designs: the expected results of its estimates."""
 
     attitudes: tuple[Array, ...]
     texts: tuple[str, ...]
@@ -68,7 +68,7 @@ class PositionSet:
 
     @property
     def residual_ratios(self) -> dict[str, float]:
-        """`estimate.ratio_…` → expected ratio of residual sums of squares, for every comparison in the plan."""
+        """Maps `estimate.ratio_…` to the expected ratio of residual sums of squares, for every comparison in the plan."""
         return {
             f"{estimate}.{key}": float(value)
             for estimate, design in self.designs.items()
@@ -78,8 +78,9 @@ class PositionSet:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Bounds of the criteria. D, A, I: values that no set with this number of positions exceeds. certificate: largest variance of a
-    predicted output for the D-optimal continuous design; exactly at the optimum, it equals the number of terms."""
+    """Bounds of the criteria. merit: for each criterion, the value that no set with this number of positions can improve on.
+    certificate: largest variance of a predicted output for the D-optimal continuous design; exactly at the optimum, it equals the
+    number of terms."""
 
     merit: Merit
     certificate: float
@@ -87,9 +88,10 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True)
 class FoundPositions:
-    """Result of a design of positions. sets: those of `planned`, `cardinal` and `free` that exist; best, bounds: by domain (free,
-    cardinal). dwells: s, of the chosen set, empty if they were not optimised; dwell_gain: efficiency of equal dwells relative to the
-    optimised `dwells`. text: the plan with the chosen set."""
+    """Result of a design of positions. sets: the sets by name, `planned`, `cardinal` and `free`, as far as they exist; best,
+    bounds: the best values found and the bounds, by domain (free, cardinal). dwells: dwells of the chosen set, s, empty if they
+    were not optimised; dwell_gain: efficiency of equal dwells relative to the optimised `dwells`. text: the plan with the chosen
+    set."""
 
     sight: Sight
     places: tuple[Place, ...]
@@ -109,12 +111,13 @@ class FoundPositions:
 
 @dataclass(frozen=True, slots=True)
 class RateSet:
-    """A set of rates with their dwells. rates: (n,), rad/s, magnitudes, largest first; dwells: (n,), s. loss: −ln|M| or tr M⁻¹ of the
-    scaled terms.
+    """A set of rates with their dwells. rates: (n,), rad/s, magnitudes of the rates, largest first; dwells: (n,), s. loss: −ln|M|
+    or tr M⁻¹ of the scaled terms.
 
-    efficiency: relative to the best rates found, for the same number of observations; per_hour: relative to the best use of the same
-    time. variance: variance of a predicted output at each rate of the study's `course`, in units of the variance of one observation at
-    the largest rate. predicted, total: predicted results of the plan with these rates, and its duration [s].
+    efficiency: efficiency relative to the best rates found, for the same number of observations; per_hour: efficiency relative to
+    the best use of the same time. variance: variance of a predicted output at each rate of `FoundRates.course`, in units of the
+    variance of one observation at the largest rate. predicted, total: predicted results of the plan with these rates, and its
+    duration [s].
     """
 
     rates: tuple[float, ...]
@@ -145,8 +148,9 @@ class FoundRates:
 
 @dataclass(frozen=True, slots=True)
 class FoundCycles:
-    """Result of a design of rotation cycles. cycles: `planned` and, if found, `same order` and `free order`. searches: the searches by
-    these names; reasons: by these names, why a search was not possible. text: the plan with the chosen cycle, empty if it was not found."""
+    """Result of a design of rotation cycles. cycles: `planned` and, if found, `same order` and `free order`. searches: the results
+    of the searches, by the name of the cycle; reasons: why a search was not possible, by the name of the cycle. text: the plan with
+    the chosen cycle, empty if no such cycle was found."""
 
     segment: Segment
     axis: TableAxis
@@ -159,7 +163,8 @@ class FoundCycles:
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """Subject of the study. title: of the plan; facts: plan, bench and site by name; file, findings: of the plan as it was checked."""
+    """Subject of the study. title: title of the plan; facts: plan, bench and site by name; file, findings: the file and the
+    findings of the plan as it was checked."""
 
     title: str
     facts: Mapping[str, str]
@@ -169,7 +174,7 @@ class Subject:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """One orientation for drawing. attitude: (3, 3), sensor axes in site axes; words: as the plan writes it."""
+    """One orientation for drawing. attitude: (3, 3), sensor axes in site axes; words: the orientation as the plan writes it."""
 
     label: str
     attitude: Array
@@ -178,9 +183,9 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """Output of a study. varied: the designed quantity, such as `positions`; heading: one line; poses: rows of orientations by
-    title; footer: explanation of the numbers; data: all data as plain data. text: the plan with the chosen design; empty if there
-    is none, and `missing` gives the reason."""
+    """Output of a study. varied: the designed quantity, such as `positions`; heading: heading in one line; poses: rows of drawn
+    orientations, by the title of the row; footer: explanation of the numbers; data: all results as plain data. text: the plan with
+    the chosen design; empty if there is none, and `missing` gives the reason."""
 
     subject: Subject
     varied: str

@@ -1,8 +1,9 @@
 """G-optimal sets: sets that minimise the largest variance of a predicted output over a region.
 
-The largest variance is not differentiable if two places have the same variance. A local search therefore uses the k-norm of the variances
-for increasing k. The gradient of this norm is that of a linear criterion tr(W·M⁻¹), whose W concentrates on the worst places of the
-region as k grows. For lists of candidates, the candidate that minimises the largest variance replaces each position in turn.
+The largest variance is not differentiable if two places have the same variance. A local search therefore uses the k-norm of the
+variances for increasing k. The gradient of this norm is that of a linear criterion tr(W·M⁻¹), whose W concentrates on the worst
+places of the region as k grows. For lists of candidates, each position in turn is replaced by the candidate that minimises the
+largest variance.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ def refine(over: Region, start: Array, region: Array, fixed: Array | None = None
 
 
 def exchange(rows: Array, start: Indices, region: Array, repeats: bool = False, fixed: Array | None = None) -> Indices:
-    """Indices (n,) of the candidates `rows` (N, p). They are reached from `start` by exchanges that reduce the largest variance,
-    until no exchange does."""
+    """Indices (n,) of the chosen candidates among `rows` (N, p). The choice begins with `start` and makes exchanges that reduce the
+    largest variance, until no exchange reduces it."""
     chosen = list(map(int, start))
     least = worst(rows[chosen], region, fixed)
     improved = True

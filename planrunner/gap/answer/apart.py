@@ -1,7 +1,7 @@
 """Effects that a recording shows outside the coefficients on which other effects act, such as a line of one frequency.
 
-They are found first and removed from the samples, so that the other effects are evaluated without them. Each is present or absent
-independently of the others, so its evidence is added to theirs.
+They are found first and removed from the samples, so that the other effects are evaluated without them. Each of these effects is
+present or absent independently of the other effects, so its log evidence is added to theirs.
 """
 
 from __future__ import annotations
@@ -49,8 +49,9 @@ def likely_repeats(observed: Observed, effects: Sequence[Effect]) -> Repeated | 
 
 
 def repeated_parameters(observed: Observed, effect: str, found: Repeated) -> list[ParameterEstimate]:
-    """Time and duration of the longest stretch, of all outputs in common if all of them repeat their values. Begin and end are each
-    uniform within one interval between samples, so the duration has the triangular distribution of their difference."""
+    """Time and duration of the longest stretch of repeated samples: one duration if all outputs repeat their values, otherwise one
+    for each affected output. Begin and end of the stretch are each uniform within one interval between samples, so the duration has
+    the triangular distribution of their difference."""
     step = 1 / observed.sample_rate
     longest = found.stretches[0]
     alike = {one.channel: one for one in reversed(found.stretches) if abs(one.first - longest.first) <= 1}
@@ -99,8 +100,8 @@ def found_apart(weighing: Weighing, effects: Sequence[Effect], repeats: Repeated
 
 
 def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[float, float, Sequence[Column], Array]:
-    """Fits one line. Returns its frequency and standard uncertainty, Hz; the columns of the effect at this frequency; and their
-    amplitudes and standard uncertainties (P, 2), SI.
+    """Fits one line. Returns the frequency of the line and its standard uncertainty, Hz; the columns of the effect at this
+    frequency; and the amplitudes and their standard uncertainties (P, 2), SI.
 
     frequency: where the search begins, within the resolution of the recording. Gauss–Newton in the frequency, which all channels share;
     the basis vectors of the segments are projected out of every column, because they have also been removed from the samples. The noise

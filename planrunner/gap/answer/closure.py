@@ -38,7 +38,7 @@ WORTH = 4.0  # log BF in a fold at and above which an effect is selected
 @dataclass(frozen=True, slots=True)
 class ChannelClosure:
     """The closure of one channel. before, after: size of the held-out gap in standard deviations of the noise, root mean square
-    over the coefficients; before_value, after_value: the same in `unit`, root mean square over the samples. shrinks_by,
+    over the coefficients; before_value, after_value: size of this gap in `unit`, root mean square over the samples. shrinks_by,
     interval_90: as in `Closure`."""
 
     channel: str
@@ -53,10 +53,10 @@ class ChannelClosure:
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """Result of the check on held-out data: how much of the gap the effects explain. before, after: size of the held-out gap in standard
-    deviations of the noise, root mean square over coefficients. shrinks_by: relative reduction, 1 for a closed gap. interval_90: 90 %
-    interval of `shrinks_by`. resolvable: False if the data do not determine it; the numbers are then NaN. channels: one entry for each
-    channel whose data determine the reduction."""
+    """Result of the check on held-out data: how much of the gap the effects explain. before, after: size of the held-out gap in
+    standard deviations of the noise, root mean square over coefficients. shrinks_by: relative reduction, 1 for a closed gap.
+    interval_90: 90 % interval of `shrinks_by`. resolvable: False if the data do not determine the reduction; all numbers are then
+    NaN. channels: one entry for each channel whose data determine the reduction."""
 
     before: float
     after: float
@@ -71,8 +71,8 @@ NOT_RESOLVABLE = Closure(np.nan, np.nan, np.nan, (np.nan, np.nan), False)
 
 @dataclass(frozen=True, slots=True)
 class FoldChoice:
-    """An effect or pair that a fold may choose. probability: probability that it is the whole cause. whole: whether the amplitude
-    is fixed at 1."""
+    """An effect or a pair of effects that a fold may choose. probability: probability that this choice is the whole cause. whole:
+    True if its amplitude is fixed at 1."""
 
     weighed: Weighed
     probability: float
@@ -90,8 +90,8 @@ class FoldChoice:
 
 @dataclass(frozen=True)
 class KnownCause:
-    """A cause from the catalogue. gram: (p, p), inner products of its held-out signatures with each other; along: (p,), inner products of
-    these signatures with d; mean: (p,) and covariance: (p, p), of its amplitudes."""
+    """A cause from the catalogue. gram: (p, p), inner products of its held-out signatures with each other; along: (p,), inner
+    products of these signatures with d; mean (p,), covariance (p, p): of the amplitudes of the cause."""
 
     probability: float
     gram: Array = field(repr=False)
@@ -102,8 +102,8 @@ class KnownCause:
 
 @dataclass(frozen=True)
 class _Fold:
-    """channel: (m,), index of every row. residual, difference: (m,), whitened; signatures: of every choice, (m, p); told: the
-    information (p, p) about each choice from the other segments."""
+    """The held-out rows of one fold. channel: (m,), index of the channel of every row. residual, difference: (m,), whitened;
+    signatures: (m, p), for each choice; told: (p, p), information about the amplitudes of each choice from the other segments."""
 
     channel: NDArray[np.int64]
     residual: Array
@@ -137,7 +137,7 @@ def closure(weighing: Weighing, choices: Sequence[FoldChoice], beyond: float) ->
 def _measured_rows(
     choices: Sequence[FoldChoice], folds: Sequence[_Fold], rows: Sequence[NDArray[np.bool_]], beyond: float
 ) -> Closure:
-    """The closure of some rows of every fold."""
+    """The closure computed from the selected `rows` of every fold."""
     chosen = list(zip(folds, rows, strict=True))
     difference = np.concatenate([fold.difference[at] for fold, at in chosen])
     known = []
@@ -150,8 +150,8 @@ def _measured_rows(
 
 
 def _in_unit(weighing: Weighing, index: int, own: Closure, residual: Array) -> ChannelClosure:
-    """The closure of a channel, with its sizes also in the channel's unit. Coefficients count in proportion to the mean square of
-    their noise."""
+    """The closure of a channel, with the sizes of the gap also in the channel's unit. Coefficients count in proportion to the mean
+    square of their noise."""
     channel, weight = weighing.observed.channels[index], weighing.weights[index][0]
     every = np.ones(len(weight.scale), dtype=bool)
     sigma = float(np.sqrt(np.mean(np.diag(weight.covariance(every)))))
@@ -186,7 +186,7 @@ def predictions(
 
 
 def held_out(weighing: Weighing) -> list[NDArray[np.bool_]]:
-    """The rows (M,) that are held out in each fold."""
+    """For each fold, a mask (M,) of the rows that are held out."""
     dealt = dealt_by_motion([type(motion).__name__ for motion in weighing.observed.motions])
     return [(dealt == fold)[weighing.spectrum.segment] for fold in range(FOLDS)]
 
@@ -204,7 +204,7 @@ def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
 
 def _told(weighed: Weighed, number: int, folds: Sequence[_Fold]) -> float:
     """The fraction of an effect's energy in held-out segments that the other segments determine, for amplitudes of the estimated
-    size. 0 if only one segment shows the effect."""
+    size. The fraction is 0 if only one segment shows the effect."""
     size = best_scales(weighed.gram[0], weighed.score[0], weighed.variant.widths)
     shown = left = 0.0
     for fold in folds:
@@ -240,7 +240,7 @@ def measured(residual: Array, difference: Array, known: Sequence[KnownCause] = (
 
 
 def _unknown(residual: Array, difference: Array, count: int, draw: np.random.Generator) -> Array:
-    """Squares of the gap before and after, (count, 2), for an unknown composition of the gap."""
+    """Random values of the squared size of the gap before and after, (count, 2), for an unknown composition of the gap."""
     from scipy.special import chndtr
 
     m, size = len(residual), float(np.linalg.norm(difference))
@@ -255,7 +255,7 @@ def _unknown(residual: Array, difference: Array, count: int, draw: np.random.Gen
 
 
 def _explained(cause: KnownCause, squared: float, count: int, draw: np.random.Generator) -> Array:
-    """Squares of the gap before and after, (count, 2), if a known cause is the whole gap. squared: |d|²."""
+    """Random values of the squared size of the gap before and after, (count, 2), if a known cause is the whole gap. squared: |d|²."""
     root = np.linalg.cholesky(cause.covariance)
     amplitudes = cause.mean + draw.standard_normal((count, len(cause.mean))) @ root.T
     before = np.einsum("ni,ij,nj->n", amplitudes, cause.gram, amplitudes)
@@ -263,7 +263,7 @@ def _explained(cause: KnownCause, squared: float, count: int, draw: np.random.Ge
 
 
 def _fold(weighing: Weighing, choices: Sequence[FoldChoice], held: NDArray[np.bool_], worth: float = WORTH) -> _Fold:
-    """The held-out rows of all channels. The effect is chosen from the other rows."""
+    """The held-out rows of all channels in one fold. The effect is chosen from the other rows."""
     used = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
     bounds = np.concatenate(([0], np.cumsum([len(choice.weighed.gram[0]) for choice in choices])))
     parts = [slice(low, high) for low, high in pairwise(bounds)]

@@ -27,11 +27,12 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class ChannelComparison:
-    """One channel, in its `unit`. before, after: difference between recording and simulation without and with the effects: root
-    mean square over the segments, of which each contributes its mean, slow changes and harmonics. noise: the difference that noise
-    alone causes. before_sigma, after_sigma: the same in standard deviations of the noise, 1 for noise alone. sample_noise: standard
-    deviation of a sample of the recording, and of both simulations. means: offset of each common segment (S,), in the recording and
-    both simulations, after the fit of the nominal parameters; sigma: (S,), of the recording."""
+    """The comparison of one channel, in its `unit`. before, after: difference between the recording and the simulation without
+    (before) and with the effects (after): root mean square over the segments. Each segment contributes its mean, slow changes and
+    harmonics. noise: the difference that noise alone causes. before_sigma, after_sigma: the same differences in standard deviations
+    of the noise, 1 for noise alone. sample_noise: standard deviation of a sample in the recording and in both simulations. means:
+    offset of each common segment (S,), in the recording and both simulations, after the fit of the nominal parameters; sigma: (S,),
+    standard uncertainty of the offsets in the recording, from noise."""
 
     unit: str
     before: float
@@ -46,7 +47,7 @@ class ChannelComparison:
 
 @dataclass(frozen=True)
 class GapComparison:
-    """The comparison of all channels. labels: of the common segments."""
+    """The comparison of all channels. labels: labels of the common segments."""
 
     labels: tuple[str, ...]
     channels: dict[str, ChannelComparison]
@@ -100,9 +101,9 @@ def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after:
 
 @dataclass(frozen=True)
 class _Reduced:
-    """A recording or simulation. values: coefficients (M, K), SI, as root mean squares over their segments; counts: samples (M,) of
-    their segments. rows: segment → its rows, first that of the mean. columns: channel → its column. white: (K,), standard deviation
-    of the white noise of a sample."""
+    """A recording or simulation. values: (M, K), SI, coefficients as root mean squares over their segments; counts: (M,), number of
+    samples of the segment of each coefficient. rows: maps each segment to its rows, the first of which is its mean. columns: maps
+    each channel to its column. white: (K,), standard deviation of the white noise of a sample."""
 
     observed: Observed
     values: Array
@@ -128,7 +129,8 @@ class _Reduced:
 
 @dataclass(frozen=True)
 class _Common:
-    """Rows that recording and simulations share, each (m,), and which of them are means."""
+    """Rows that the recording and both simulations share. rows: indices (m,) in each of the three; means: (m,), True for rows that
+    are means of segments."""
 
     rows: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
     means: NDArray[np.bool_]

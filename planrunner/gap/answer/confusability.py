@@ -21,7 +21,7 @@ _RIDGE = 1e-9
 
 
 def fitted(weighed: Weighed) -> list[Array]:
-    """The whitened, projected signature of an effect at its fitted amplitudes, (M,) per channel."""
+    """The whitened, projected signature of an effect at its fitted amplitudes, (M,) for each channel."""
     return [block @ weighed.amplitudes[0] for block in weighed.by_channel]
 
 
@@ -43,8 +43,8 @@ def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
 
 
 def beside(together: EffectSet, name: str) -> float:
-    """The fraction of an effect's fitted energy that lies in channels on which the other effects of the set do not act. This energy
-    cannot be a form residue of the others."""
+    """The fraction of an effect's fitted energy that lies in channels on which the other effects of the set do not act. Imperfect
+    forms of the other effects cannot leave this energy as a residue."""
     weighed, own = together.weighed, together.columns(name)
     amplitudes, _ = weighed.amplitudes
     others = np.ones(len(amplitudes), dtype=bool)
@@ -55,7 +55,7 @@ def beside(together: EffectSet, name: str) -> float:
 
 
 def shared(best: Sequence[Weighed]) -> Array:
-    """The confusability ρ(A|B), rows A, before data are recorded. It is an average over amplitudes from A's prior,
+    """The confusability ρ(A|B), with one row for each A, before data are recorded. It is an average over amplitudes from A's prior,
     tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa)."""
     bounds = np.concatenate(([0], np.cumsum([len(item.gram[0]) for item in best]))).astype(int)
     parts = [slice(low, high) for low, high in pairwise(bounds)]
@@ -70,6 +70,6 @@ def shared(best: Sequence[Weighed]) -> Array:
 
 
 def matrix(candidates: Sequence[Candidate]) -> tuple[list[str], Array]:
-    """Names and ρ(A|B), rows A, of all candidates with a signature, each at its most probable shape."""
+    """Names and ρ(A|B) of all candidates with a signature, each at its most probable shape; the matrix has one row for each A."""
     present = [candidate for candidate in candidates if np.isfinite(candidate.log_bayes).any()]
     return [c.id for c in present], shared([candidate.best for candidate in present])

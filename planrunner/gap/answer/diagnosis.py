@@ -73,10 +73,10 @@ class Grounds:
 @dataclass(frozen=True)
 class Diagnosis:
     """Result of a diagnosis. gap: size of the gap of each channel, in its unit. noise: the noise of every channel. posterior:
-    probabilities of all hypotheses. absorbed: effect → share of its energy that remains after the nominal parameters. unknown: form
-    of a gap that the catalogue does not contain, if the verdict is unknown. rest: the part that the named effects do not explain;
-    None if no effect is named, or if a random walk is among the named effects. pictures: data for plots. given: parameters of the
-    effects that are known to act, fitted together with the named ones."""
+    probabilities of all hypotheses. absorbed: effects that the nominal parameters reproduce almost completely → the share of their
+    energy that remains. unknown: form of a gap that the catalogue does not contain, if the verdict is unknown. rest: the part that
+    the named effects do not explain; None if no effect is named, or if a random walk is among the named effects. pictures: data for
+    plots. given: parameters of the effects that are known to act, fitted together with the named ones."""
 
     gap: Mapping[str, Mapping[str, Json]]
     noise: tuple[NoiseFound, ...]
@@ -258,8 +258,8 @@ def _parameters_of_given(
 
 
 def hypotheses(names: Sequence[str] | None, observed: Observed | None = None) -> list[Effect]:
-    """The effects with these names. Without names, the installed effects that are hypotheses. An effect that is shown only in some
-    recordings counts if it can be shown in `observed`."""
+    """The effects with these names. Without names, the result is all installed effects that are hypotheses. An effect that only
+    some recordings can show is included if `observed` can show it."""
     if names is not None:
         return [plugins.load(plugins.EFFECTS, name)() for name in names]
     installed: list[Effect] = [plugins.load(plugins.EFFECTS, name)() for name in plugins.names(plugins.EFFECTS)]
@@ -282,8 +282,8 @@ def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
 def _choices(
     found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
 ) -> list[FoldChoice]:
-    """The choices for the folds of the closure: probable effects and sets of them, whatever their settings of the noise. If a
-    random walk of the bias or something else acts too, no effect is the whole cause."""
+    """The choices for the folds of the closure: probable effects and sets of effects; hypotheses that differ only in effects on the
+    noise are one choice. If a random walk of the bias or something else acts too, no effect is the whole cause."""
     likely: dict[str, float] = {}
     for name, p in found.probability.items():
         parts = name.split("+")

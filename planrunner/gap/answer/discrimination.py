@@ -23,7 +23,8 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
 
 @dataclass(frozen=True)
 class Rival:
-    """An explanation after a recording. columns: indices of its columns, (p,); mean (p,) and precision (p, p): of their amplitudes."""
+    """A rival explanation after a recording. columns: (p,), indices of its columns among all columns; mean (p,), precision (p, p):
+    of the amplitudes of these columns."""
 
     name: str
     probability: float
@@ -35,8 +36,8 @@ class Rival:
     def learnt(
         cls, name: str, probability: float, columns: NDArray[np.int64], prior: Array, information: Array, score: Array
     ) -> Rival:
-        """The explanation after a recording. prior: precision (p,) of its amplitudes about zero, 0 for a nominal parameter.
-        information (P, P) and score (P,): from the recording, over all columns, in units of the noise."""
+        """The rival after a recording. prior: (p,), precision of its amplitudes about zero before the recording, 0 for a nominal
+        parameter. information (P, P), score (P,): what the recording gives for all columns, in units of the noise."""
         own = information[np.ix_(columns, columns)]
         precision = own + np.diag(prior + _FLAT * np.maximum(np.diag(own), 1.0))
         mean = np.asarray(np.linalg.solve(precision, score[columns]))
@@ -92,7 +93,7 @@ def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
 
 
 def _averaged(rivals: Sequence[Rival], evidence: Array, measure: Callable[[Array], Array]) -> Array:
-    """The loss averaged over the rivals. evidence: (…, R, R); returns (…)."""
+    """The loss averaged over the rivals. evidence: (…, R, R); the result has the shape (…)."""
     share = np.array([rival.probability for rival in rivals])
     share = share / share.sum()
     total = np.zeros(evidence.shape[:-2])

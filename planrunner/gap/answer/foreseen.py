@@ -1,7 +1,7 @@
 """The information about given columns that further segments would provide, computed before these segments are measured.
 
-A segment is sampled like the recording, but only for a few seconds of whole turns and periods. The rest of its length counts as a
-repetition.
+Of each segment, only a few seconds with whole turns or periods are sampled like the recording. The remaining length counts as a
+repetition of these seconds.
 """
 
 from __future__ import annotations

@@ -39,10 +39,10 @@ _HELPS = 0.005  # smallest reduction of the expected loss that justifies a segme
 
 @dataclass(frozen=True)
 class SegmentProposal:
-    """Proposed segments. segments: in order; empty if nothing on the bench helps. rivals: names and present probabilities. now,
-    probability: expected probability of the true rival, at present and after `seconds` of test time. repeating: time [s] and expected
-    probability if the recorded segments are repeated. sensor: an instrument that could separate the rivals if the segments of the bench
-    cannot."""
+    """Proposed segments. segments: the proposed segments in order; empty if nothing on the bench helps. rivals: names and present
+    probabilities of the remaining explanations. now: expected probability of the true rival at present; probability: the same after
+    `seconds` of test time. repeating: time [s] and expected probability if the recorded segments are repeated. sensor: an
+    instrument that could separate the rivals if the segments of the bench cannot."""
 
     segments: tuple[Segment, ...]
     rivals: tuple[tuple[str, float], ...]
@@ -65,7 +65,7 @@ def propose(
     """The segments to measure next; None if one explanation is clear.
 
     options: segments that the bench can execute; seconds: computes the test time of a segment after another one (or as the first),
-    including moves, settling and dwell; lasted: test time of the recording.
+    including moves, settling and dwell; lasted: test time of the recording, s.
     """
     listed = explanations(found, candidates)
     if not options or not _open(listed):
@@ -147,7 +147,7 @@ def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Secon
 
 
 def _gains(rivals: Sequence[Rival], total: Array, loss: float, moves: Sequence[Sequence[Foreseen]]) -> list[float]:
-    """Reduction of the loss by each move, after the information `total` (P, P)."""
+    """Reduction of the loss by each move, if the information `total` (P, P) is already available."""
     after = np.array([total + _sum(move, len(total)) for move in moves])
     gains: list[float] = (loss - expected_loss(rivals, after)).tolist()
     return gains
@@ -194,7 +194,8 @@ def _warmth(segment: Segment) -> float | None:
 
 
 def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[Foreseen]:
-    """The chosen segments without those that are not needed to reach the target, or the best value that can be reached."""
+    """The chosen segments without those that are not needed to reach the target or, if the target is out of reach, the best
+    possible value."""
     aim = min(AIM, expected_probability(rivals, _sum(chosen, size)) - 1e-4)
     index = 0
     while index < len(chosen) and len(chosen) > FEWEST:
@@ -214,7 +215,7 @@ def _by_temperature(chosen: Sequence[Foreseen]) -> list[Foreseen]:
 
 def _repeating(rivals: Sequence[Rival], recorded: Array, lasting: float, aim: float) -> tuple[float, float]:
     """Time [s] of repeating the recorded segments until the true explanation has the expected probability `aim`, and the
-    probability reached. If no repetition is enough, both are those of the longest repetition considered."""
+    probability reached. If no repetition is enough, both values are those of the longest repetition considered."""
     for times in _REPEATS:
         reached = expected_probability(rivals, recorded * times)
         if reached >= aim:

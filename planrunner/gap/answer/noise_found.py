@@ -15,11 +15,11 @@ from planrunner.gap.hypotheses.open_set import Line
 
 @dataclass(frozen=True, slots=True)
 class NoiseFound:
-    """Noise of a channel, in its unit. white, declared: standard deviation of a sample; `declared` includes the rounding to
-    `declared_count`, and is 0 if no noise is declared. count, declared_count: size of one count, as found in the recording and as
-    declared; 0 if there is none. slow: amplitude density at the lowest measured frequency, relative to the white level, 1 for white
-    noise. quietest, loudest: standard deviation in the segments, relative to the white level. line: the strongest tone, None if there is
-    none."""
+    """Noise of a channel, in its unit. white, declared: standard deviation of a sample, as found and as declared; `declared`
+    includes the rounding to `declared_count`, and is 0 if no noise is declared. count, declared_count: size of one count, as found
+    in the recording and as declared; 0 if there is none. slow: amplitude density at the lowest measured frequency, relative to the
+    white level, 1 for white noise. quietest, loudest: standard deviation in the quietest and in the loudest segment, relative to
+    the white level. line: the strongest tone, None if there is none."""
 
     channel: str
     unit: str

@@ -14,7 +14,8 @@ _UNDETERMINED = 1e-6
 
 def nominal_values(weighing: Weighing, nominal: tuple[str, ...]) -> list[ParameterEstimate]:
     """Bias, scale factor and misalignment of every channel by weighted least squares. Terms that the plan does not determine are
-    omitted. effect: the term, such as `accel_bias`. The values contain the influence of effects that are not in the simulation."""
+    omitted. The field `effect` of each estimate is the term, such as `accel_bias`. The values contain the influence of effects that
+    are not in the simulation."""
     terms = [
         f"{kind}_{part}"
         for kind in ("gyro", "accel")

@@ -65,7 +65,8 @@ def _instruments(weighing: Weighing) -> list[_Instrument]:
 def _with(
     instrument: _Instrument, weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]
 ) -> tuple[list[Rival], Array]:
-    """The explanations with the instrument's own nominal parameters, and the information of all options with this instrument."""
+    """The explanations, extended by the instrument's own nominal parameters, and the information that all options together give
+    with this instrument."""
     observed = weighing.observed
     both = replace(observed, channels=(*observed.channels, *instrument.channels))
     own = len(observed.channels)

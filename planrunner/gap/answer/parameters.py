@@ -83,9 +83,9 @@ def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[
 
 
 def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
-    """The shape, with a negative sign, of an effect without amplitude if the data require the effect with the opposite sign. Its size is
-    the fitted amplitude times the shape of the best form. A negative delay means that the table's angle is delayed instead of the
-    outputs."""
+    """The shape of an effect without amplitude, with a negative sign, if the data require the effect with the opposite sign. The
+    size of the shape is the fitted amplitude times the shape of the best form. A negative delay means that the table's angle is
+    delayed instead of the outputs."""
     (share,), ((variance,),) = best.amplitudes
     size = float(best.variant.shape or 0.0)
     return [

@@ -29,8 +29,8 @@ def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
 
 
 def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed | None) -> JsonObject:
-    """Data for all plots. heat: energy by segment and channel in units of the noise; confusability; means before and after;
-    spectra."""
+    """Data for all plots. heat: energy by segment and channel in units of the noise; confusability; means before and after the
+    effects; spectra."""
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = len(observed)
     amplitudes = None if after is None else after.amplitudes[0]

@@ -41,13 +41,13 @@ _Key = TypeVar("_Key", str, tuple[str, ...])
 
 @dataclass(frozen=True)
 class Posterior:
-    """The posterior. probability: of every cause; sets of effects have names such as 'a+b' in alphabetical order, and with
-    something else in addition 'a+b+unknown'. An effect on the level of the noise is a cause only if nothing else acts. noise:
-    probability of each such effect, whatever the cause. log_evidence: of each hypothesis relative to none; for effects, from the
-    coefficients alone. pairs: the evaluated columns of sets of two or more deterministic effects. sets: the same sets with their
-    effects. kinds: log evidence, relative to none, of the patterns that "unknown" could be. by_channel: log BF (K,) of each pattern
-    in one channel alone. levels: effects that only raise the noise level. lines: tones. beside: probability of a tone or bursts in
-    addition to an effect."""
+    """The posterior. probability: probability of every cause. A set of effects has a name such as 'a+b', in alphabetical order, or
+    'a+b+unknown' if something else acts in addition. An effect on the level of the noise is a cause only if nothing else acts.
+    noise: probability of each effect on the level of the noise, whatever the cause. log_evidence: of each hypothesis relative to
+    none; for effects, from the coefficients alone. pairs: the evaluated columns of sets of two or more deterministic effects. sets:
+    the same sets with their effects. kinds: log evidence, relative to none, of the patterns that "unknown" could be. by_channel:
+    log BF (K,) of each pattern in one channel alone. levels: effects that only raise the noise level. lines: tones. beside:
+    probability of a tone or bursts in addition to an effect."""
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
@@ -88,13 +88,13 @@ class _NoiseOnly:
 
     @property
     def declared(self) -> float:
-        """Log density of the measured white noise if it is as declared."""
+        """Log density of the measured white noise if the noise is as declared."""
         return self.levels["declared", "declared"]
 
     @property
     def states(self) -> dict[tuple[str, ...], float]:
-        """Log density of the measured white noise without and with other effects on it, at most one for each triad, and of the effects
-        `apart`; only for possible combinations."""
+        """Maps each possible combination of effects on the noise to the log density of the measured white noise. A combination has
+        at most one effect on the white noise of each triad, and any of the effects `apart`, whose log BF is added."""
         found: dict[tuple[str, ...], float] = {}
         for (gyro, accel), value in self.levels.items():
             acting = [(kind, level) for kind, level in (("gyro", gyro), ("accel", accel)) if level != "declared"]
@@ -171,7 +171,7 @@ def posterior(
 
 
 def _of_causes(shares: Mapping[str, float], levels: Collection[str]) -> dict[str, float]:
-    """Shares of causes, whatever the level of the noise beside them. levels: effects on that level."""
+    """Shares of the causes, added up over all effects on the level of the noise. levels: effects on the level of the noise."""
     found: dict[str, float] = {}
     for name, share in shares.items():
         key = key_of(part for part in name.split("+") if part not in levels) or name
@@ -182,9 +182,9 @@ def _of_causes(shares: Mapping[str, float], levels: Collection[str]) -> dict[str
 def _of_noise(
     shares: Mapping[str, float], levels: Set[str], noise: _NoiseOnly, found: Mapping[str, float], count: int
 ) -> dict[str, float]:
-    """Probability of each effect on the level of the noise. The share of a hypothesis with something else includes all states of the
-    noise, so it is divided among them. levels: effects on that level; found: the hypotheses weighed as in `posterior`, whose size
-    includes something else."""
+    """Probability of each effect on the level of the noise. The share of a hypothesis with something else includes all states of
+    the noise, so it is divided among them. levels: effects on the level of the noise; found: the hypotheses that `posterior`
+    evaluated directly, in whose size "unknown" counts as an effect."""
     total = dict.fromkeys(sorted(levels), 0.0)
     for name, share in shares.items():
         parts = name.split("+")
@@ -198,7 +198,7 @@ def _of_noise(
 
 
 def _whatever_noise(noise: _NoiseOnly, size: int, count: int) -> float:
-    """What the log weight of a cause of `size` effects gains if its noise may also be other than declared."""
+    """The increase of the log weight of a cause of `size` effects if its noise may also differ from the declared noise."""
     return float(np.logaddexp.reduce(list(_states_beside(noise, size, count).values())))
 
 
@@ -214,7 +214,7 @@ def _states_beside(noise: _NoiseOnly, size: int, count: int) -> dict[tuple[str, 
 def _of_effects(
     weighing: Weighing, candidates: Sequence[Candidate], noise: _NoiseOnly, refit: bool = True
 ) -> tuple[dict[str, float], dict[str, EffectSet]]:
-    """Log evidence of none, of single effects and of sets, relative to none, and the sets evaluated in full."""
+    """Log evidence, relative to none, of none, of single effects and of sets; and the sets that were evaluated in full."""
     nothing = np.zeros(len(weighing.base))
     start = weighing.evidence(nothing) + noise.declared
     alone = {"": nothing} | {c.id: c.log_bayes for c in candidates if np.isfinite(c.log_bayes).any()}
@@ -238,7 +238,7 @@ def _of_effects(
 
 
 def _again(weighing: Weighing, candidate: Candidate) -> Candidate:
-    """This candidate evaluated with other noise. The cost of its shape stays the same."""
+    """The candidate, evaluated again with other noise. The cost of its shape stays the same."""
     if not np.isfinite(candidate.log_bayes).any():
         return candidate
     usable = [item for item in candidate.variants if item.trace > 0]
@@ -270,8 +270,8 @@ def _with_something_else(
     weighing: Weighing, chain: Sequence[tuple[str, Weighed]], found: Mapping[str, float], count: int
 ) -> dict[str, float]:
     """Log weights of something else in addition to sets of effects. If something else may act in addition to all effects of a
-    chain, it is also evaluated with fewer of them, because some of the effects may only imitate it. Amplitudes that physics excludes
-    are left out."""
+    chain, something else is also evaluated with fewer of these effects, because some of the effects may only imitate it. Amplitudes
+    that physics excludes are left out."""
     made: dict[str, float] = {}
     for key, weighed in reversed(chain):
         if weighed.excluded:
@@ -284,7 +284,7 @@ def _with_something_else(
 
 
 def _dispersions(weighing: Weighing, known: Weighed) -> Array:
-    """Dispersion (K,) of the residuals that effects leave."""
+    """Dispersion (K,) of the residuals that remain after the fit of known effects."""
     amplitudes = known.amplitudes[0]
     found, count = [], len(weighing.weights)
     for (weight, *_), columns in zip(weighing.weights, known.by_channel, strict=True):
@@ -299,8 +299,8 @@ def _as_named(
 ) -> dict[str, float]:
     """Log weights in which the probability of effects is divided as in `named`, and which include something else.
 
-    more: log weight of something else in addition to a set. It is divided in the same way among the probable sets of the same size.
-    Sets with a random walk (`walk`) are excluded, because a random walk explains the same part as something else.
+    more: log weights of sets together with something else. Each weight is divided in the same way among the probable sets of the
+    same size. Sets with a random walk (`walk`) are excluded, because a random walk explains the same part as something else.
     """
     whole = float(np.logaddexp.reduce([value for name, value in logs.items() if name not in PRIORS]))
     made = {name: value for name, value in logs.items() if name in PRIORS}

@@ -22,7 +22,8 @@ LEAST = 0.01  # smallest probability of an explanation
 
 @dataclass(frozen=True)
 class ExplanationPart:
-    """One effect of an explanation, in the form that fits the recording best. prior: variance of its amplitudes, in magnitudes²."""
+    """One effect of an explanation, in the form that fits the recording best. prior: prior variance of the amplitudes of the
+    effect, in magnitudes²."""
 
     effect: Effect
     weighed: Weighed
@@ -33,7 +34,7 @@ class ExplanationPart:
         return self.effect.id, self.weighed.variant.shape
 
     def on(self, observed: Observed) -> Sequence[Column]:
-        """The columns of the effect over another recording; none if it cannot act there."""
+        """The columns of the effect over another recording; empty if the effect cannot act in that recording."""
         shape = self.weighed.variant.shape
         if isinstance(self.effect, Shaped):
             return self.effect.at(observed, float(shape or 0.0)).columns

@@ -1,6 +1,6 @@
 """The options for further segments: orientations, rates, rocking and temperatures, as lines of a plan.
 
-They form a coarse grid. The schedule decides whether the bench can execute an option.
+The options form a coarse grid. The schedule decides whether the bench can execute an option.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ def _turning(place: Array, rate: float, seconds: float, kelvin: float | None) ->
 
 
 def _orientations(recorded: Sequence[Segment], models: BenchModels) -> list[Array]:
-    """Recorded orientations first, then others along the site's axes, then oblique ones. If nothing can turn the sensor, only
-    recorded ones."""
+    """Lists the recorded orientations first, then others along the site's axes, then oblique ones. If nothing can turn the sensor,
+    lists only the recorded orientations."""
     visited = {
         tuple(np.round(item.attitude, 6).ravel() + 0.0): item.attitude for item in recorded if item.attitude is not None
     }

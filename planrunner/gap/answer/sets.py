@@ -40,8 +40,9 @@ PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
 
 @dataclass(frozen=True)
 class Member:
-    """An effect of a set in one form. candidate: the effect with its forms, evaluated alone or beside the other effects of the set. form:
-    the chosen form. cost: logarithm of the loss from averaging over the shape of the effect, never positive."""
+    """An effect of a set in one form. candidate: the effect with its forms, evaluated alone or beside the other effects of the set.
+    form: the chosen form. cost: logarithm of the factor by which averaging over the shape of the effect reduces the evidence; never
+    positive."""
 
     candidate: Candidate
     form: Weighed
@@ -175,7 +176,7 @@ def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 
 def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], log_prior: Array) -> Array:
-    """log BF (G,) at the settings of a prior that matter."""
+    """log BF (G,) at those settings of the noise that matter under the given prior; −∞ at the others."""
     widths = weighed.variant.widths
     traces = [member.form.trace for member in members]
     scales = best_scales(weighed.gram[0], weighed.score[0], widths)
@@ -194,7 +195,8 @@ def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], 
 
 
 def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
-    """The set after every shape is fitted together with the other effects, if this explains more."""
+    """The set after the shape of each effect has been fitted together with the other effects; a new shape is kept only if it
+    explains more."""
     for number, member in enumerate(one.members):
         if not isinstance(member.candidate.effect, Shaped):
             continue
@@ -213,8 +215,8 @@ def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 
 def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, float]]:
-    """For each other effect, the form that fits the data best when `a` is included at its most probable size, and the log BF that
-    it adds."""
+    """For each other effect, the form that fits the data best when the effect `a` is included at its most probable size, and the
+    log BF that this form adds."""
     if not others:
         return
     mean, covariance = a.amplitudes

@@ -34,8 +34,8 @@ class FormPoint:
 @dataclass(frozen=True)
 class UnknownForm:
     """The form of an unknown cause. pattern: description in words. factor: the factor that the gap follows. channels, units:
-    channels that show the gap, and their units. share: of the energy of the gap in all channels; None for noise and tones, which
-    are outside the analysed frequencies. points: offsets for a pattern of offsets; empty for other patterns."""
+    channels that show the gap, and their units. share: share of the energy of the gap in all channels; None for noise and tones,
+    which are outside the analysed frequencies. points: offsets for a pattern of offsets; empty for other patterns."""
 
     pattern: str
     factor: Factor
@@ -92,13 +92,13 @@ def _labels(weighing: Weighing, factor: Factor) -> list[str]:
 
 
 def _excess(weighing: Weighing, index: int, rows: NDArray[np.bool_]) -> float:
-    """Energy of some coefficients of a channel minus the expected energy of the noise."""
+    """Energy of some coefficients of a channel, minus the energy that the noise is expected to have."""
     residual = weighing.weights[index][0].residual[rows]
     return float(residual @ residual) - len(residual)
 
 
 def _share(weighing: Weighing, part: float) -> float:
-    """A part of the energy of the gap, as a fraction of the total."""
+    """A part of the gap's energy as a fraction of the total energy of the gap."""
     every = np.ones(len(weighing.spectrum.segment), dtype=bool)
     whole = sum(_excess(weighing, index, every) for index in range(len(weighing.weights)))
     return float(np.clip(part / max(whole, 1e-300), 0.0, 1.0))

@@ -1,11 +1,11 @@
 """Derives a verdict from a posterior: none, one effect, a pair, several effects, unknown, or a class that this plan cannot
 distinguish.
 
-An effect that explains nearly all of a gap is named, whatever else acts. The rest is reported as a remainder. The remainder may
-consist of terms of the full nominal model that a reduced model lacks. For example, if the simulation of a sensor has no bias, a
-small additional deviation that no hypothesis explains must not prevent the naming of the bias. Effects can also be so strong that
-the deviation from their idealised form is visible. The energy that a flexible "something else" then explains is called form
-residue.
+An effect that explains nearly all of a gap is named, whatever else acts. The rest of the gap is reported as a remainder. This
+remainder may consist of terms of the full nominal model that a reduced model lacks. For example, if the simulation of a sensor has
+no bias, a small additional deviation that no hypothesis explains must not prevent the naming of the bias. Effects can also be so
+strong that the deviation from their idealised form is visible. The energy that a flexible "something else" then explains is called
+form residue.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ def leading(log_evidence: Mapping[str, float], top: str, signatures: Collection[
     """The effect or pair that explains, at more than 50 σ, nearly as much as the most probable hypothesis `top`, and the part of
     `top` that is then a remainder. None if there is no such effect, or if it is `top` itself.
 
-    log_evidence: of every hypothesis relative to none; for a strong effect it is half the explained energy. signatures: effects that do not
-    only change the noise.
+    log_evidence: log evidence of every hypothesis relative to none; for a strong effect, this is half the explained energy.
+    signatures: effects that do not only change the noise.
     """
     parts = set(top.split("+"))
     if parts <= set(NOMINAL_TERMS):
@@ -66,11 +66,11 @@ SOMETHING_ELSE = 0.90  # the probability at and above which "unknown" is reporte
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The verdict of a diagnosis. kind: none, effect, pair, several, unknown or indistinguishable. effects: the most probable effects.
-    members: the hypotheses that this plan cannot distinguish, `effects` included; a set of effects is written 'a+b'. residue: an effect,
-    or "unknown", that may be only form residue of the named effect; it may also be one of the named effects. something_else: whether
-    something that the catalogue does not contain acts beside the named effects. noise: effects on the level of the noise that probably
-    act in addition."""
+    """The verdict of a diagnosis. kind: none, effect, pair, several, unknown or indistinguishable. effects: the most probable
+    effects. members: the hypotheses that this plan cannot distinguish, `effects` included; a set of effects is written 'a+b'.
+    residue: an effect, or "unknown", that may be only form residue of the strongest named effect; this effect may itself be among
+    the named effects. something_else: whether something that the catalogue does not contain acts beside the named effects. noise:
+    effects on the level of the noise that probably act in addition."""
 
     kind: str
     effects: tuple[str, ...] = ()
@@ -102,7 +102,7 @@ def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate
 
 
 def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]) -> Verdict:
-    """The verdict without the noise beside the cause."""
+    """The verdict about the cause, without the effects on the noise that act beside it."""
     probability = found.of_effects()
     if probability["none"] >= NAMEABLE:
         return Verdict("none")
@@ -182,7 +182,7 @@ def _rivals(probability: Mapping[str, float], by_id: Mapping[str, Candidate], to
 def _rival_sets(
     probability: Mapping[str, float], sets: Mapping[str, Weighed], by_id: Mapping[str, Candidate], top: str
 ) -> tuple[str, ...]:
-    """Sets that differ from `top` by one effect, which an effect replaces that cannot be distinguished from it; the list begins
+    """Sets that result from `top` if one effect is replaced by another one that cannot be distinguished from it; the list begins
     with `top`."""
     found = [top]
     mine = set(top.split("+"))
@@ -204,9 +204,9 @@ def _rival_sets(
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], named: str) -> tuple[str, str | None]:
     """The effects of a set to name, and its weakest effect if this may be form residue of the strongest. This is so if, at more
-    than 50 σ, it explains less than `RESIDUE` of what all explain. If it explains less than `FORM`, it is not named. It is not form
-    residue if it acts on channels on which the others do not act, or if it raises the noise level. Terms of a nominal model are
-    exact and have no form residue."""
+    than 50 σ, the weakest effect explains less than the fraction `RESIDUE` of what all effects explain together. If it explains
+    less than the fraction `FORM`, it is not named. An effect is not form residue if it acts on channels on which the others do not
+    act, or if it raises the noise level. Terms of a nominal model are exact and have no form residue."""
     names = named.split("+")
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in names if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")

@@ -35,9 +35,9 @@ _NEAR = math.sqrt(2 - 2 * 0.999)
 
 @dataclass(frozen=True, slots=True)
 class MisfitPlace:
-    """A part of the recording where the gap appears. share: of all energy above the noise. Every factor divides the same energy:
-    within one factor, over all channels, the shares add up to at most 1; shares of several factors overlap. of: `noise` if the
-    share refers to the noise of the channel, as for energy outside the basis. p: adjusted for the number of places."""
+    """A part of the recording where the gap appears. share: fraction of all energy above the noise. Every factor divides the same
+    energy: within one factor, over all channels, the shares add up to at most 1; shares of several factors overlap. of: `noise` if
+    the share refers to the noise of the channel, as for energy outside the basis. p: p-value, adjusted for the number of places."""
 
     channel: str
     factor: Factor
@@ -48,7 +48,8 @@ class MisfitPlace:
 
 
 def places(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> list[MisfitPlace]:
-    """All places, the most conspicuous first. kinds: log BF (K,), in one channel alone, of patterns outside the catalogue.
+    """All places, the most conspicuous first. kinds: for each pattern outside the catalogue, the log BF (K,) of the pattern in each
+    channel alone.
 
     A channel and a factor are ranked by the evidence that the channel's residual follows the factor: the mean over the patterns of the
     factor, which penalises factors with many levels. The other levels of a factor follow in the order of their scores.
@@ -85,8 +86,8 @@ def _outside(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> Array:
 
 
 def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> MisfitPlace:
-    """Noise, or a tone, outside the basis. Its p-value is Markov's bound: for noise alone, a Bayes factor of B or more has at most the
-    probability 1/B."""
+    """The place for noise, or for a tone, outside the basis. Its p-value is Markov's bound: for noise alone, a Bayes factor of B or
+    more has at most the probability 1/B."""
     declared = weighing.declared.channels[channel]
     level = (declared.white**2 * weighing.observed.sample_rate + declared.resolution**2 / 12) / weighing.white[
         channel
@@ -127,7 +128,7 @@ def _replicates(weighing: Weighing) -> Iterator[Array]:
 
 
 def _masks(weighing: Weighing) -> Iterator[tuple[Factor, str, NDArray[np.bool_]]]:
-    """Factor, level and the coefficients (M,) that belong to the level. The first entry contains all coefficients."""
+    """Yields each factor and level, and the coefficients (M,) that belong to the level. The first entry contains all coefficients."""
     observed, spectrum = weighing.observed, weighing.spectrum
     segment = spectrum.segment
     yield Factor.CHANNEL, "all", np.ones(len(segment), dtype=bool)

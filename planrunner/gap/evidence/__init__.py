@@ -1,1 +1,1 @@
-"""Evidence: a recording whitened by its noise, and how much better certain amplitudes explain it."""
+"""Evidence: whitens a recording by its noise, and evaluates how much better it is explained with certain amplitudes than without."""

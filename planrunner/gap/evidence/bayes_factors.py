@@ -1,4 +1,4 @@
-"""Bayes factors: evidence for amplitudes compared with none.
+"""Bayes factors: the evidence for the amplitudes of an effect, compared with no effect.
 
 The strength of an effect is its energy λ: the energy of its signature, without the part that the nominal parameters absorb, in units of
 the noise. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to `STRONGEST`. Weaker effects cannot be
@@ -29,7 +29,7 @@ misalignment of the sensor, which are seldom larger."""
 
 
 def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> Array:
-    """The log BF averaged over λ, for stacks: gram (…, p, p), score (…, p), in units of the prior magnitudes (D = I).
+    """The log BF averaged over λ, for stacked arrays gram (…, p, p) and score (…, p), in units of the prior magnitudes (D = I).
 
     trace: energy of a unit amplitude, which scales the grid of s²; by default it is tr(gram) of the first element.
     """
@@ -146,7 +146,7 @@ def set_log_bayes_factor(
     gram: Array, score: Array, widths: Sequence[int], traces: Sequence[float], energies: Array, near: Array
 ) -> float:
     """The log BF of any number of effects together. Each has a separate s² on the grid `energies` and at least the strength
-    `WEAKEST`. near: (p,), s² at which the search for the most probable begins.
+    `WEAKEST`. near: (p,), s² at which the search for the most probable s² begins.
 
     A grid over all s² would have one dimension for each effect. Instead, the most probable s² are found for one effect at a time,
     and the average over each s² is computed there with the others fixed. This is exact if the integrand is a product of functions

@@ -22,8 +22,8 @@ LEVEL = 0.001
 
 
 def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) -> float:
-    """The dispersion of one channel. Two sums of squares are tested against χ²: that of all coefficients and that of the means. The
-    result is the largest ratio χ²/ν among those that fail the test, and 1 if both pass.
+    """The dispersion of one channel. Two sums of squares are tested against χ²: the sum over all coefficients, and the sum over the
+    means. The result is the largest ratio χ²/ν among the sums that fail the test, or 1 if both pass.
 
     rest: (M,), whitened residuals; degrees: degrees of freedom of `rest`. means: (S,), indices of the coefficients of order 0, which
     collect the errors in the form of an effect. tests: number of tests in all channels, for Bonferroni's correction.

@@ -27,8 +27,8 @@ CERTAIN = 60.0  # log odds assigned to a lattice of counts that is seen, or not 
 
 
 def counts(observed: Observed) -> Array:
-    """The count (K,) of each channel. The declared count is returned unless the recording shows a coarser count. If the values are not
-    multiples of the declared count, the count found in the recording is returned, or 0 if there is none."""
+    """The size of one count (K,) of each channel. The declared count is returned unless the recording shows a coarser count. If the
+    values are not multiples of the declared count, the count found in the recording is returned, or 0 if there is none."""
     found = []
     for index, channel in enumerate(observed.channels):
         step = channel.resolution

@@ -36,10 +36,11 @@ _SMALLEST = (
 
 @dataclass(frozen=True)
 class NoiseWithin:
-    """Variance of the noise, relative to the white level, by channel. frequency: (B,), Hz, centres of the bands; weight: (B,), their
-    numbers of coefficients. spectrum: (2, B, K), of segments at rest and in motion. level: (S, K), of each segment; own: (S, B, K), ratio
-    of the variance in a band of one segment to the product of spectrum and level. moving: (S,), index of the spectrum of each segment.
-    coloured: (2, K), whether a spectrum departs from white; differing: (K,), whether the segments differ."""
+    """Variance of the noise, relative to the white level, by channel. frequency: (B,), Hz, centres of the bands; weight: (B,),
+    number of coefficients in each band. spectrum: (2, B, K), spectra of the segments at rest and of those in motion. level: (S, K),
+    level of each segment; own: (S, B, K), ratio of the variance in a band of one segment to the product of spectrum and level.
+    moving: (S,), index of the spectrum of each segment, 0 at rest and 1 in motion. coloured: (2, K), True if the spectrum is not
+    white; differing: (K,), True if the segments differ."""
 
     frequency: Array
     weight: Array
@@ -64,10 +65,10 @@ class NoiseWithin:
         )
 
     def of_coefficients(self, observed: Observed, spectrum: Spectrum) -> Array:
-        """Variance (M, K) of the coefficients. For a coefficient of the cosine transform, the variance is the spectrum at its frequency.
-        For a harmonic of the motion, it is the mean of the spectrum over all frequencies that the harmonic contains, ∫ S(f)·|V(f)|² df
-        for stationary noise: a harmonic is made orthogonal to the lower orders, and one that is close to them then consists mostly of the
-        ends of the segment, which contain all frequencies."""
+        """Variance (M, K) of the coefficients. For a coefficient of the cosine transform, the variance is the spectrum at its
+        frequency. For a harmonic of the motion, it is the mean of the spectrum over all frequencies that the harmonic contains, ∫
+        S(f)·|V(f)|² df for stationary noise. A harmonic is made orthogonal to the lower orders; if it is close to them, it then
+        consists mostly of the ends of the segment, which contain all frequencies."""
         from scipy.fft import rfft
 
         out = self.level[spectrum.segment]
@@ -141,7 +142,7 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Arr
 
 
 def _relative_to_upper(energy: Array, count: Array, upper: NDArray[np.bool_]) -> Array:
-    """Levels (B,) of bands, with a mean of 1 in the `upper` ones."""
+    """Levels (B,) of the bands, scaled so that the `upper` bands have a mean of 1."""
     found = _carried(energy, count, float(energy.sum() / max(count.sum(), 1e-9)), CARRIED)
     if count[upper].sum() > 0:
         found /= float((found * count)[upper].sum() / count[upper].sum())
@@ -149,7 +150,7 @@ def _relative_to_upper(energy: Array, count: Array, upper: NDArray[np.bool_]) ->
 
 
 def _of_median(squares: Array, band: NDArray[np.int64], bands: int) -> tuple[Array, Array]:
-    """Energies (B,) and degrees of freedom (B,) of normal values in bands, from the median of their squares (n,)."""
+    """Energies (B,) and degrees of freedom (B,) of bands, estimated from the median of the squares (n,) of normal values."""
     size: Array = np.bincount(band, minlength=bands).astype(np.float64) * _OF_MEDIAN
     level = np.array([np.median(squares[band == b]) if size[b] > 0 else 0.0 for b in range(bands)]) / _MEDIAN
     return level * size, size
@@ -170,8 +171,8 @@ def _typical(observed: Observed, spectrum: Spectrum) -> Array:
 
 
 def _carried(energy: Array, count: Array, above: float, carried: float) -> Array:
-    """Levels (B,) of the bands from the highest down. Each band is smoothed towards the next higher band, and the highest towards
-    `above`, as if it contained that many more coefficients of that level."""
+    """Levels (B,) of the bands from the highest down. Each band is smoothed towards the level of the next higher band, and the
+    highest band towards `above`, as if it contained `carried` additional coefficients of that level."""
     out = np.ones(len(energy))
     for band in range(len(energy) - 1, -1, -1):
         above = max((energy[band] + carried * above) / (count[band] + carried), _SMALLEST)
@@ -189,6 +190,6 @@ def _better(ratio: Array, count: Array) -> bool:
 
 
 def _fits(energy: Array, count: Array, variance: Array) -> bool:
-    """Whether variances (B,) from other data describe energies (B,) with degrees of freedom (B,) better than white noise does. The
-    criterion is their likelihood, because no parameter is fitted."""
+    """Whether variances (B,) from other data describe energies (B,) with degrees of freedom (B,) better than white noise does.
+    Their likelihoods are compared directly, because no parameter is fitted."""
     return bool((energy * (1 - 1 / variance) - count * np.log(variance)).sum() > 0)

@@ -46,7 +46,7 @@ POSE_PARAMETERS = 9
 
 
 def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, where: str, log: Findings) -> None:
-    """Checks segments, missing numbers, clock and ranges. where: the run or recording, for messages."""
+    """Checks segments, missing numbers, clock and ranges. where: name of the run or recording, for messages."""
     mark = Mark(where)
     if len(recording) < 2:
         held = (
@@ -68,7 +68,7 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
 
 
 def check_observed(observed: Observed, where: str, log: Findings) -> None:
-    """Checks, with segment means, that segments can be held out and that the nominal model fits."""
+    """Checks, by means of segment averages, that segments can be held out and that the nominal model fits."""
     mark = Mark(where)
     if observed.along is not None:
         _check_poses(observed, mark, log)

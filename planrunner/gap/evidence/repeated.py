@@ -1,10 +1,10 @@
 """Stretches of repeated samples: where outputs keep one value for longer than their noise allows.
 
-White noise repeats a count with a probability r, so that the number of equal samples is geometric: P(L) = (1 − r)·r^(L−1). r is the share
-of the samples of a segment that repeat the one before, without the longest run. A stuck stretch may have any length, equally likely in
-its logarithm. The evidence compares stuck stretches with the repeats of white noise; one stuck stretch is expected in the recording. Real
-noise is correlated, so √r is used instead of r. Channels with coarse counts are not used, because their noise stays within a count for
-long. Means over bins do not show repeated samples.
+White noise repeats a count with a probability r, so that the number of equal samples is geometric: P(L) = (1 − r)·r^(L−1). r is the
+share of samples in a segment that repeat the sample before, without the longest run. A stuck stretch may have any length, equally
+likely in its logarithm. The evidence compares stuck stretches with the repeats of white noise; one stuck stretch is expected in the
+recording. Real noise is correlated, so √r is used instead of r. Channels with coarse counts are not used, because their noise stays
+within a count for long. Means over bins do not show repeated samples.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _MOST = 0.3  # r above which a channel is not used: r then differs between the m
 
 @dataclass(frozen=True, slots=True)
 class RepeatedStretch:
-    """Consecutive samples of a channel, each equal to the sample before it. channel: index of the channel; first: index of the first of
-    these samples; count: their number."""
+    """Consecutive samples of a channel, each equal to the sample before it. channel: index of the channel; first: index of the
+    first of these samples; count: number of these samples."""
 
     channel: int
     first: int

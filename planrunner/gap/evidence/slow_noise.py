@@ -50,7 +50,8 @@ def flicker(starts: Array, ends: Array) -> Array:
 def random_walk(starts: Array, ends: Array) -> Array:
     """Covariance (S, S) of segment means of a random walk with unit density (1/√s) that begins at the first start.
 
-    The covariance of two disjoint segments is the mean time of the earlier one. The variance of a segment of length T is its start + T/3.
+    The covariance of two disjoint segments is the mean time of the earlier segment. The variance of a segment of length T is its
+    start + T/3.
     """
     begin = starts - starts[0]
     middles = (begin + ends - starts[0]) / 2
@@ -61,7 +62,7 @@ def random_walk(starts: Array, ends: Array) -> Array:
 
 @dataclass(frozen=True)
 class SlowMeans:
-    """Covariances of the segments' means, (S, S) each: of flicker, and of a random walk, both at unit level."""
+    """Covariances (S, S) of the segment means, one for flicker and one for a random walk, each at unit level."""
 
     flicker: Array
     random_walk: Array

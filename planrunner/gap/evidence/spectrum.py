@@ -3,8 +3,8 @@ by frequency band.
 
 The coefficients of a segment belong to an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the
 mean) and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking).
-Deterministic effects lie in the span of this basis. The rest is noise, or a tone, and is kept as energies of DCT-II bands. Outliers
-far outside the noise are replaced by the fit and counted, because one spike would affect all coefficients.
+Deterministic effects lie in the span of this basis. The rest is noise, or a tone, and is kept as the energies of DCT-II bands.
+Outliers far outside the noise are replaced by the fit and counted, because one spike would affect all coefficients.
 """
 
 from __future__ import annotations
@@ -41,11 +41,12 @@ class SpectralBasis:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """M coefficients of all segments, and the remainder. segment, frequency, harmonic: (M,). means: (S,), indices of the
-    coefficients of order 0. values: (M, K), SI·√samples. energy: (S, B, K), SI², of the DCT-II of the remainder in bands between
-    `edges` (B + 1,), Hz, with `count` (S, B) coefficients. remainder: (N, K), samples minus their components in the basis. spikes:
-    (K,), samples replaced. readings: (S, K), SI, mean outputs. If samples are means over bins of k samples, all other values are
-    multiplied by √k, so that their white noise is that of a single sample."""
+    """M coefficients of all segments, and the remainder. segment: (M,), index of the segment of each coefficient; frequency,
+    harmonic: (M,), as in `SpectralBasis`. means: (S,), indices of the coefficients of order 0. values: (M, K), SI·√samples. energy:
+    (S, B, K), SI², of the DCT-II of the remainder in bands between `edges` (B + 1,), Hz, with `count` (S, B) coefficients.
+    remainder: (N, K), samples minus their components in the basis. spikes: (K,), number of samples that were replaced. readings:
+    (S, K), SI, mean outputs of the segments. If samples are means over bins of k samples, all other values are multiplied by √k, so
+    that their white noise is that of a single sample."""
 
     bases: tuple[SpectralBasis, ...]
     segment: NDArray[np.int64]
@@ -135,7 +136,8 @@ def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[in
 
 
 def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | None = None) -> Spectrum:
-    """The spectrum of the samples minus `reference`, (N, K), the nominal simulation. held: (N, K), samples that are replaced by the fit."""
+    """The spectrum of the samples after the nominal simulation `reference` (N, K) has been subtracted. held: (N, K), samples that
+    are replaced by the fit."""
     from scipy.fft import dct
 
     known: dict[tuple[int, int, object], SpectralBasis] = {}
@@ -184,8 +186,8 @@ def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | Non
 
 
 def _roots(observed: Observed) -> Array | None:
-    """Weight of the mean over a bin, (S,): √size, which gives the weighted mean the noise of a sample. None if the samples
-    themselves are kept."""
+    """Weight of the mean over a bin, (S,): √size, which gives the weighted mean the noise of a sample. None if the recording
+    contains single samples instead of means."""
     return None if observed.bins is None else np.sqrt(observed.bins.size)
 
 
@@ -200,7 +202,7 @@ def band_edges(half: float) -> Array:
 def _robust(
     vectors: Array, samples: Array, smallest: Array, held: NDArray[np.bool_] | None
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Coefficients (m, K), remainder (n, K) and how many samples of each channel were replaced as spikes."""
+    """Coefficients (m, K), remainder (n, K), and the number of samples of each channel that were replaced as spikes."""
     coefficients = vectors.T @ samples
     spiked = np.zeros(samples.shape, dtype=bool)
     for _ in range(4):

@@ -1,8 +1,8 @@
 """Whitens coefficients by the noise, projects the nominal parameters out, and evaluates designs on the result.
 
-A setting of the noise is a level of flicker and of random walk for each triad. For every setting each channel's coefficients are whitened
-(order 0 jointly over the segments, the others one by one) and the nominal parameters, with a flat prior, are projected out. The rest is
-compared by the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
+A setting of the noise is a level of flicker and of random walk for each triad. For every setting, the coefficients of each channel
+are whitened (order 0 jointly over the segments, the others one by one), and the nominal parameters, with a flat prior, are
+projected out. The residuals are evaluated with the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
 
 Nominal parameters that a recording cannot separate (gravity never along an axis, only one orientation, poses in unknown orientations) have
 dependent columns or columns of zeros. An independent basis of their columns is computed first, so that they absorb only their common span.
@@ -41,8 +41,9 @@ DEPENDENT = 1e-8
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Noise of one triad. flicker: in units of the declared level. walk: SI/√s; if `alike`, the density of the random walk in all axes,
-    otherwise the scale of separate densities. prior: prior probability among the settings with a random walk, or among those without."""
+    """Noise of one triad. flicker: level of the flicker, in units of the declared level. walk: SI/√s; if `alike`, the density of
+    the random walk in all axes, otherwise the scale of separate densities. prior: prior probability among the settings with a
+    random walk, or among those without."""
 
     flicker: float
     walk: float
@@ -83,7 +84,7 @@ def _walk_energy(observed: Observed, slow: slow_noise.SlowMeans, channel: int, w
 
 
 def lasting(observed: Observed) -> tuple[Array, Array]:
-    """Beginnings and ends [s] of the segments, (S,)."""
+    """Start and end times [s] of the segments, (S,) each."""
     size, twice = observed.bin_size, 2 * observed.sample_rate
     last = observed.time[observed.bounds[1:] - 1] + (size + 1) / twice
     return observed.time[observed.bounds[:-1]] - (size - 1) / twice, last
@@ -125,10 +126,9 @@ class ChannelWeights:
     """The weights of one channel for one level of flicker, relative to the declared level, and one level of a random walk. `whiten`
     scales coefficients (M, …) to unit noise; `project` also projects out the nominal parameters.
 
-    relative: (M,), variance of the noise of each coefficient, relative to white². undithered: variance of the error of
-    a mean by rounding. log_likelihood: REML of the data without any effect.
-    basis: (M, q), orthonormal, of the whitened nominal columns. scale: (M,), of the coefficients that are whitened one by one: all of them
-    where there is no slow noise, else those above order 0.
+    relative: (M,), variance of the noise of each coefficient, relative to white². undithered: variance of the rounding error of a
+    mean. log_likelihood: REML of the data without any effect. basis: (M, q), orthonormal, of the whitened nominal columns. scale:
+    (M,), factors that whiten coefficients one by one: all coefficients where there is no slow noise, otherwise those above order 0.
     """
 
     def __init__(
@@ -186,8 +186,8 @@ class ChannelWeights:
         self.log_likelihood = -0.5 * (log_det + float(self.residual @ self.residual))
 
     def beside(self, columns: Array) -> ChannelWeights:
-        """The same weights with further columns (M, p) among the nominal ones, in SI. The likelihood of the new weights is that of the
-        residual alone."""
+        """The same weights after further columns (M, p), SI, have been added to the nominal columns. The likelihood of the new
+        weights is that of the residual alone."""
         made = copy(self)
         whitened = self.whiten(columns[:, columns.any(axis=0)])
         whitened /= np.linalg.norm(whitened, axis=0)
@@ -211,7 +211,7 @@ class ChannelWeights:
         return made
 
     def covariance(self, rows: NDArray[np.bool_]) -> Array:
-        """Covariance of the coefficients in some rows (M,), SI²·samples."""
+        """Covariance of the coefficients in the rows that a mask (M,) selects, SI²·samples."""
         chosen = np.flatnonzero(rows)
         out = np.diag(1 / self.scale[chosen] ** 2)
         at = np.flatnonzero(np.isin(chosen, self._means))
@@ -222,7 +222,8 @@ class ChannelWeights:
         return out
 
     def whitening(self, rows: NDArray[np.bool_]) -> Callable[[Array], Array]:
-        """A function that whitens some rows (M,) of coefficients, (n,) or (n, P): the means jointly, the others one by one."""
+        """A function that whitens the coefficients, (n,) or (n, P), of the rows that a mask (M,) selects: the means jointly, the
+        others one by one."""
         chosen = np.flatnonzero(rows)
         at = np.flatnonzero(np.isin(chosen, self._means))
         owners = self._segment[chosen[at]]
@@ -305,8 +306,8 @@ def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Co
 
 @dataclass
 class _Shared:
-    """A table of samples (N, P) that several columns share. places: index of a column, its channel, and its index in the table; acting:
-    segments in which any of them acts."""
+    """A table of samples (N, P) that several columns share. places: for each column, its index, its channel, and its index in the
+    table; acting: segments in which any of these columns acts."""
 
     table: Array
     places: list[tuple[int, int, int]] = field(default_factory=list)
@@ -341,8 +342,8 @@ _NOTHING = 1e-6  # smallest norm of a nominal direction that is not rounding
 class Left:
     """A channel with one setting of the noise, possibly without some rows of its coefficients.
 
-    rows: (M,), the remaining rows. basis: (M, q), orthonormal, of the whitened nominal columns on these rows; residual: (M,). basis and
-    residual are zero in the removed rows.
+    rows: (M,), the remaining rows. basis: (M, q), orthonormal, of the whitened nominal columns on these rows; residual: (M,),
+    whitened. basis and residual are zero in the removed rows.
     """
 
     def __init__(self, weight: ChannelWeights, rows: Rows, basis: Array, residual: Array):
@@ -371,8 +372,8 @@ class Left:
 
 
 def eigen(left: Left, design: Array | Rows) -> Eigen:
-    """Eigenvalues and squared scores of a design. design: columns (M, P), or a mask (M,) of rows, each of which is a separate column.
-    Empty if the design has no visible part."""
+    """Eigenvalues and squared scores of a design. design: columns (M, P); or a mask (M,) that selects rows, where each selected row
+    stands for a column of its own that is zero in all other rows. The result is empty if the design has no visible part."""
     if design.ndim == 1:
         return _of_rows(left, np.flatnonzero(np.logical_and(design, left.rows)))
     columns = np.asarray(design[:, design.any(axis=0)], dtype=float)
@@ -386,9 +387,9 @@ def eigen(left: Left, design: Array | Rows) -> Eigen:
 
 
 def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
-    """Eigenvalues and squared scores of rows that are separate columns. Their Gram matrix is diagonal except for the part that the
-    nominal parameters absorb. Among rows of equal weight, this part has no more directions than there are parameters; all
-    directions orthogonal to it are eigenvectors with a common eigenvalue."""
+    """Eigenvalues and squared scores of a design in which each of the given rows stands for a column of its own. Their Gram matrix
+    is diagonal except for the part that the nominal parameters absorb. Among rows of equal weight, this part has no more directions
+    than there are parameters; all directions orthogonal to it are eigenvectors with a common eigenvalue."""
     if not len(at):
         return np.zeros(0), np.zeros(0)
     scale = left.weight.scale[at]

@@ -26,8 +26,8 @@ _UNDETERMINED = 1e-6
 @dataclass(frozen=True, slots=True)
 class AmplitudeKey:
     """Identifies an amplitude, so that the same amplitude of different runs can be compared. orientations: for an effect with
-    separate amplitudes in every orientation, the orientations in the order of their numbers; otherwise empty. shape: of the effect,
-    in its unit; None without one."""
+    separate amplitudes in every orientation, the orientations in the order of their numbers; otherwise empty. shape: shape of the
+    effect, in the unit of the shape; None if the effect has no shape."""
 
     effect: str
     name: str

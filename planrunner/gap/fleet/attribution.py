@@ -33,7 +33,8 @@ from planrunner.base.arrays import Array
 
 
 class Source(Enum):
-    """The source of a part of an amplitude. OCCASION: drawn anew at each switch-on. COMMON: the same in all runs."""
+    """The source of a part of an amplitude. OCCASION: a part that is drawn anew at each switch-on. COMMON: a part that is the same
+    in all runs."""
 
     DEVICE = "device"
     BENCH = "bench"
@@ -96,7 +97,7 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class Uncertain:
-    """A value with the half-width of its interval with the probability `COVERAGE`."""
+    """A value with the half-width of the interval that has the probability `COVERAGE`."""
 
     value: float
     expanded: float
@@ -104,10 +105,11 @@ class Uncertain:
 
 @dataclass(frozen=True, slots=True)
 class SourcePart:
-    """The part of one device, bench or occasion, if its source contributes. level: the sum of the part and of the part that all runs have
-    in common. The data often determine this sum better than each of its two terms. difference: the part minus the mean of the other parts
-    of its source. `level` and `difference` are None if every group has one run; `difference` is also None for a single group. runs:
-    number of runs that contain the part. since: moment of the step after which the part counts; empty if it counts from the first run."""
+    """The part of an amplitude that belongs to one device, bench or occasion, if this source contributes. level: the sum of the
+    part and of the part that all runs have in common. The data often determine this sum better than each of its two terms.
+    difference: the part minus the mean of the other parts of the same source. `level` and `difference` are None if every group has
+    one run; `difference` is also None for a single group. runs: number of runs that contain the part. since: moment of the step
+    after which the part counts; empty if it counts from the first run."""
 
     label: str
     since: str
@@ -119,9 +121,10 @@ class SourcePart:
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """What one component contributes. probability: probability that it contributes. share: of the mean square of the amplitude over
-    the runs, noise excluded; the shares of all components add up to 1, or are all 0. spread: posterior median of its σ, if it
-    contributes; spread_interval: limits of its central 95 %. parts: of its groups, in the order of the labels."""
+    """What one component contributes. probability: probability that the component contributes. share: share of the mean square of
+    the amplitude over the runs, noise excluded; the shares of all components add up to 1, or are all 0. spread: posterior median of
+    the σ of the component, if it contributes; spread_interval: limits of the central 95 % of σ. parts: the parts of the component's
+    groups, in the order of the labels."""
 
     component: Component
     probability: float
@@ -133,15 +136,15 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Attribution:
-    """The attribution of an amplitude to sources. none: probability that no component contributes. probability: of every subset of
-    the components, which is named by their names joined by '+'."""
+    """The attribution of an amplitude to sources. none: probability that no component contributes. probability: probability of
+    every subset of the components; the key of a subset is the names of its components, joined by '+'."""
 
     none: float
     probability: Mapping[str, float]
     contributions: tuple[Contribution, ...]
 
     def of(self, source: Source) -> Contribution:
-        """The contribution that a source shares with those that cannot be distinguished from it."""
+        """The contribution of the component that contains this source; sources that cannot be distinguished share a component."""
         return next(one for one in self.contributions if source in one.component.sources)
 
     @property

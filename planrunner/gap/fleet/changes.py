@@ -5,13 +5,14 @@ changes:
 
     y_r = d[device of r] + b[bench of r] + Σ_j x_j·h_j(r) + e_r,    e_r ~ N(0, c²·s_r²)
 
-A step of a device, of a bench or of all runs has h = 1 in its runs from one of them on, and 0 elsewhere; a drift has h = the days since
-its first run. The parts are fitted without priors (analysis of covariance), so a constant difference between devices or benches does not
-count as a change. The change with the smallest p-value is added to the model if its p-value, multiplied by the number of changes that
-were tried (Bonferroni), is at most `LEVEL`. This is repeated until no change qualifies. The p-value of a change is that of Student's t
-test of the amplitude x_j of the change (forward selection; Hawkins, Journal of the American Statistical Association 72, 1977, for the
-place of a step). c² is χ²/ν of the fit with the change, at least 1. Scatter from run to run that the s_r do not contain therefore makes
-changes less significant, never more. A drift is preferred to a step only if it has the smaller p-value.
+A step of a device, of a bench or of all runs has h = 1 in the runs of this source from a certain run on, and 0 elsewhere; a drift
+has h = the days since the first run of its source. The parts are fitted without priors (analysis of covariance), so a constant
+difference between devices or benches does not count as a change. The change with the smallest p-value is added to the model if its
+p-value, multiplied by the number of changes that were tried (Bonferroni), is at most `LEVEL`. This is repeated until no change
+qualifies. The p-value of a change is that of Student's t test of the amplitude x_j of the change (forward selection; Hawkins,
+Journal of the American Statistical Association 72, 1977, for the place of a step). c² is χ²/ν of the fit with the change, at least
+1. Scatter from run to run that the s_r do not contain therefore makes changes less significant, never more. A drift is preferred to
+a step only if it has the smaller p-value.
 """
 
 from __future__ import annotations
@@ -44,10 +45,10 @@ class ChangeKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FleetChange:
-    """A change of an amplitude. sources: with their labels; there are several if the runs cannot distinguish them. runs: indices of the
-    runs of the first source; before: number of them before a step. earliest, latest: indices into `runs` that bound the moment of a step
-    (95 %): after the run `earliest` and not after the run `latest`. size: of a step, or of a drift per day; degrees_of_freedom: ν of its
-    standard uncertainty; p: after the correction."""
+    """A change of an amplitude. sources: the sources with their labels; there are several if the runs cannot distinguish them.
+    runs: indices of the runs of the first source; before: number of these runs before a step. earliest, latest: indices into `runs`
+    that bound the moment of a step (95 %): after the run `earliest` and not after the run `latest`. size: size of a step, or of a
+    drift per day; degrees_of_freedom: ν of the standard uncertainty of `size`; p: p-value after the correction."""
 
     kind: ChangeKind
     sources: tuple[tuple[Source, str], ...]
@@ -62,7 +63,7 @@ class FleetChange:
 
     @property
     def expanded(self) -> float:
-        """Half-width of the interval about the size with the probability `COVERAGE`, with Student's t."""
+        """Half-width of the interval about the size that has the probability `COVERAGE`, from Student's t distribution."""
         from scipy.stats import t as student
 
         return self.standard_uncertainty * float(student.ppf((1 + COVERAGE) / 2, self.degrees_of_freedom))
@@ -80,8 +81,8 @@ class _Candidate:
 
 @dataclass(frozen=True)
 class _Tried:
-    """A candidate change. size, u, freedom, p: its estimate; chi2: of the fit with it; factor: c²; direction: its column of length
-    1, orthogonal to the other columns."""
+    """A candidate change. size, u, freedom, p: estimated size, standard uncertainty, degrees of freedom and p-value; chi2: χ² of
+    the fit with this change; factor: c²; direction: column of the change, scaled to length 1 and orthogonal to the other columns."""
 
     candidate: _Candidate
     size: float
@@ -94,8 +95,9 @@ class _Tried:
 
 
 def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tuple[FleetChange, ...]:
-    """The changes of an amplitude, the most significant first. given: its estimates in the order of time, with groups for device
-    and bench; days: of every run. amplitudes: number of amplitudes that are examined, for the correction."""
+    """The changes of an amplitude, the most significant first. given: estimates of the amplitude in the order of time, with groups
+    for device and bench; days: day of every run. amplitudes: number of amplitudes that are examined, for the correction of
+    p-values."""
     time = np.asarray(days, dtype=float)
     listed = list(_candidates(given, time))
     root = 1 / given.standard_uncertainties
@@ -115,9 +117,9 @@ def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tup
 
 
 def since_steps(found: Sequence[FleetChange], moments: Sequence[str]) -> dict[Source, list[str]]:
-    """The moment of the last step of a run's device or bench before the run, in the form of `Estimates.since`. moments: of every
-    run, in the order of time. A step that several sources may have made counts for the first of them. A step of all runs does not
-    start new groups."""
+    """The moment of the last step of a run's device or bench before the run, in the form of `Estimates.since`. moments: moment of
+    every run, in the order of time. A step that several sources may have made counts for the first of them. A step of all runs does
+    not start new groups."""
     since = {source: [""] * len(moments) for source in (Source.DEVICE, Source.BENCH)}
     for change in sorted(found, key=lambda one: one.before):
         source, _ = change.sources[0]
@@ -152,7 +154,8 @@ def _candidates(given: Estimates, time: Array) -> Iterator[_Candidate]:
 
 
 def _tried(design: Array, y: Array, listed: Sequence[tuple[_Candidate, Array]]) -> Iterator[_Tried]:
-    """Every candidate that the other columns do not already contain. design: (n, m), y: (n,), weighted with 1/s."""
+    """Tries every candidate change whose column the other columns do not already contain. design: (n, m), y: (n,), weighted with
+    1/s."""
     from scipy.stats import t as student
 
     left, values, _ = np.linalg.svd(design, full_matrices=False)

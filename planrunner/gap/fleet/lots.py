@@ -17,7 +17,8 @@ MOST_CHANCE = 0.05
 class SharedByLot:
     """An amplitude that separates the devices of a lot from all others. difference: mean of the lot minus mean of the others, in
     the unit of the key; expanded: half-width of its 95 % interval. Each device contributes one value, the mean of its amplitudes.
-    others: number of the other devices. chance: 1 divided by the number of ways to choose this number of devices from all."""
+    others: number of the other devices. chance: 1 divided by the number of ways to choose as many devices as the lot has from all
+    devices."""
 
     lot: str
     key: AmplitudeKey
@@ -31,8 +32,9 @@ class SharedByLot:
 def shared_by_lots(
     key: AmplitudeKey, levels: Mapping[str, Sequence[Uncertain]], lots: Mapping[str, str]
 ) -> Iterator[SharedByLot]:
-    """The lots whose devices all have larger amplitudes than all other devices, or all have smaller ones, with intervals that do not
-    overlap. levels: amplitudes of each device; one, or one before and one after every step of it; lots: device → its lot, if known."""
+    """The lots whose devices all have larger amplitudes than all other devices, or all have smaller ones, with intervals that do
+    not overlap. levels: amplitudes of each device: a single one, or one before and one after every step of the device; lots: maps a
+    device to its lot, if known."""
     for lot in sorted(set(lots.values())):
         own = [name for name in levels if lots.get(name) == lot]
         others = [name for name in levels if lots.get(name) != lot]

@@ -1,7 +1,7 @@
 """Bursts: windows of some seconds with a shifted bias or larger noise, at random times in a run.
 
-Every window has a burst with the same small probability. Windows are taken from the remainder outside the span of the coefficients.
-This removes a part of each burst. If a deviation appears in most windows of segments of equal length, it is slow noise, not a
+Every window has a burst with the same small probability. Windows are taken from the remainder outside the span of the coefficients,
+so a part of each burst is missing. If a deviation appears in most windows of segments of equal length, it is slow noise, not a
 burst.
 """
 
@@ -31,8 +31,8 @@ _DEVIATION = 0.6745  # median absolute deviation of a normal variable
 
 @dataclass(frozen=True)
 class _Windows:
-    """Windows of one size, (W,): first samples, number of samples of their segments, fraction of a bias that the coefficients
-    leave."""
+    """Windows of one size. starts: (W,), first sample of each window. lasting: (W,), number of samples of its segment. kept: (W,),
+    fraction of a bias in the window that the coefficients leave."""
 
     starts: NDArray[np.int64]
     lasting: NDArray[np.int64]
@@ -62,7 +62,8 @@ def _summed(values: Array) -> Array:
 
 
 def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: int) -> _Windows | None:
-    """Whole windows beginning at `begin`, in every segment at rest or turning. within: sums of every basis."""
+    """Whole windows beginning at `begin`, in every segment at rest or turning. within: for each basis, the cumulative sums of its
+    vectors."""
     observed, spectrum = weighing.observed, weighing.spectrum
     starts, lasting, kept = [], [], []
     known: dict[int, Array] = {}
@@ -88,8 +89,8 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
 def _evidence(
     both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]], inefficiency: Array
 ) -> Array:
-    """The log BF (scopes,) for windows of one size. both: sums of the samples, in units of the noise, and of their squares.
-    inefficiency: (K,), of sums of squares."""
+    """The log BF (scopes,) for windows of one size. both: cumulative sums of the samples, in units of the noise, and of their
+    squares. inefficiency: (K,), factor by which coloured noise reduces the degrees of freedom of a sum of squares."""
     sums, squares = both
     first, last = windows.starts, windows.starts + size
     mean = (sums[last] - sums[first]) ** 2 / size

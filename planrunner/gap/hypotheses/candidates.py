@@ -47,10 +47,10 @@ _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise 
 
 @dataclass(frozen=True)
 class Weighed:
-    """A whitened variant; its columns contain no samples. gram: (G, p, p), score: (G, p), at each of the G settings of the noise; trace:
-    energy of its columns after projection at the first setting, kept: ratio of this energy to that before projection. by_channel:
-    whitened, projected columns (M, p) at the first setting; raw: the same columns before whitening and projection, in magnitudes. held:
-    whether physics fixes the only amplitude to 1, so that only the shape is free."""
+    """A whitened variant; its columns contain no samples. gram: (G, p, p), score: (G, p), at each of the G settings of the noise;
+    trace: energy of its columns after projection at the first setting; kept: ratio of this energy to the energy before projection.
+    by_channel: whitened, projected columns (M, p) at the first setting; raw: the same columns before whitening and projection, in
+    magnitudes. held: whether physics fixes the only amplitude to 1, so that only the shape is free."""
 
     variant: Variant
     gram: Array = field(repr=False)
@@ -69,8 +69,8 @@ class Weighed:
         return self.if_possible(log_bayes_factors(self.gram, self.score, self.trace))
 
     def if_possible(self, log_bayes: Array) -> Array:
-        """The log BF (G,) of amplitudes that are physically possible, from that of any amplitudes. A fit that physics excludes is
-        not better than none, however well it reproduces the data."""
+        """The log BF (G,) of amplitudes that are physically possible, from that of any amplitudes. A fit that physics excludes
+        counts as no better than no effect, however well it reproduces the data."""
         found = log_bayes + self.log_possible
         return np.minimum(found, self.log_possible) if self.excluded else found
 
@@ -110,9 +110,9 @@ class Weighed:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect and its evaluated variants. log_bayes: (G,), averaged over the shape. at: the setting of the noise at which forms
-    are compared. It is the most probable setting without a random walk of the gyros, because a walk explains much of what a wrong
-    form explains."""
+    """An effect and its evaluated variants. log_bayes: (G,), log BF averaged over the shape. at: the setting of the noise at which
+    forms are compared. It is the most probable setting without a random walk of the gyros, because a walk explains much of what a
+    wrong form explains."""
 
     effect: Effect
     variants: tuple[Weighed, ...]
@@ -129,7 +129,7 @@ class Candidate:
 
     @cached_property
     def stacked(self) -> tuple[Array, ...]:
-        """Whitened, projected columns of all variants side by side, (M, V·p) by channel."""
+        """Whitened, projected columns of all variants side by side: for each channel, an array (M, V·p)."""
         return tuple(np.hstack(blocks) for blocks in zip(*(item.by_channel for item in self.variants), strict=True))
 
     def likely_forms(self) -> list[tuple[Weighed, float]]:
@@ -157,10 +157,10 @@ class Candidate:
 class Weighing:
     """The recording with its noise and its nominal model, prepared for the evaluation of effects.
 
-    removed: (N, K), SI, what is subtracted from the samples before they are evaluated, such as a line. held: (N, K), samples that are
-    replaced by the fit, such as those that repeat an earlier one. coarse: (K,), channels whose count the noise does not dither; their
-    samples show rounding, not noise. Settings of both triads are combined: index = gyro setting × accelerometer settings +
-    accelerometer setting.
+    removed: (N, K), SI, signal that is subtracted from the samples before they are evaluated, such as a line. held: (N, K), True
+    for samples that are replaced by the fit, such as samples that repeat an earlier one. coarse: (K,), True for channels whose
+    noise does not dither the rounding to counts; their samples show rounding, not noise. Settings of both triads are combined:
+    index = gyro setting × accelerometer settings + accelerometer setting.
     """
 
     def __init__(
@@ -230,8 +230,8 @@ class Weighing:
         return np.column_stack(each)
 
     def fitted(self, taken: Sequence[Array] | None = None) -> Array:
-        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients. taken: by channel, (M,),
-        coefficients that an effect explains; they are subtracted before the fit."""
+        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients. taken: for each
+        channel, the coefficients (M,) that an effect explains; they are subtracted before the fit."""
         out = self._reference.copy()
         for index, nominal in enumerate(self.whole):
             own = [column for column in self.nominal_columns if index in column.parts]
@@ -260,12 +260,12 @@ class Weighing:
         return made
 
     def inflated(self, ratios: Sequence[float]) -> Weighing:
-        """The recording with the variance of each channel's noise multiplied by its ratio."""
+        """The recording after the variance of each channel's noise has been multiplied by the ratio of the channel."""
         return self._with(lambda weight, channel: weight.inflated(ratios[channel]))
 
     def _with(self, change: Callable[[ChannelWeights, int], ChannelWeights]) -> Weighing:
-        """A copy with changed weights. The likelihood of a setting changes as that of its weights does, because settings share
-        weights."""
+        """A copy with changed weights. The log likelihood of a setting changes by the same amount as that of its weights; several
+        settings share the same weights."""
         made = copy(self)
         made.__dict__.pop("base", None)
         made.__dict__.pop("likeliest", None)
@@ -291,7 +291,7 @@ class Weighing:
 
     @cached_property
     def log_prior(self) -> tuple[Array, Array]:
-        """Log prior (G,) of the settings without, and with, an undeclared random walk of the gyros."""
+        """Two log priors (G,) of the settings: without, and with, an undeclared random walk of the gyros."""
         gyro, accel = self.settings["gyro"], self.settings["accel"]
         prior = np.outer([s.prior for s in gyro], [s.prior for s in accel]).ravel()
         walking = np.repeat([s.walk > 0 for s in gyro], len(accel))
@@ -310,8 +310,8 @@ class Weighing:
         return float(np.logaddexp.reduce(terms))
 
     def projected(self, variants: Sequence[Variant]) -> tuple[list[Variant], list[Array]]:
-        """Variants without their samples, and by channel the coefficients (M, P) of all their columns. The samples of the forms of
-        all effects together would need many times the memory of the recording."""
+        """The variants without their samples; and, for each channel, the coefficients (M, P) of all their columns. The samples of
+        the forms of all effects together would need many times the memory of the recording."""
         raw = coefficients_of(self.observed, self.spectrum, [c for variant in variants for c in variant.columns])
         return [_without_samples(variant) for variant in variants], raw
 

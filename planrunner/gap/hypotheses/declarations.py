@@ -52,9 +52,10 @@ FACTORS: Mapping[str, tuple[tuple[float, str, str], ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class WrongDeclaration:
-    """A wrong declaration in the bench file that explains the gap. effect: of the catalogue. parameters: parameters of the effect that
-    make a simulation reproduce the mistake. message: what is wrong, for a finding; where: the channels or axes, for the remedy.
-    alternative: another declaration that the recording cannot distinguish from this one, empty if there is none."""
+    """A wrong declaration in the bench file that explains the gap. effect: name of the effect in the catalogue. parameters:
+    parameters of the effect that make a simulation reproduce the mistake. message: what is wrong, for a finding; where: the
+    channels or axes, for the remedy. alternative: another declaration that the recording cannot distinguish from this one, empty if
+    there is none."""
 
     effect: str
     parameters: Mapping[str, float]
@@ -74,8 +75,9 @@ class _Reading:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Free fit of the triads. readings: by channel, None if the plan does not determine it. sound: whether every determined channel
-    follows the plan up to a reading. misfit: sum over channels of squared residuals relative to the variance of the means."""
+    """Free fit of the triads. readings: reading of each channel, None if the plan does not determine it. sound: True if every
+    determined channel follows the plan apart from its reading (axis, sign and factor). misfit: sum over channels of squared
+    residuals relative to the variance of the means."""
 
     readings: tuple[_Reading | None, ...]
     sound: bool
@@ -83,8 +85,8 @@ class _Fit:
 
 
 def corrected(observed: Observed) -> tuple[Observed, list[WrongDeclaration]]:
-    """The recording with wrong declarations corrected, and these declarations. It is unchanged if none is found, or if no
-    correction makes the recording follow the plan."""
+    """The recording with wrong declarations corrected, and these declarations. The recording is unchanged if no wrong declaration
+    is found, or if no correction makes the recording follow the plan."""
     if observed.along is not None or len(observed) < 2:
         return observed, []
     planned, found = _fit(observed), []
@@ -152,7 +154,7 @@ def _stuck(observed: Observed, index: int) -> bool:
 
 def _reading(gain: Array, seen: Array, own: int, kind: str) -> _Reading | None:
     """The axis, sign and factor that explain the gain (r,) of a channel along the directions (r, 3) that the plan varies. The
-    declared ones are kept if they fit within the usual scale factors and misalignments."""
+    declared axis, sign and factor are kept if they fit within the usual scale factors and misalignments."""
     if float(np.linalg.norm(gain - seen[:, own])) <= MISFIT * float(np.linalg.norm(seen[:, own])):
         known = _factor(gain, seen[:, own], kind)
         if known == 1.0 or known is None:
@@ -201,7 +203,7 @@ def _of_channels(
     observed: Observed, readings: Sequence[_Reading | None]
 ) -> tuple[list[WrongDeclaration], list[int], list[float]]:
     """Wrong declarations of channels, and for every channel the index of the channel that shows its axis, with the signed factor of
-    that channel. Nothing if two channels show the same axis."""
+    that channel. No declaration counts as wrong if two channels show the same axis."""
     sources, factors = list(range(len(readings))), [1.0] * len(readings)
     shown: dict[str, dict[int, _Reading]] = {}
     for kind in ("gyro", "accel"):
@@ -254,7 +256,7 @@ def _together(observed: Observed, shown: Mapping[str, Mapping[int, _Reading]]) -
 
 
 def _rows(matrix: Array) -> list[tuple[str, int, float]]:
-    """Letter of each axis, the axis that it shows, and the sign."""
+    """For each axis: its letter, the index of the axis that it shows, and the sign."""
     axes = np.abs(matrix).argmax(axis=1)
     return [
         (letter, int(axis), float(matrix[row, axis]))

@@ -2,9 +2,9 @@
 forms are nonlinear if the effect is strong.
 
 An effect that is fully determined by its shape (a lag, a delay, a dead zone, a limit) has no amplitude. A weak effect of this kind
-is evaluated like the others, with an amplitude in addition to the shape, because the two are redundant. A strong effect is
-evaluated with the amplitude 1, and its shape is found exactly. If the effect acts on the output of the sensor, the nominal
-parameters are fitted together with it. Fitted without the effect, they would absorb a part of it and give a wrong output
+is evaluated like the others, with an amplitude in addition to the shape, because amplitude and shape are then redundant. A strong
+effect is evaluated with the amplitude 1, and its shape is found exactly. If the effect acts on the output of the sensor, the
+nominal parameters are fitted together with it. Fitted without the effect, they would absorb a part of it and give a wrong output
 (Gauss–Newton in those parameters, a search in the shape).
 """
 
@@ -67,8 +67,8 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
 
 
 def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
-    """A strong nonlinear effect, approximated by its secants at the most probable amplitudes. This is repeated as long as it
-    explains more."""
+    """A strong nonlinear effect, approximated by its secants at the most probable amplitudes. This is repeated as long as the new
+    secants explain more."""
     for _ in range(_SETTLING):
         (best,) = usable
         size = np.array([column.magnitude for column in best.variant.columns])
@@ -82,7 +82,7 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
 def _along_secants(
     weighing: Weighing, effect: CurvedAndShaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
-    """The same for an effect with a shape. The shape is searched again with the secants at the amplitudes of the most probable
+    """`_curved` for an effect with a shape. The shape is searched again with the secants at the amplitudes of the most probable
     shape, and the nominal parameters are fitted together with it."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
@@ -103,7 +103,7 @@ def _settled(
     weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
     """A strong effect on the output, evaluated at the fitted output: the nominal parameters are fitted together with its best form,
-    and the effect is evaluated again with the result. This is repeated as long as it explains more."""
+    and the effect is evaluated again with the result. This is repeated as long as the result explains more."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         seen = weighing.seen([raw[:, 0] for raw in best.raw])
@@ -123,8 +123,8 @@ def _settled(
 
 def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
     """A strong effect without a free amplitude, with the amplitude that physics fixes. For example, the time constant of a lag
-    determines both the delay and the attenuation. λ has the same prior as for every effect. Unchanged if the data require the
-    opposite sign."""
+    determines both the delay and the attenuation. λ has the same prior as for every effect. The candidate is unchanged if the data
+    require the opposite sign."""
     best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
     forms = [replace(form, held=True) for form, _ in whole_forms(weighing, effect)] if best.amplitudes[0][0] > 0 else []
     if len(forms) < 3 or any(form.trace <= 0 for form in forms):  # too weak for the amplitude 1 to mean anything
@@ -180,9 +180,9 @@ def shape_alone(candidate: Candidate) -> Shaped | None:
 
 
 def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float]]:
-    """Forms around the most probable shape, in equal steps of its logarithm, and their probabilities. Empty if the search finds no
-    effect because the data require the opposite sign. If the search alternates between shapes, or does not converge, the most
-    probable shape that it visited counts, with the nominal parameters that belong to it."""
+    """Forms around the most probable shape, in equal steps of its logarithm, and their probabilities. The result is empty if the
+    search finds no effect because the data require the opposite sign. If the search alternates between shapes, or does not
+    converge, the most probable shape that it visited counts, with the nominal parameters that belong to it."""
     seen, found, before = weighing.observed, np.nan, np.nan
     likeliest = (-np.inf, seen, np.nan, np.nan)
     for _ in range(_STEPS):
@@ -208,7 +208,7 @@ def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float
 
 
 def _evidence(weighing: Weighing, form: Weighed) -> float:
-    """Log evidence of an amplitude of 1, relative to none, apart from a constant."""
+    """Log evidence of an amplitude of 1, relative to no effect, up to a constant."""
     return weighing.evidence(form.score[:, 0] - 0.5 * form.gram[:, 0, 0])
 
 

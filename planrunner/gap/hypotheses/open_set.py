@@ -1,9 +1,9 @@
 """Competitors outside the catalogue, so that a diagnosis can report "something that the catalogue does not contain".
 
-Each is a pattern of the whitened residual: offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ
-at random from segment to segment, or change smoothly with rate, gravity, temperature or time, in one channel or in a triad; one odd
-segment; a periodic bias; bursts; and a tone that keeps its phase over the whole run. They are evaluated like
-effects, individually and in combination.
+Each competitor is a pattern of the whitened residual: offsets, scale-like errors, transients and waveforms per turn or per rocking
+period that differ at random from segment to segment, or change smoothly with rate, gravity, temperature or time, in one channel or
+in a triad; one odd segment; a periodic bias; bursts; and a tone that keeps its phase over the whole run. The competitors are
+evaluated like effects, individually and in combination.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Line:
 @dataclass(frozen=True)
 class Kinds:
     """Evidence for the competitors. log_bayes: (G,), log BF of each competitor against none, for each setting of the noise; −∞ for
-    settings with a random walk of the gyros' bias; several: (G,), the same for patterns of several kinds at once. by_channel: (K,),
+    settings with a random walk of the gyros' bias; several: (G,), log BF of patterns of several kinds at once. by_channel: (K,),
     log BF of each competitor in a single channel, at the first setting of the noise. outside: log BF of the patterns outside the
     coefficients, on which no effect of the catalogue acts; they are therefore independent of every effect. lines: the strongest
     tone of each channel that has one."""
@@ -62,7 +62,7 @@ class Kinds:
 
 
 def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
-    """Evaluates all competitors. outside_: the patterns outside the basis, if they are known."""
+    """Evaluates all competitors. outside_: evidence for the patterns outside the basis, if it is known."""
     settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
     whole = {id(weight): Left.whole(weight) for each in weighing.weights for weight in each}
     patterns, beyond = _Patterns(weighing), outside_ or outside(weighing)
