@@ -128,7 +128,7 @@ def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[f
             level = np.sqrt(weighing.noise.level[observed.owner, channel])[used]
             remainder = weighing.spectrum.remainder[used, channel] / level
             waves = [
-                _outside(weighing, np.column_stack([one[k].parts[channel] * root for k in own]))
+                weighing.spectrum.outside(observed, np.column_stack([one[k].parts[channel] * root for k in own]))
                 for one in (columns, *beside)
             ]
             waves = [wave[used] / level[:, None] for wave in waves]
@@ -146,11 +146,3 @@ def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[f
         solved, spread = covariance @ right, np.sqrt(np.diag(covariance))
         found += float(solved[-1])
     return found, float(spread[-1]), columns, np.column_stack([solved, spread])[:-1]
-
-
-def _outside(weighing: Weighing, columns: Array) -> Array:
-    """Columns of samples (N, P) without their components in the basis of each segment."""
-    out = columns.copy()
-    for basis, part in zip(weighing.spectrum.bases, weighing.observed.segments(), strict=True):
-        out[part] -= basis.vectors @ (basis.vectors.T @ out[part])
-    return out

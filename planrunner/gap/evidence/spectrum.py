@@ -76,6 +76,13 @@ class Spectrum:
         coefficients = np.concatenate(made)
         return coefficients if roots is None else coefficients * roots[self.segment, None]
 
+    def outside(self, observed: Observed, columns: Array) -> Array:
+        """Columns of samples (N, P) without their components in the basis of each segment."""
+        out = columns.copy()
+        for basis, part in zip(self.bases, observed.segments(), strict=True):
+            out[part] -= basis.vectors @ (basis.vectors.T @ out[part])
+        return out
+
     @cached_property
     def runs(self) -> list[tuple[Array, slice]]:
         """Consecutive segments with bases of the same shape: the bases (k, m, n), or one basis (m, n) for all, and the samples of the

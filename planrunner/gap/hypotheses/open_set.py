@@ -319,9 +319,7 @@ def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: fl
     for _ in range(_TUNINGS):
         phase = 2 * np.pi * frequency * time
         waves = np.column_stack([np.cos(phase), np.sin(phase)])
-        waves = np.column_stack([waves, waves * time[:, None] / time[-1]])
-        for basis, part in zip(spectrum.bases, observed.segments(), strict=True):
-            waves[part] -= basis.vectors @ (basis.vectors.T @ waves[part])
+        waves = spectrum.outside(observed, np.column_stack([waves, waves * time[:, None] / time[-1]]))
         columns = waves[scan.chosen] / scan.level[:, None] * root[:, None]
         fitted = np.linalg.lstsq(columns, scan.samples * root, rcond=None)[0]
         found = scan.samples - columns @ fitted / root
