@@ -19,7 +19,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.observation.observations import Observations, recorded_times
 from planrunner.observation.refusals import EstimationError
-from planrunner.observation.temperature import CHANGED
+from planrunner.observation.surroundings import CHANGED
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, key, optional
 from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
 

@@ -24,7 +24,7 @@ from planrunner.instruments.models import SensorModel
 from planrunner.observation.bins import bins_of, seen_along, sizes
 from planrunner.observation.refusals import ObservationError
 from planrunner.observation.samples import channels_of, rows_of
-from planrunner.observation.temperature import temperature_of
+from planrunner.observation.surroundings import temperature_of
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import RecordedMotion, Rest
 

@@ -15,8 +15,7 @@ from planrunner.observation.bins import SQUARED, Averaged, bins_of, sizes
 from planrunner.observation.bins import averaged as in_bins
 from planrunner.observation.moved import recorded_course, supposed_course
 from planrunner.observation.refusals import ObservationError
-from planrunner.observation.supply import Monitors
-from planrunner.observation.temperature import changes, settled, temperature_of
+from planrunner.observation.surroundings import Monitors, changes, settled, temperature_of
 from planrunner.physics.earth import Site
 from planrunner.physics.moved_body import BodyMotion, averaged
 from planrunner.physics.sampled_motion import fading, motion_at

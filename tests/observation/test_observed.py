@@ -14,7 +14,7 @@ from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.observation.refusals import ObservationError
 from planrunner.observation.samples import observed
-from planrunner.observation.temperature import settled, smoothed
+from planrunner.observation.surroundings import settled, smoothed
 from planrunner.physics.sampled_motion import motion_at
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
 from tests.gap.turntable import DEG, SITE, felt, record

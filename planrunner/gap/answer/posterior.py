@@ -22,8 +22,8 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Effect, OutsideCoefficients, triad_of
 from planrunner.gap.answer.apart import Apart
+from planrunner.gap.answer.remainder import dispersion
 from planrunner.gap.answer.sets import EffectSet, key_of, sets_of
-from planrunner.gap.evidence.dispersion import dispersion
 from planrunner.gap.evidence.noise_levels import Level, log_densities
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.hypotheses.open_set import Kinds, Line, competitors, something_else, unknown

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.observation.temperature import CHANGED
+from planrunner.observation.surroundings import CHANGED
 from planrunner.plan.schedule import Rest, Rock, Spin
 
 Rows = NDArray[np.bool_]

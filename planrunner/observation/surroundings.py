@@ -1,17 +1,21 @@
-"""The temperature of a sensor at each sample, from a noisy thermometer or from the plan."""
+"""The surroundings of a sensor at each sample: its temperature, its supply voltage and the ambient pressure.
+
+They come from recorded channels, whose noise is smoothed, or from the plan. Voltage and pressure are relative to their reference values.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.arrays import Array
-from planrunner.error_model.observed import REFERENCE_TEMPERATURE
-from planrunner.plan.units import ZERO_CELSIUS
+from planrunner.base.dataclass import dataclass
+from planrunner.error_model.observed import REFERENCE_TEMPERATURE, STANDARD_PRESSURE, planned_excess
+from planrunner.instruments.models import NOMINAL_SUPPLY
+from planrunner.plan.units import ZERO_CELSIUS, unit
 
 CHANGED = 1.0  # K within a segment, or between the means of consecutive ones: less is no change
 _SMOOTHING = 10  # coefficients of the polynomial by which a segment's temperature is smoothed, at most
@@ -98,3 +102,33 @@ def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Arr
         before = now
         signs.append(last)
     return np.array(signs)
+
+
+@dataclass(frozen=True, slots=True)
+class Monitors:
+    """Channels that show the state of the sensor besides its motion; None for a state that comes from the plan. thermometer: of the
+    sensor; voltmeter: of its supply; barometer: of the ambient air. nominal_supply: V."""
+
+    thermometer: str | None = None
+    voltmeter: str | None = None
+    barometer: str | None = None
+    nominal_supply: float = NOMINAL_SUPPLY
+
+    @property
+    def channels(self) -> list[str]:
+        return [one for one in (self.thermometer, self.voltmeter, self.barometer) if one is not None]
+
+    def excess_of(self, item: RecordedSegment, time: Array, table: Mapping[str, Array]) -> dict[str, Array]:
+        """`overvoltage` and `overpressure` of a segment at its samples (n,), smoothed where they are recorded."""
+        planned = planned_excess(item.segment, self.nominal_supply)
+        found = {}
+        for name, channel, reference, stated in (
+            ("overvoltage", self.voltmeter, self.nominal_supply, planned[0]),
+            ("overpressure", self.barometer, STANDARD_PRESSURE, planned[1]),
+        ):
+            if channel is None:
+                found[name] = np.full(len(time), stated)
+            else:
+                own = unit(item.units[channel])
+                found[name] = smoothed(time, table[channel] * own.factor + own.offset - reference).celsius
+        return found
