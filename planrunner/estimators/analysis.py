@@ -1,9 +1,9 @@
 """Computes the results of a recording: every estimate of a plan in the order that `uses` requires, then the limits.
 
-A failure of one estimate is kept as a message; the others are still made.
+If one estimate fails, its failure is kept as a message, and the other estimates are still made.
 
-Each estimate gets warnings about its samples: missing samples, and counts that are too coarse for the noise, so that rounding errors do not
-average out.
+Each estimate gets warnings about its samples: about missing samples, and about counts that are too coarse for the noise, so that
+rounding errors do not average out.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ def analyse(
     notice: Announce | None = None,
     workers: Workers = ALONE,
 ) -> Results:
-    """Makes all estimates of a plan and applies its limits. notice: receives the progress of passes over the samples. workers: share
-    Monte Carlo draws.
+    """Makes all estimates of a plan and applies its limits. notice: receives the progress of passes over the samples. workers:
+    processes that share the Monte Carlo draws.
 
-    Never raises because of the data: a failure becomes a message under the name of the estimate, or under `limit on …`. Raises
-    `ClusterError` and `ProcessEndedError` if the workers fail.
+    Never raises because of the data: instead, a failure becomes a message under the name of the estimate, or under `limit on …`.
+    Raises `ClusterError` and `ProcessEndedError` if the workers fail.
     """
     looked_at = screened(announced(recording, "screening the samples", notice), sensor)
     recording = [replace(item, finds=one.finds) for item, one in zip(recording, looked_at, strict=True)]
@@ -101,8 +101,8 @@ def analyse(
 
 
 def _in_order(estimates: Mapping[str, EstimateSpec]) -> list[str]:
-    """Names in an order in which an estimate comes after those that it uses. Estimates that use each other in a circle come last and
-    fail because their input is missing."""
+    """The names in an order in which every estimate comes after the estimates that it uses. Estimates that use each other in a
+    circle come last and fail because their input is missing."""
     order: list[str] = []
     waiting = list(estimates)
     while waiting:
@@ -166,7 +166,7 @@ _RESTS_ON = {
 
 
 def combined(estimate: Estimate) -> Estimate:
-    """The estimate with its influences added to the contribution of the data, and a budget for each coefficient."""
+    """The estimate, with its influences added to the contribution of the data and with a budget for each coefficient."""
     basis = estimate.settings.get("uncertainty", "")
     measured = [
         Measured(item.name, item.value, item.unit, item.standard_uncertainty, item.degrees_of_freedom)
@@ -191,10 +191,11 @@ def combined(estimate: Estimate) -> Estimate:
 def coarse_counts(
     segments: Sequence[RecordedSegment], channels: Collection[str], sensor: SensorModel
 ) -> tuple[Said, ...]:
-    """A warning for each channel whose noise does not dither the counts in some segment. channels: the channels to check; all outputs of
-    the sensor if empty.
+    """A warning for each channel whose noise is too small, in some segment, to average out the rounding to counts. channels: the
+    channels to check; all outputs of the sensor if empty.
 
-    Equal inputs then have equal rounding errors, so neither the noise within the segments nor the scatter of repeats shows these errors.
+    Equal inputs then have equal rounding errors, so neither the noise within the segments nor the scatter of repetitions shows
+    these errors.
     """
     found = []
     for output in sensor.outputs:
@@ -231,8 +232,8 @@ NAMED = 3
 
 
 def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tuple[Said, ...]:
-    """One sentence about the samples left out of the segments, and another about the gaps in the segments. sample_rate: Hz, for
-    segments without their own."""
+    """One sentence about the samples that the segments do not include, and one about the gaps in the segments. sample_rate: Hz, for
+    segments that state no sample rate."""
     left_out, gaps = [], []
     for recorded in segments:
         statistics = recorded.statistics

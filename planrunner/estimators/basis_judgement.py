@@ -1,4 +1,5 @@
-"""Checks of the two bases of uncertainty and of their consistency: notes and warnings for the report."""
+"""Checks of the two kinds of uncertainty, 'residual' and 'within_segment', and of their consistency: notes and warnings for the
+report."""
 
 from __future__ import annotations
 
@@ -37,7 +38,7 @@ class BasisComparison:
 
 
 def compare(fit: OutputsFit) -> tuple[BasisComparison, ...]:
-    """Comparison of the two bases, for each output that has both residuals and known noise."""
+    """Compares residuals and noise for each output that has residuals and a known noise."""
     from scipy.special import fdtrc
 
     return tuple(
@@ -48,8 +49,8 @@ def compare(fit: OutputsFit) -> tuple[BasisComparison, ...]:
 
 
 def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
-    """Raises `EstimationError` if the plan requests a basis for which there are too few segments, and `UnfitDataError` if the
-    samples are insufficient for it."""
+    """Raises `EstimationError` if the plan requests the residual basis and there are too few segments, and `UnfitDataError` if it
+    requests the noise within the segments and the samples do not show this noise."""
     if fit.available(basis):
         return
     if basis == "residual":
@@ -61,8 +62,9 @@ def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
 
 
 def planned_basis(request: DesignRequest[object], blocks: Sequence[DesignBlock], basis: str) -> tuple[Remark, ...]:
-    """Makes the check of `require_basis` for planned segments. Raises an error if there are only as many segments as coefficients, or if
-    the segments are too short to determine their noise. Fewer segments than coefficients are reported as an error of rank."""
+    """The check of `require_basis` for planned segments. Returns an error as a remark if there are only as many segments as
+    coefficients, or if no segment has two samples. Fewer segments than coefficients are reported elsewhere, as an error of the
+    rank."""
     for block in blocks:
         n, p = block.matrix.shape
         if basis == "residual" and n == p:
@@ -84,7 +86,8 @@ def no_residual(count: int) -> str:
 
 
 def few_samples(request: DesignRequest[object]) -> tuple[Remark, ...]:
-    """A warning about segments too short for batch means, whose scatter determines the noise within a segment."""
+    """A warning about segments that are too short for batch means. The noise within a segment is computed from the scatter of these
+    means."""
     short = [(count, one.label) for one in request.segments if 0 < (count := planned_samples(request, one)) < BATCHES]
     if not short:
         return ()
@@ -126,7 +129,7 @@ def unlike_outputs(fit: OutputsFit) -> Said | None:
 
 @dataclass(frozen=True, slots=True)
 class FitNote:
-    """A note on a fit. output: the output that it names; empty if it is about all outputs of the fit."""
+    """A note on a fit. output: the output that the note names; empty if the note is about all outputs of the fit."""
 
     text: Said
     output: str = ""
@@ -134,7 +137,7 @@ class FitNote:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """Notes and warnings of a report about the chosen basis."""
+    """Notes and warnings about the chosen basis of the uncertainties, for a report."""
 
     notes: tuple[FitNote, ...]
     warnings: tuple[Said, ...]
@@ -146,8 +149,8 @@ class Judgement:
 
 
 def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgement:
-    """Notes and warnings about the chosen basis, for the report. channels: channels whose flicker affects the outputs; by default the
-    outputs."""
+    """Notes and warnings about the chosen basis of the uncertainties, for the report. channels: the channels whose flicker affects
+    the outputs; by default these are the outputs themselves."""
     notes: list[FitNote] = []
     warnings: list[Said] = []
     if basis == "residual":
@@ -229,7 +232,7 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
 
 @dataclass(frozen=True, slots=True)
 class DriftWords:
-    """Notes and warnings of a report about a drift."""
+    """Notes and warnings about a drift, for a report."""
 
     notes: tuple[Said, ...] = ()
     warnings: tuple[Said, ...] = ()
@@ -294,7 +297,7 @@ def _named(courses: Sequence[DriftCourse]) -> tuple[str, ...]:
 
 
 def _shares(fit: OutputsFit, shares: NDArray[np.float64]) -> tuple[Said, ...]:
-    """The share of each output in the scatter, in words."""
+    """For each output, the share of the scatter that a drift or a nonlinearity explains, in words."""
     return tuple(
         said("{share:.3g} % ({output})", share=100 * float(share), output=output)
         for output, share in zip(fit.outputs, shares, strict=True)
@@ -337,7 +340,7 @@ def _rivalled(fit: OutputsFit, courses: Sequence[DriftCourse], nonlinear: NDArra
 
 
 def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
-    """A warning about a drift that is not fitted, although the data do not exclude one that matters."""
+    """A warning about a drift that is not fitted, although the data do not exclude a drift that matters."""
     output, name = fit.outputs[found.output], found.course.name
     if found.course.changed:
         return said(
@@ -370,14 +373,14 @@ def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
 
 
 def _consequence(fit: OutputsFit, found: SuspectedDrift) -> Said:
-    """Whether the uncertainties include a drift that is not fitted."""
+    """States whether the uncertainties include a drift that is not fitted."""
     if any(one.course.name == found.course.name for one in fit.drift.doubted):
         return said("but the uncertainties include the change that it would cause")
     return said("so no uncertainty includes it")
 
 
 def _size(found: SuspectedDrift) -> Said:
-    """What the drift does to the uncertainty of the coefficient."""
+    """States how a fitted drift would change the uncertainty of the coefficient."""
     if not np.isfinite(found.growth):
         return said("these segments cannot separate the two at all")
     return said(
@@ -387,14 +390,14 @@ def _size(found: SuspectedDrift) -> Said:
 
 
 def _written(courses: Sequence[DriftCourse]) -> str:
-    """The key of the plan that asks for these courses, as it is written."""
+    """The value of the plan's key `drift` that asks for these courses."""
     highest = max((course for course in courses if course.order), key=lambda one: one.order, default=None)
     words = [course.name for course in courses if course is highest or not course.order]
     return words[0] if len(words) == 1 else f"[{', '.join(words)}]"
 
 
 def _exceeding(found: BasisComparison, basis: str) -> Said:
-    """A warning that the residuals show more than the noise."""
+    """A warning that the residuals are larger than the noise explains."""
     values: dict[str, str | float] = {"output": found.output, "ratio": found.ratio, "chance": found.probability}
     if basis == "within_segment":
         return said(
@@ -431,7 +434,7 @@ def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> Said:
 
 
 def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[Said]:
-    """The effects that the weights include in addition to the noise, and the outputs without declared flicker."""
+    """Notes about the effects that the weights include in addition to the noise, and about outputs without declared flicker."""
     notes = []
     if fit.effects:
         names = dict.fromkeys(effect.quantity.name for effect in fit.effects)

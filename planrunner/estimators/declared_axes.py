@@ -1,7 +1,8 @@
 """Checks whether outputs respond as declared: detects reversed and exchanged axes, left-handed triads, and wrong units.
 
-A calibration of an output in its own unit against the true rate or specific force gives a row of ratios, close to one along its own axis
-and to zero across it. The fit does not detect a row that differs from this, so each row is compared with the declaration.
+An output is calibrated in its own unit against the true rate or specific force. This gives a row of ratios: close to one along its
+own axis, and close to zero across it. The fit does not notice a row that differs from this, so each row is compared with the
+declaration.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def contradictions(rows: Sequence[AxisResponse]) -> list[Said]:
 
 def against_nominal(factors: Iterable[tuple[str, float, float]]) -> list[Said]:
     """Warnings about scale factors whose sign or size is not the nominal one. Each factor is given as its name, the value found,
-    and the nominal value in the bench file, which is not zero."""
+    and the nominal value in the bench file, which must not be zero."""
     found = []
     for name, value, nominal in factors:
         ratio = value / nominal

@@ -1,8 +1,8 @@
-"""Results of an estimate as one formula of the fitted coefficients: values, covariance, degrees of freedom, influences and draws follow
-from it.
+"""Results of an estimate as one formula of the fitted coefficients. Values, covariance, degrees of freedom, influences and draws
+follow from this formula.
 
-An estimator gives only the formula and the names of its quantities: derivatives are computed from the formula (`uncertainty.derivatives`),
-and Monte Carlo draws pass through the same formula.
+An estimator gives only the formula and the names of its quantities. Derivatives are computed from the formula
+(`uncertainty.derivatives`), and Monte Carlo draws pass through the same formula.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from planrunner.uncertainty.monte_carlo import Draws, about, influence_draws, t_
 
 @dataclass(frozen=True, slots=True)
 class Reported:
-    """Name and unit of one derived quantity. unit: of its value; period: of a circular quantity, in that unit."""
+    """Name and unit of one derived quantity. unit: unit of the value; period: period of a circular quantity, in this unit."""
 
     name: str
     unit: str
@@ -37,10 +37,11 @@ class Reported:
 
 @dataclass(frozen=True, slots=True)
 class Derived:
-    """q quantities computed from the r coefficients of several fits. The coefficients of the fits follow each other.
+    """q quantities computed from the r coefficients of several fits. The coefficients of all fits form one sequence.
 
-    values: (q,), in the quantities' units; gradient: (q, r), with respect to the fitted coefficients. between: by basis, (r, r),
-    covariance between the coefficients of different fits; by default the fits are independent.
+    values: (q,), in the quantities' units; gradient: (q, r), derivatives with respect to the fitted coefficients. between: for each
+    basis of the uncertainties, (r, r), the covariance between the coefficients of different fits; by default the fits are
+    independent.
     """
 
     quantities: tuple[Reported, ...]
@@ -81,14 +82,14 @@ class Derived:
         )
 
     def influences(self, acting: Sequence[Sequence[Influence]]) -> tuple[Influence, ...]:
-        """Influences on the quantities, from the influences on each fit's coefficients; an input that acts on several fits is counted as
-        one input."""
+        """Influences on the quantities, computed from the influences on the coefficients of each fit; an input that acts on several
+        fits counts as one input."""
         by_fit = zip(acting, self._by_fit(), strict=True)
         return tuple(one.through(gradient) for influences, gradient in by_fit for one in influences)
 
     @property
     def unstated(self) -> tuple[UnstatedFlicker, ...]:
-        """The flicker about which nothing is stated, as it acts on the quantities."""
+        """The flicker that the bench file neither states nor excludes, as it acts on the quantities."""
         by_fit = zip(self.fits, self._by_fit(), strict=True)
         return tuple(one.through(gradient) for fit, gradient in by_fit for one in fit.unstated_flicker())
 
@@ -115,9 +116,9 @@ def derived(
     at: Array | None = None,
     between: Mapping[str, Array] | None = None,
 ) -> Derived:
-    """Evaluates a formula of fitted coefficients, with its derivatives. formula: (r, n) → (q, n), from the coefficients of all outputs
-    in sequence. at: (r,), values of the coefficients if the fits give only changes from a nearby point. between: as in `Derived`.
-    Raises the errors of the formula."""
+    """Evaluates a formula of fitted coefficients, with its derivatives. formula: function (r, n) → (q, n); its argument has the
+    coefficients of all outputs in sequence. at: (r,), values of the coefficients, if the fits give only changes from a nearby
+    point. between: as in `Derived`. Raises the errors of the formula."""
     where = np.concatenate([fit.coefficients.ravel() for fit in fits]) if at is None else at
     return Derived(tuple(quantities), formula, *value_and_jacobian(formula, where), fits, between or {})
 
@@ -137,7 +138,7 @@ def _through(formula: Formula, parts: Sequence[Draws], rng: np.random.Generator,
 
 
 def independent(blocks: Sequence[Array]) -> Array:
-    """Covariance (Σn, Σn) of quantities in independent groups. blocks: (n, n), the covariance of each group."""
+    """Covariance (Σn, Σn) of quantities in independent groups. blocks: the covariance (n, n) of each group."""
     if len(blocks) == 1:
         return blocks[0]
     size = sum(len(block) for block in blocks)

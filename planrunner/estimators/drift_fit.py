@@ -1,20 +1,22 @@
-"""Drift among the terms of a fit: which courses the data show, and which of them are fitted.
+"""Drift among the terms of a fit: which courses of a drift the data show, and which courses are fitted. A course is a drift in
+proportion to a power of the time or to a recorded temperature.
 
-A course is adopted if its amplitude in one output, or the amplitudes in all outputs together, are larger than chance explains. The test
-has the level `SIGNIFICANCE` over all courses that are tried. The scale of chance is the noise within the segments and the declared
-effects, if they explain the residuals without the drift. Otherwise it is the residuals themselves. In the end the noise and the effects
-must explain the residuals: if they do not, the model is incomplete, and a part of its residual pattern always looks like a drift. At
-least `LEAST_LEFT` degrees of freedom must remain over all outputs, or any scatter would look like a drift. A drift is rarely exactly
-linear: once a course in time is adopted, the next order is fitted too if the segments allow it.
+A course is adopted if its amplitude in one output, or its amplitudes in all outputs together, are larger than chance explains. The
+test has the level `SIGNIFICANCE` over all courses that are tried. Chance is measured by the noise within the segments and the
+declared effects, if these explain the residuals without the drift. Otherwise it is measured by the residuals themselves. In the
+end, the noise and the effects must explain the residuals. If they do not, the model is incomplete, and a part of the residual
+pattern of an incomplete model always looks like a drift. At least `LEAST_LEFT` degrees of freedom must remain over all outputs, or
+any scatter would look like a drift. A drift is rarely exactly linear: once a course in time is adopted, the next order is fitted
+too if the segments allow it.
 
-A drift is not adopted if a nonlinearity of the outputs explains the data better. This is so if the square of their fitted values leaves
-no more than noise, and if its information criterion (BIC) is lower (regression specification error test: J. B. Ramsey, J. R. Stat. Soc.
-B 31, 1969).
+A drift is not adopted if a nonlinearity of the outputs explains the data better. This is so if the square of the outputs' fitted
+values leaves no more than noise, and if the fit with this square has a lower information criterion (BIC) (regression specification
+error test: J. B. Ramsey, J. R. Stat. Soc. B 31, 1969).
 
-A course that is not adopted is suspected in two cases, which the report names. In the first case, its evidence is a little weaker, and
-it would move a coefficient by more than its standard uncertainty. In the second case, it follows a recorded temperature that changed,
-and the segments couple it to a coefficient. An amplitude that the data cannot exclude would then move the coefficient by several
-standard uncertainties.
+A course that is not adopted is suspected in two cases, which the report names. In the first case, the evidence is a little weaker
+than required, and the course would move a coefficient by more than its standard uncertainty. In the second case, the course follows
+a recorded temperature that changed, and the segments couple the course to a coefficient. An amplitude that the data cannot exclude
+would then move the coefficient by several standard uncertainties.
 
 With few degrees of freedom, even a drift that changes coefficients by several standard uncertainties remains unnoticed in some tests.
 The change that a course with weak evidence would cause is then added to the uncertainties as an error that is not corrected (JCGM
@@ -52,11 +54,11 @@ _ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SuspectedDrift:
-    """A course that is not fitted, although the data do not exclude a drift that matters. output, term: index of the output and name of
-    the term of the coefficient that the course affects most. growth: factor by which the standard uncertainty of this coefficient grows
-    if the course is fitted; infinite if the segments cannot separate the two. change: change of this coefficient, in the unit of the
-    fit; 0 if the two cannot be separated. probability: chance of an amplitude at least as large as the fitted one; 1 if it was not
-    tested."""
+    """A course that is not fitted, although the data do not exclude a drift that matters. The fields describe the coefficient that
+    the course affects most. output, term: index of its output, and index of its term. growth: factor by which the standard
+    uncertainty of the coefficient grows if the course is fitted; infinite if the segments cannot separate the course from the
+    coefficient. change: change of the coefficient if the course is fitted, in the unit of the fit; 0 if the course cannot be
+    separated. probability: chance of an amplitude of the course at least as large as the fitted one; 1 if it was not tested."""
 
     course: DriftCourse
     output: int
@@ -69,9 +71,9 @@ class SuspectedDrift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DoubtedDrift:
-    """A course that is not fitted, although its evidence is not negligible. amplitudes: (m, r), root mean squares of the amplitudes that
-    its columns may have in each output: the fitted amplitudes combined with their standard uncertainties. probability: probability that
-    chance alone gives amplitudes at least as large as the fitted ones."""
+    """A course that is not fitted, although its evidence is not negligible. amplitudes: (m, r), for each output and each column of
+    the course: the root of the sum of the squares of the fitted amplitude and of its standard uncertainty. probability: probability
+    that chance alone gives amplitudes at least as large as the fitted ones."""
 
     course: DriftCourse
     amplitudes: Array
@@ -80,11 +82,12 @@ class DoubtedDrift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedDrift:
-    """The courses in a fit. by_evidence: whether the courses were chosen because the data show them; otherwise the plan asks for them.
-    judged: whether a drift could have been found in the data at all. without: (m, p), the coefficients of a fit without drift; explained:
-    (m,), share of the sum of squared residuals that the drift explains. `without` and `explained` are None if no course was adopted.
-    suspected: only if none was adopted. rivals: courses that the data show but that are not adopted, because a nonlinearity explains the
-    residuals as well; nonlinear: (m,), share of the sum of squared residuals that the nonlinearity explains."""
+    """The courses in a fit. by_evidence: True if the courses were chosen because the data show them; False if the plan asks for
+    them. judged: True if a drift could have been found in the data. without: (m, p), the coefficients of a fit without drift;
+    explained: (m,), the share of the sum of squared residuals that the drift explains. `without` and `explained` are None if no
+    course was adopted. suspected: the suspected courses, only if no course was adopted. rivals: courses that the data show but that
+    are not adopted, because a nonlinearity explains the residuals as well; nonlinear: (m,), share of the sum of squared residuals
+    that the nonlinearity explains."""
 
     courses: tuple[DriftCourse, ...] = ()
     by_evidence: bool = False
@@ -112,12 +115,12 @@ Fits = Callable[[Array], Sequence[LinearFit]]
 
 
 def joined(matrix: Array, courses: Sequence[DriftCourse]) -> Array:
-    """Columns of the terms of the model (n, p), then columns of the courses."""
+    """The design matrix with the columns of the terms (n, p), followed by the columns of the courses."""
     return np.hstack([matrix, *(course.columns for course in courses)]) if courses else matrix
 
 
 def sizes(magnitudes: Array, columns: Array) -> Array:
-    """The declared magnitudes of the columns of `joined`. For the courses, these are root mean squares."""
+    """The declared magnitudes of the columns of `joined`. For the courses, the magnitudes are root mean squares."""
     further = columns[:, len(magnitudes) :]
     return np.concatenate([magnitudes, np.sqrt(np.mean(further**2, axis=0))]) if further.size else magnitudes
 
@@ -132,9 +135,9 @@ def fitted_drift(
     fits: Fits,
     basis: str,
 ) -> FittedDrift:
-    """Chooses the courses of drift to fit and returns them with the results of their tests. names: (p,), of the terms. correlation: (m,
-    m), between the noise of the outputs. fits: a function that fits all outputs by the columns of a matrix (as returned by `joined`),
-    with weights from the noise and the declared effects. basis: of the uncertainties."""
+    """Chooses the courses of drift to fit and returns them with the results of their tests. names: (p,), names of the terms.
+    correlation: (m, m), correlation between the noise of the outputs. fits: a function that fits all outputs by the columns of a
+    matrix (as returned by `joined`), with weights from the noise and the declared effects. basis: basis of the uncertainties."""
     if not drift.courses:
         return NOTHING_FITTED
     if not drift.by_evidence:
@@ -188,8 +191,9 @@ def _doubted(
     fits: Fits,
     basis: str,
 ) -> tuple[DoubtedDrift, ...]:
-    """The course, if the degrees of freedom are few and its probability by chance is small enough. On the residual basis, the standard
-    uncertainties of its amplitudes follow from the scatter about it."""
+    """The course as a `DoubtedDrift`, if the degrees of freedom are few and the probability by chance is small enough; otherwise
+    nothing. On the residual basis, the standard uncertainties of the amplitudes follow from the residuals of the fit with the
+    course."""
     r, found = course.columns.shape[1], fits(joined(matrix, (course,)))
     if probability >= DOUBTED or found[0].degrees_of_freedom >= FEW:
         return ()
@@ -207,7 +211,8 @@ def _taken(before: Sequence[LinearFit], after: Sequence[LinearFit]) -> Array:
 
 
 def _criterion(found: Sequence[LinearFit], n: int) -> float:
-    """The Bayesian information criterion of fits to n observations each: χ² and ln N for each coefficient of all outputs."""
+    """The Bayesian information criterion of fits with n observations each: χ² plus ln N for each coefficient of all outputs, where
+    N is the number of observations of all fits."""
     terms = sum(n - one.degrees_of_freedom for one in found)
     return sum(one.chi_squared for one in found) + terms * float(np.log(n * len(found)))
 
@@ -230,8 +235,8 @@ def _nonlinear(matrix: Array, plain: Sequence[LinearFit], fits: Fits) -> tuple[L
 def _next(
     matrix: Array, magnitudes: Array, drift: DriftCourses, chosen: Sequence[DriftCourse], outputs: int
 ) -> tuple[DriftCourse, ...]:
-    """The courses that may be added: the lowest missing order in time, and the others. The terms and the chosen courses must not
-    reproduce them, and enough degrees of freedom must remain."""
+    """The courses that may be added: the lowest missing power of the time, and the other missing courses. A course is left out if
+    the terms and the chosen courses reproduce it, or if too few degrees of freedom would remain."""
     base, names = joined(matrix, chosen), {course.name for course in chosen}
     allowed = [one for one in drift.courses if not drift.shown or one.name in drift.shown]
     missing = [course for course in allowed if course.name not in names]
@@ -247,7 +252,7 @@ def _next(
 
 
 def _separable(scaled: Array, course: DriftCourse) -> bool:
-    """Whether columns (n, P), divided by their magnitudes, cannot reproduce the course."""
+    """Whether the course is independent of given columns (n, P), which are divided by their magnitudes."""
     basis = np.linalg.svd(scaled, full_matrices=False)[0][:, : rank.look(scaled).rank]
     own = course.columns - basis @ (basis.T @ course.columns)
     return bool(np.all(np.sum(own**2, axis=0) > _SEPARABLE**2 * np.sum(course.columns**2, axis=0)))
@@ -276,7 +281,8 @@ def _suspected(
 def _affected(
     matrix: Array, magnitudes: Array, names: Sequence[str], course: DriftCourse, fits: Fits
 ) -> tuple[SuspectedDrift, float]:
-    """The coefficient that a course affects most, and the largest change of a coefficient in its standard uncertainties."""
+    """The coefficient that a course affects most, and the largest change of any coefficient, in units of the coefficient's standard
+    uncertainty."""
     n, p = matrix.shape
     before = fits(matrix)
     spreads = np.array([np.sqrt(np.diag(one.cofactor)) for one in before])
@@ -300,8 +306,8 @@ def _chance(
     noises: Sequence[WithinSegmentNoise],
     correlation: Array,
 ) -> float:
-    """Probability that chance alone reduces χ² as much as the course does, in one output or in all together (F-tests, Bonferroni's
-    bound). Outputs with correlated noise count as fewer, by Satterthwaite's formula."""
+    """Probability that chance alone reduces χ² as much as the course does, in one output or in all outputs together (F-tests,
+    Bonferroni's bound). Outputs whose noise is correlated count as a smaller number of outputs, by Satterthwaite's formula."""
     from scipy.special import fdtrc
 
     r, left = course.columns.shape[1], after[0].degrees_of_freedom
@@ -335,7 +341,7 @@ def _explained(after: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise])
 
 
 def _is_rounding(matrix: Array, course: DriftCourse, after: Sequence[LinearFit]) -> bool:
-    """Whether the course changes no observation by more than rounding errors."""
+    """Whether the course changes all observations by no more than rounding errors."""
     p, r = matrix.shape[1], course.columns.shape[1]
     for one in after:
         moved = np.max(np.abs(course.columns @ one.coefficients[-r:]))

@@ -1,9 +1,10 @@
 """The order of planned segments and its coupling to a drift: how much uncertainties grow if the drift is fitted, and which order
 decouples it.
 
-With the terms' design A and the courses of a drift T, both weighted, the covariance of the coefficients grows from C = (AᵀA)⁻¹ to
-C + G·T·(Tᵀ·M·T)⁻¹·Tᵀ·Gᵀ, with G = C·Aᵀ and M = 1 − A·G (Golub and Van Loan, Matrix Computations, 5.3). A test that is repeated in the
-opposite order is decoupled from a linear drift: the average time of each position is the same.
+Let A be the design of the terms and T the columns of the drift, both weighted. If the drift is fitted, the covariance of the
+coefficients grows from C = (AᵀA)⁻¹ to C + G·T·(Tᵀ·M·T)⁻¹·Tᵀ·Gᵀ, with G = C·Aᵀ and M = 1 − A·G (Golub and Van Loan, Matrix
+Computations, 5.3). A test whose segments are repeated in the opposite order is decoupled from a linear drift, because the average
+time is the same for all positions.
 """
 
 from __future__ import annotations
@@ -45,11 +46,12 @@ class FittedWithDrift(Protocol):
 
 
 def planned_drift(request: DesignRequest[FittedWithDrift], blocks: Sequence[DesignBlock]) -> tuple[Remark, ...]:
-    """Remarks about the drift that the plan asks for, or that the segments could show. Raises `EstimationError` for options that
-    exclude each other, and for a temperature that is not recorded.
+    """Remarks about the drift that the plan asks for, or about a drift that the segments could show. Raises `EstimationError` for
+    options that exclude each other, and for a temperature that is not recorded.
 
-    The remark is a note if a linear drift would be fitted only when the segments show it. It is a warning if the plan asks for a drift
-    that the order of the segments couples to a coefficient. It is an error if the courses cannot be separated from the terms at all.
+    The remark is a note if the fit would contain the linear drift only when the segments show it. It is a warning if the plan asks
+    for a drift that the order of the segments couples to a coefficient. It is an error if the courses cannot be separated from the
+    terms at all.
     """
     parameters = request.parameters
     names, by_evidence = asked(parameters.drift), BY_EVIDENCE in parameters.drift
@@ -95,7 +97,7 @@ _CLOSING = "repeat the first segment at the end, or add segments"
 class _Design:
     """The design of an output over the planned segments. matrix: (n, p), weighted and scaled; weights: (n,). start, seconds: (N,),
     s, beginning and duration of all segments of the estimate; rows: (n,), indices of the segments that this output uses, in the
-    order of the block. orders: polynomial orders of the drift."""
+    order of `block`. orders: polynomial orders of the drift."""
 
     block: DesignBlock
     segments: tuple[Segment, ...]
@@ -132,14 +134,14 @@ class _Design:
         return _growth(self.matrix, self._courses(self.start, self.seconds)[self.rows], self.weights)
 
     def reordered(self, orders: NDArray[np.int64]) -> Array:
-        """The factors of `growth` for k other orders of the segments, (k, p). orders: (k, n), indices of the rows that are recorded in
-        the planned places; all rows have the same dwell."""
+        """The factors of `growth` if the segments are recorded in k other orders, (k, p). orders: (k, n), for each order, the
+        indices of the rows in the sequence in which they are recorded; all rows have the same dwell."""
         # The middle of the test and the average of a course stay, so that the courses are those of the places.
         places = self._courses(self.start, self.seconds)[self.rows[np.argsort(self.start[self.rows])]]
         return _growth(self.matrix, places[np.argsort(orders, axis=1)], self.weights)
 
     def closed(self) -> Array:
-        """The factors of `growth`, (p,), if the first segment is repeated at the end."""
+        """The factors of `growth`, (p,), if the first segment is repeated at the end of the test."""
         order = np.argsort(self.start)
         ends = (self.start + self.seconds)[order]
         pauses = np.sort(
@@ -163,8 +165,8 @@ class _Design:
 
 
 def _growth(matrix: Array, courses: Array, weights: Array) -> Array:
-    """Factors by which standard uncertainties grow if courses (…, n, r) of any number of orders are fitted, (…, p). matrix: (n, p),
-    weighted; weights: (n,), of the courses."""
+    """Factors (…, p) by which standard uncertainties grow if the drift with the columns `courses` (…, n, r) is fitted, for any
+    number of orders of the segments. matrix: (n, p), weighted; weights: (n,), by which the columns of the drift are multiplied."""
     weighted = courses * weights[:, None]
     scaled = weighted / np.sqrt((weighted**2).sum(axis=-2, keepdims=True) / len(matrix))
     gains, own, beside = _projections(matrix)
@@ -176,13 +178,13 @@ def _growth(matrix: Array, courses: Array, weights: Array) -> Array:
 
 @kept(64)
 def _projections(matrix: Array) -> tuple[Array, Array, Array]:
-    """For a design A: G = A⁺ (p, n), the diagonal of G·Gᵀ (p,), and M = 1 − A·G (n, n)."""
+    """For a weighted design A: G = A⁺ (p, n), the diagonal of G·Gᵀ (p,), and M = 1 − A·G (n, n)."""
     gains = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
     return gains, np.einsum("ij,ij->i", gains, gains), np.eye(len(matrix)) - matrix @ gains
 
 
 def _distinct(blocks: Sequence[DesignBlock]) -> list[DesignBlock]:
-    """One block for each distinct design, because outputs of a triad often share one."""
+    """One block for each distinct design, because the outputs of a triad often have the same design."""
     found: dict[tuple[object, ...], DesignBlock] = {}
     for block in blocks:
         found.setdefault((block.labels, block.matrix.tobytes(), block.sigma.tobytes()), block)
@@ -203,8 +205,8 @@ def _proposal(designs: Sequence[_Design]) -> str:
 
 
 def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | None:
-    """A better order of the segments, and the largest growth in it. Each step makes the exchange of two segments that decouples the
-    drift best. None if the segments cannot be exchanged freely."""
+    """A better order of the segments, and the largest growth in this order. Each step exchanges the two segments whose exchange
+    decouples the drift best. None if the segments cannot be exchanged freely."""
     one = designs[0]
     same = all(other.block.labels == one.block.labels for other in designs)
     alike = np.ptp(one.seconds[one.rows]) < 1e-6 and len({segment.temperature for segment in one.segments}) == 1
@@ -226,5 +228,5 @@ def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | 
 
 
 def _largest(designs: Sequence[_Design], orders: NDArray[np.int64]) -> Array:
-    """The largest growth over all designs in each of k orders, (k,)."""
+    """The largest growth over all designs, for each of k orders, (k,)."""
     return np.asarray(np.max([design.reordered(orders).max(axis=1) for design in designs], axis=0))

@@ -1,6 +1,7 @@
-"""Reads tables of results in format 1, whose columns have only titles. It derives the roles of the columns from titles and cells.
+"""Reads tables of results in format 1, whose columns have only titles. The module derives the roles of the columns from titles and
+cells.
 
-No other module interprets a title; the present format names the roles.
+No other module interprets a title, because tables in the present format name the roles.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 If the formula of an estimator is applied to this recording, it gives every coefficient of a run at its nominal value
 (`planrunner.estimators.method`). Values that neither plan nor bench state are assumed in two different ways. A coefficient that is
-equal in both cases does not depend on them.
+equal in both cases does not depend on the assumed values.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ _ALONG_UP = np.eye(3)
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """An estimator's knowledge about outputs, by name. responses: coefficients of the terms of the estimator's model, as declared for the
-    sensor; directions: (3,), input axes of the outputs in the sensor's frame, if the estimator's keys assign them."""
+    """What an estimator knows about outputs, by name of the output. responses: the model and its coefficients, as declared for the
+    sensor; directions: (3,), input axes of the outputs in the sensor's frame, if the estimator's keys assign these axes."""
 
     responses: Responses = field(default_factory=dict)
     directions: Mapping[str, Array] = field(default_factory=dict)
@@ -42,8 +42,8 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """Assumed values for quantities that are not stated. noise: of a mean, in the output's unit; gain: output per SI unit of the sensed
-    quantity; kelvin: temperature in K; attitude: (3, 3)."""
+    """Assumed values for quantities that are not stated. noise: standard error of a mean, in the output's unit; gain: output per SI
+    unit of the sensed quantity; kelvin: temperature in K; attitude: (3, 3)."""
 
     noise: float
     gain: float
@@ -69,8 +69,8 @@ class Expected:
 def expected_recording(
     request: DesignRequest[object], known: Known, used: Sequence[str], assumption: Assumption
 ) -> Expected:
-    """Builds the recording that the schedule is expected to give. known: what the estimator knows about the outputs; the rest follows
-    from their names and units. used: the relevant outputs."""
+    """Builds the recording that the schedule is expected to give. known: what the estimator knows about the outputs; everything
+    else follows from the names and units of the outputs. used: names of the outputs whose assumptions are listed."""
     outputs = request.sensor.outputs
     poses, assumed = _poses(request, assumption)
     felt = poses.felt(request.site)
@@ -110,7 +110,7 @@ def expected_recording(
 
 
 def _poses(request: DesignRequest[object], assumption: Assumption) -> tuple[Poses, list[str]]:
-    """The poses of the segments and the assumptions about them. For rocking and cycles, the pose is the first one."""
+    """The poses of the segments and the assumptions about them. For rocking and cycles, the pose is the initial one."""
     assumed: list[str] = []
     segments: list[Segment] = []
     for segment in request.segments:
@@ -142,7 +142,7 @@ def _means(
     felt: Stimulus,
     assumption: Assumption,
 ) -> tuple[Array | float, bool]:
-    """The means (n,) of an output, by its name and unit, and whether declared values determine them."""
+    """The means (n,) of an output, derived from its name and unit, and True if declared values determine these means."""
     try:
         own = unit(output.unit)
     except UnknownUnitError:

@@ -1,5 +1,5 @@
-"""The fit for estimators from positions. The weights come from the noise within positions, declared flicker and declared errors of the
-table."""
+"""The fit that estimators from positions use. The weights come from the noise within positions, declared flicker and declared
+errors of the table."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from planrunner.uncertainty.influences import Influence
 
 
 class FittedFromPositions(Protocol):
-    """The keys of an estimator from positions."""
+    """The keys of an estimator that fits means of positions."""
 
     @property
     def uncertainty(self) -> str: ...
@@ -41,8 +41,8 @@ class FittedFromPositions(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionsDesign:
-    """A linear model at n segments, planned or recorded. The same model serves for the check and for the fit. matrix: (n, p), SI;
-    magnitudes: (p,), declared sizes of its columns."""
+    """A linear model at n segments, planned or recorded. The check and the fit use the same model. matrix: (n, p), SI; magnitudes:
+    (p,), declared sizes of the columns."""
 
     model: ErrorModel
     segments: tuple[Segment, ...]
@@ -61,10 +61,10 @@ def fit_positions(
     recorded: Sequence[RecordedSegment],
     pooled: bool = False,
 ) -> OutputsFit:
-    """Fits outputs by a linear model. recorded: the segments of the observations.
+    """Fits outputs by a linear model. recorded: the recorded segments from which the observations come.
 
-    The effect of the table's errors on an output depends on its coefficients, so a first fit without these errors gives approximate
-    coefficients. Raises `EstimationError`.
+    The effect of the table's errors on an output depends on the coefficients of this output. A first fit without these errors
+    therefore gives approximate coefficients. Raises `EstimationError`.
     """
     parameters = request.parameters
     model, matrix, magnitudes = design.model, design.matrix, design.magnitudes
@@ -92,7 +92,7 @@ def fit_positions(
 def site_influences(
     request: EstimateRequest[FittedFromPositions], design: PositionsDesign, fit: OutputsFit
 ) -> tuple[Influence, ...]:
-    """Influences of latitude and gravity on the coefficients, output after output, in SI columns and the outputs' units."""
+    """Influences of latitude and gravity on the coefficients, output after output, in the outputs' units per SI column."""
     errors = site_errors(design.model, design.segments, request.site, request.setup.inputs, fit.coefficients)
     functionals = functionals_of(fit.gains)
     return tuple(error.through(functionals) for error in errors)

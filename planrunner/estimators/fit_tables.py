@@ -1,4 +1,5 @@
-"""Tables and the plot for a fit of several outputs: means and residuals by segment, uncertainties on either basis."""
+"""Tables and the plot for a fit of several outputs: means and residuals of the segments, and uncertainties on the residual and the
+within-segment basis."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from planrunner.uncertainty.decision import expanded_uncertainty
 
 
 def mean_and_residual(observations: Observations, fit: OutputsFit, output: int) -> list[FilledColumn]:
-    """Two columns of an output: its means and its residuals by segment."""
+    """Two columns of a table for an output: the means and the residuals of its segments."""
     name, unit = observations.channels[output], observations.units[output]
     return [
         (TableColumn(f"{name} mean", Role.VALUE, unit), observations.mean[:, output]),
@@ -23,7 +24,8 @@ def mean_and_residual(observations: Observations, fit: OutputsFit, output: int) 
 
 
 def residual_table(title: str, observed: str, observations: Observations, fit: OutputsFit) -> Table:
-    """Means, residuals, and the uncertainty of each mean from the noise within its segment. observed: name of a row, such as `position`."""
+    """A table of the means, the residuals, and the uncertainty of each mean from the noise within its segment. observed: title of
+    the first column, such as `position`."""
     columns: list[FilledColumn] = [(TableColumn(observed), observations.labels)]
     for k, (name, unit) in enumerate(zip(observations.channels, observations.units, strict=True)):
         within = TableColumn(f"{name} u within segment", Role.STANDARD_UNCERTAINTY, unit)
@@ -32,7 +34,7 @@ def residual_table(title: str, observed: str, observations: Observations, fit: O
 
 
 def drift_tables(fits: Sequence[OutputsFit], basis: str) -> tuple[Table, ...]:
-    """The drifts that are fitted together with the coefficients; no table if there are none."""
+    """A table of the drifts that are fitted together with the coefficients; no table if there are none."""
     rows: list[tuple[Cell, ...]] = []
     for fit in fits:
         spreads, p = fit.drift_spreads, fit.matrix.shape[1]
@@ -64,12 +66,12 @@ def drift_tables(fits: Sequence[OutputsFit], basis: str) -> tuple[Table, ...]:
 
 
 def bases_shown(chosen: str, fits: Sequence[OutputsFit]) -> list[str]:
-    """The bases of uncertainty for a table: the chosen one first, then the other one if all fits have it."""
+    """The bases of the uncertainties that a table shows: the chosen basis first, then the other basis if all fits have it."""
     return [chosen, *(other for other in BASES if other != chosen and all(fit.available(other) for fit in fits))]
 
 
 def spread_columns(basis: str) -> tuple[TableColumn, ...]:
-    """Columns for one basis: standard uncertainty, degrees of freedom and expanded uncertainty."""
+    """Columns for the uncertainties on one basis: standard uncertainty, degrees of freedom and expanded uncertainty."""
     shown = basis.replace("_", " ")
     return (
         TableColumn(f"u ({shown})", Role.STANDARD_UNCERTAINTY),
@@ -79,7 +81,7 @@ def spread_columns(basis: str) -> tuple[TableColumn, ...]:
 
 
 def bases_table(found: Derived, chosen: str, count: int | None = None) -> Table:
-    """Type A uncertainties of the first `count` quantities on the chosen basis, and on the other basis if the data allow both."""
+    """Type A uncertainties of the first `count` quantities on the chosen basis, and also on the other basis if all fits have it."""
     bases = bases_shown(chosen, found.fits)
     spreads = [found.spread(basis) for basis in bases]
     columns = [TableColumn("coefficient"), TableColumn("unit"), TableColumn("value", Role.VALUE)]
@@ -101,7 +103,8 @@ def residual_plot(
     x_title: str = "position",
     x: tuple[float | str, ...] = (),
 ) -> Plot:
-    """One series per output, in the unit of the first output, over the labels of the segments unless `x` is given."""
+    """A plot of residuals with one series per output, in the unit of the first output, over the labels of the segments unless `x`
+    is given."""
     n = len(observations.labels)
     series = {
         name: tuple(map(float, one.residuals[:n])) for name, one in zip(observations.channels, fit.fits, strict=True)

@@ -1,1 +1,1 @@
-"""Accelerometer triads from positions: with known orientations, or with the magnitude of gravity alone."""
+"""Calibration of accelerometer triads from positions at rest: with known orientations, or with the magnitude of gravity alone."""

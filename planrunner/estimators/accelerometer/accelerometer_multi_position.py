@@ -31,8 +31,8 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
     finds_spans = True
 
     def design(self, request: DesignRequest[AccelerometerMultiPositionParameters]) -> Design | None:
-        """Checks the design of each axis at the planned attitudes. If the attitudes are not planned, it only makes remarks. Raises
-        `EstimationError`."""
+        """Checks the design of each axis at the planned attitudes. If the attitudes are not planned, it only returns remarks.
+        Raises `EstimationError`."""
         parameters = request.parameters
         _three(parameters.outputs)
         if parameters.reference == "gravity_magnitude":

@@ -1,9 +1,10 @@
 """Calibration of an accelerometer triad with the magnitude of gravity: nine parameters from still spans or segments in unknown
 attitudes.
 
-Gauss–Newton with equal weights comes first. Then one more step makes the linear fit of |f| − g that all estimators from positions
-share. The weights of this fit come from the noise within the poses and from the declared flicker of each channel. The flicker affects
-|f| in proportion to the channel's component of gravity. The attitude of a table does not matter, because |f| is g in any attitude.
+Gauss–Newton with equal weights comes first. The last step is the linear fit of |f| − g, made by the code that all estimators from
+positions share. The weights of this fit come from the noise within the poses and from the declared flicker of each channel. The
+flicker affects |f| in proportion to the channel's component of gravity. The attitude of a table does not matter, because |f| is g
+in any attitude.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ def foresee(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MagnitudeQuantities(Quantities):
-    """Result of the fit. residuals: (n,), m/s², of |f|."""
+    """Result of the fit. residuals: (n,), m/s², of |f| − g."""
 
     poses: Observations
     sphere: GravityFit
@@ -180,8 +181,8 @@ def _weighted(
     recorded: Sequence[RecordedSegment],
     found: GravityFit,
 ) -> OutputsFit:
-    """The last step: a weighted fit of |f| − g as one output, m/s². recorded: the segments of the poses; none if they are parts of
-    segments. Raises `EstimationError`."""
+    """The last step: a weighted fit of |f| − g as one output, m/s². recorded: the recorded segments that are the poses; empty if
+    the poses are only parts of segments. Raises `EstimationError`."""
     directions = found.directions * _factors(poses)  # d|f|/d(reading), in the channels' own units
     felt = directions * poses.standard_error
     variance = np.einsum("ni,nj,ij->n", felt, felt, poses.correlation)
@@ -212,8 +213,8 @@ def _weighted(
 
 
 def _along_poses(drift: DriftCourses, poses: Observations, directions: Array) -> DriftCourses:
-    """How a drift of the three channels appears in |f| − g: the drift adds to a reading, so its share is subtracted. directions: (n,
-    3)."""
+    """How a drift of the three channels appears in |f| − g: the drift adds to the readings, so its effect on |f| − g is subtracted.
+    directions: (n, 3)."""
     courses = (replace(one, columns=-directions * one.columns, parts=poses.channels) for one in drift.courses)
     return replace(drift, courses=tuple(courses))
 
@@ -226,7 +227,7 @@ def _along(effect: CorrelatedError, directions: Array) -> CorrelatedError:
 
 
 def _gravity(request: EstimateRequest[AccelerometerMultiPositionParameters], fit: OutputsFit) -> tuple[Influence, ...]:
-    """The magnitude of gravity with which |f| is compared."""
+    """The influence of the magnitude of gravity with which |f| is compared."""
     gravity = request.setup.inputs.get("gravity")
     return (Influence(gravity, fit.gains[0].sum(axis=1)[:, None]),) if gravity else ()
 
@@ -237,8 +238,8 @@ def _fitted(
     recorded: Sequence[RecordedSegment],
     basis: str,
 ) -> tuple[GravityFit, OutputsFit]:
-    """The fit of the nine parameters. Raises `EstimationError` if the segments are too few or too similar, and `UnfitDataError` if the
-    spans that are found are too few or too similar."""
+    """The fit of the nine parameters. Raises `EstimationError` if the segments are too few or too similar, and `UnfitDataError` if
+    the still spans found in the recording are too few or too similar."""
     factors = _factors(poses)
     try:
         if len(poses.labels) < len(NAMES):
@@ -255,7 +256,7 @@ def _fitted(
 
 
 def _found(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Observations:
-    """Still spans of all chosen segments."""
+    """The means over the still spans found in all chosen segments."""
     outputs = request.parameters.outputs
     assert request.detection is not None
     channels = request.detection.channels
@@ -301,7 +302,7 @@ def _factors(poses: Observations) -> Array:
 
 
 def _factors_of(units: Mapping[str, str]) -> Array:
-    """Factors that convert the channels to SI. units: by channel. Raises `EstimationError` for a channel that is not an
+    """Factors that convert the channels to SI. units: channel → unit. Raises `EstimationError` for a channel that is not an
     acceleration."""
     for name, text in units.items():
         if unit(text).dimension != DIMENSIONS["acceleration"]:
@@ -318,7 +319,8 @@ def _same_channels(channels: Sequence[str], outputs: Sequence[str]) -> None:
 
 
 def _gives_pose(segment: Segment, detection: Detection | None, sample_rate: float) -> bool:
-    """Whether a segment at rest is long enough for a pose. A moving segment in which spans are detected may contain any number of poses."""
+    """Whether a segment at rest is long enough for a pose. True for a moving segment in which spans are detected, because it may
+    contain any number of poses."""
     if detection is None or segment.dwell is None or segment.attitude is None:
         return True
     # Windows hold whole samples, and a span ends at samples: one interval may be lost at either end.

@@ -1,8 +1,8 @@
 """Calibration of an accelerometer triad with gravity in known attitudes: a linear fit for each axis.
 
-From F_i = b_i + Σ_j S_ij·f_j come the bias, the scale factor as the length of the row S_i (the sensitivity along the axis's own input
-direction, which a constant attitude error does not change) and the misalignments S_ij/|S_i|, to first order the angles between the input
-axis and its planned direction.
+From F_i = b_i + Σ_j S_ij·f_j come three results: the bias; the scale factor, which is the length of the row S_i (the sensitivity
+along the axis's own input direction, which a constant attitude error does not change); and the misalignments S_ij/|S_i|, to first
+order the angles between the input axis and its planned direction.
 """
 
 from __future__ import annotations

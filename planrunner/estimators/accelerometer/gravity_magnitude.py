@@ -29,8 +29,8 @@ _WORST_CONDITION = 1e4
 @dataclass(frozen=True, slots=True)
 class GravityFit:
     """A fit of the magnitude of gravity. values: (9,), in the order of `NAMES`; m/s² for biases, ratios for scale factors, rad for
-    angles. residuals: (n,), m/s², of the magnitude. jacobian: (n, 9), derivatives of the residuals by the parameters. directions: (n,
-    3), d(residual)/d(reading). condition: condition number of the Jacobian with the biases divided by g."""
+    angles. residuals: (n,), m/s², of |f| − g. jacobian: (n, 9), derivatives of the residuals with respect to the parameters.
+    directions: (n, 3), d(residual)/d(reading). condition: condition number of the Jacobian with the biases divided by g."""
 
     values: Array
     residuals: Array

@@ -1,7 +1,7 @@
 """Allan deviations of outputs at rest, and the noise coefficients Q, N, B, K of IEEE Std 952 fitted to the Allan variance.
 
-The module `phase` reads samples and treats gaps, `kernel` computes sums, `confidence` degrees of freedom and intervals, and `fit` the
-coefficients.
+The module `phase` reads samples and treats gaps; `kernel` computes sums; `confidence` computes degrees of freedom and intervals;
+`fit` computes the coefficients.
 """
 
 from __future__ import annotations
@@ -313,15 +313,15 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
 
 
 def _hadamard(phase: Phase, chosen: Sequence[Deviation], parameters: AllanDeviationParameters) -> list[Deviation]:
-    """The Hadamard deviations at the averaging times of the fit that are known well enough."""
+    """The Hadamard deviations that have enough degrees of freedom, at averaging times of the fit."""
     factors = np.array([row.factor for row in chosen], dtype=np.int64)
     rows = deviations(phase, "hadamard", factors, parameters.confidence)
     return [row for row in rows if row.value > 0 and takes_part(row.tau, row.freedom, parameters.fit_up_to)]
 
 
 def _judge(result: _Result, found: DescribedRange) -> float:
-    """Adds notes and warnings about the range of the fit. Returns the factor that widens the uncertainties if the model describes no
-    range."""
+    """Adds notes and warnings about the range of the fit. Returns the factor that widens the uncertainties if the model does not
+    describe any range of averaging times."""
     name, drift = result.name, found.drift
     if drift is not None:
         result.notes.append(
@@ -467,7 +467,7 @@ def _foreseen(
     request: DesignRequest[AllanDeviationParameters], name: str
 ) -> tuple[list[Coefficient], list[Unpredicted]]:
     """The predicted coefficients. N and B are those that the bench file declares, with the uncertainty expected from the planned
-    record. Coefficients without a declaration, and Q and K, are unpredicted."""
+    record. Q and K are not predicted, nor is an N or B that the bench file does not declare."""
     parameters = request.parameters
     output = request.sensor.output(name)
     assert output is not None  # design refuses others

@@ -36,9 +36,9 @@ _GRID = 600  # terms of a sum over lags
 def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None) -> int | None:
     """The noise exponent α of averages over `factor` samples, from the phase runs; None if there are fewer than `LEAST_POINTS` averages.
 
-    before: α at the next shorter averaging time. This value is returned unless the α of the averages differs from it by more than half a
-    step and by more than two standard deviations of the α of the averages, because thirty averages alone mistake white noise for a
-    neighbouring type one time in four.
+    before: α at the next shorter averaging time. This value is returned unless the α of the averages differs from it by more than
+    half a step and by more than two standard deviations of the α of the averages: from thirty averages alone, white noise is
+    mistaken for a neighbouring type one time in four.
     """
     averages, count = [], 0
     for run in runs:
@@ -114,7 +114,7 @@ def freedom_of_runs(alpha: int, order: int, factor: int, lengths: Integers, modi
 
 
 def _white_phase(order: int, factor: int, terms: int) -> float:
-    """Differences of white noise are correlated only at whole averaging times."""
+    """The degrees of freedom for white noise of the phase, whose differences are correlated only at whole averaging times."""
     binomials = [math.comb(2 * order, order + k) for k in range(order + 1)]
     total = binomials[0] ** 2 + 2 * sum(
         max(0.0, 1 - k * factor / terms) * binomials[k] ** 2 for k in range(1, order + 1)
@@ -132,7 +132,7 @@ def _generalised(t: Array, filtering: float, alpha: int, order: int) -> Array:
 
 
 def _averaged(t: Array, filtering: float, alpha: int) -> Array:
-    """Computes s_x(t, F, α) of the same source."""
+    """Computes s_x(t, F, α) (Greenhall and Riley, 2003)."""
     if math.isinf(filtering):
         return _integrated(t, alpha + 2)
     width = 1.0 / filtering
@@ -141,7 +141,7 @@ def _averaged(t: Array, filtering: float, alpha: int) -> Array:
 
 
 def _integrated(t: Array, alpha: int) -> Array:
-    """Computes s_w(t, α) of the same source for α from −4 to 4."""
+    """Computes s_w(t, α) for α from −4 to 4 (Greenhall and Riley, 2003)."""
     size = np.abs(t)
     if alpha % 2 == 0:
         sign = -1.0 if alpha in (2, -2) else 1.0

@@ -1,9 +1,10 @@
-"""The range of averaging times that the four kinds of noise describe, and whether a steady drift hides behind them.
+"""The range of averaging times that the four kinds of noise describe, and whether the record also contains a steady drift.
 
-A record may contain more than noise: a filter or a periodic disturbance changes the deviations at short averaging times, a warm-up those at
-long ones, a steady drift imitates a random walk. The fit begins with all averaging times. If they contradict the model, the smallest
-number of them is left out at either end. If they show a random walk or a drift, which Allan variances cannot separate, Hadamard variances
-are fitted instead: their coefficients are right in both cases, and little less certain.
+A record may contain more than noise. A filter or a periodic disturbance changes the deviations at short averaging times; a warm-up
+changes those at long averaging times; a steady drift looks like a random walk. The fit begins with all averaging times. If some of
+them contradict the model, as few as possible are omitted at either end. If the deviations show a random walk or a drift, which
+Allan variances cannot distinguish, Hadamard variances are fitted instead: the coefficients of this fit are right in both cases, and
+only a little less certain.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ _WHITE, _WALK = TERMS.index("N"), TERMS.index("K")
 
 @dataclass(frozen=True)
 class DescribedRange:
-    """The averaging times that the noise model describes. fitted: the deviations that take part in `fit`; these are Hadamard deviations
-    if `drift` is given. shorter, longer: number of averaging times omitted at either end. fits: whether the model describes the
-    remaining ones. probability: chance of a χ² at least this large."""
+    """The averaging times that the noise model describes. fitted: the deviations that take part in `fit`; these are Hadamard
+    deviations if `drift` is given. shorter, longer: number of averaging times omitted at either end. fits: True if the model
+    describes the remaining averaging times. probability: chance of a χ² at least this large if the model is right."""
 
     fit: NoiseFit
     fitted: Sequence[Deviation]
@@ -58,10 +59,10 @@ class DescribedRange:
 def described_range(
     phase: Phase, rows: Sequence[Deviation], terms: Sequence[str], hadamard: Callable[[], Sequence[Deviation]]
 ) -> DescribedRange:
-    """The averaging times that the noise describes.
+    """The averaging times that the noise model describes.
 
-    rows: overlapping Allan deviations that are known well enough. hadamard: computes the Hadamard deviations; called only if they are
-    needed, because this takes time.
+    rows: overlapping Allan deviations that have enough degrees of freedom. hadamard: computes the Hadamard deviations; called only
+    if they are needed, because this takes time.
     """
     allan = _Ranges(phase, rows, terms, ALLAN)
     walks, white = _walks(allan.whole.fit), _white(allan.whole.fit)
@@ -77,7 +78,7 @@ def described_range(
 
 
 class _Ranges:
-    """Fits of parts of the same deviations."""
+    """Fits of the noise model to ranges of the same deviations."""
 
     def __init__(self, phase: Phase, rows: Sequence[Deviation], terms: Sequence[str], order: int):
         self.rows, self.terms, self.order, self.lengths = rows, terms, order, phase.lengths
@@ -86,8 +87,8 @@ class _Ranges:
         self.whole = self.without(0, 0)
 
     def widest(self) -> DescribedRange:
-        """The largest range that fits; of several ranges of equal size, the one with the longer averaging times. If none fits, all
-        averaging times."""
+        """The largest range that the model fits; of several ranges of equal size, the one with the longer averaging times. If the
+        model fits no range, all averaging times."""
         if self.whole.fits:
             return self.whole
         most = len(self.rows) - len(self.terms) - _SPARE
@@ -112,7 +113,7 @@ def _walks(fit: NoiseFit) -> bool:
 
 
 def _white(fit: NoiseFit) -> NoiseFit:
-    """The white noise from a fit with this term alone, because a drift distorts the other terms."""
+    """The white noise of a fit without its other terms, because a drift distorts these terms."""
     return replace(
         fit,
         squares=np.where(np.arange(len(TERMS)) == _WHITE, np.maximum(fit.squares, 0.0), 0.0),

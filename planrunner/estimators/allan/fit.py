@@ -43,10 +43,10 @@ _MOST_LENGTHS = 40
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Result of a fit of noise coefficients. squares: (4,), Q²/τ0², N²/τ0, B² and K²·τ0 in unit², where τ0 is the time between phase
-    points; 0 for omitted terms. A square can be negative if the noise type is absent, because a fit restricted to positive values would
-    bias the other terms. covariance: (4, 4), of the squares. fitted: (k,), variances by the model. chi_square: with `freedom` degrees of
-    freedom. terms: the fitted terms."""
+    """Result of a fit of noise coefficients. squares: (4,), Q²/τ0², N²/τ0, B² and K²·τ0 in unit², where τ0 is the time between
+    phase points; 0 for omitted terms. A square can be negative if the noise type is absent, because a fit restricted to positive
+    values would bias the other terms. covariance: (4, 4), covariance of the squares. fitted: (k,), the variances that the model
+    gives. chi_square: χ² with `freedom` degrees of freedom. terms: the fitted terms."""
 
     squares: Array
     covariance: Array
@@ -67,7 +67,7 @@ def model_matrix(factors: Integers, order: int = ALLAN) -> Array:
 class VarianceCovariance:
     """Covariance (k, k) of overlapping Allan (or Hadamard) variances for any mixture of the four kinds of noise.
 
-    factors: (k,) ascending; lengths: phase points of each run.
+    factors: (k,) ascending; lengths: number of phase points of each run.
     """
 
     def __init__(self, factors: Integers, lengths: Integers, order: int = ALLAN):
@@ -94,7 +94,7 @@ class VarianceCovariance:
 
 @lru_cache(maxsize=4)
 def _covariance(factors: tuple[int, ...], lengths: tuple[int, ...], order: int) -> VarianceCovariance:
-    """Cached, because the next output usually has the same runs."""
+    """A cached `VarianceCovariance`, because the next output usually has the same runs."""
     return VarianceCovariance(np.array(factors, dtype=np.int64), np.array(lengths, dtype=np.int64), order)
 
 
@@ -103,8 +103,8 @@ def covariance_for(factors: Integers, lengths: Integers, order: int = ALLAN) -> 
 
 
 def _grouped(lengths: Integers) -> tuple[Integers, Array]:
-    """Distinct lengths and the number of runs of each. If there are very many lengths, those that differ by a few per cent are treated
-    as equal to the shortest of them."""
+    """The distinct run lengths, and the number of runs of each length. If there are very many lengths, lengths that differ by a few
+    per cent are treated as equal to the shortest of them."""
     found, counts = np.unique(lengths, return_counts=True)
     if found.size > _MOST_LENGTHS:
         edges = np.geomspace(found[0], found[-1] + 1, _MOST_LENGTHS)
@@ -116,7 +116,7 @@ def _grouped(lengths: Integers) -> tuple[Integers, Array]:
 
 
 def _sum_of_squares(near: int, far: int, lengths: Integers, counts: Array, order: int) -> Array:
-    """Σ_p Σ_q C_a(q − p)·C_b(q − p) over all runs for every pair of kinds of noise, (4, 4); averaging factors near ≤ far."""
+    """Σ_p Σ_q C_a(q − p)·C_b(q − p) over all runs, (4, 4), for every pair of kinds of noise a and b; averaging factors near ≤ far."""
     points = range(order + 1)
     shifts = np.array([[a * near - b * far for b in points] for a in points], dtype=float).ravel()
     signs = np.outer(_SIGNS[order], _SIGNS[order]).ravel()
@@ -233,8 +233,9 @@ def fit_noise(
 def _not_too_sure(
     full: Array, free: Array, squares: Array, chosen: Sequence[int], covariance_of: VarianceCovariance, gains: Array
 ) -> Array:
-    """The covariance (4, 4), in which a coefficient that cannot be distinguished from zero is replaced by its upper bound, two standard
-    uncertainties above the estimate. Without this, a coefficient that is too small by chance would also have too small an uncertainty."""
+    """The covariance (4, 4) of the squares. Where a coefficient cannot be distinguished from zero, the covariance is computed for
+    its upper bound, two standard uncertainties above the estimate. Without this, a coefficient that is too small by chance would
+    also have too small an uncertainty."""
     widening = np.ones(4)
     for place, k in enumerate(chosen):
         spread = math.sqrt(full[k, k])

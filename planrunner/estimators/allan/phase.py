@@ -1,8 +1,9 @@
 """Phase of one output: its running integral over each stretch of regular samples, read block by block.
 
-A gap (missing or not-finite samples) ends a stretch and the next begins a new one; no difference is ever taken across a gap. Gaps up to
-`bridge` seconds may instead be filled by linear interpolation. If a record has more than `LONGEST` samples, only every D-th phase point is
-kept: this does not change deviations at averaging times of D samples or more, and shorter averaging times are not available.
+A gap (missing or not-finite samples) ends a stretch, and the next sample begins a new stretch; no difference is ever taken across a
+gap. Gaps up to `bridge` seconds may instead be filled by linear interpolation. If a record has more than `LONGEST` samples, only
+every D-th phase point is kept: this does not change deviations at averaging times of D samples or more, and shorter averaging times
+are not available.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ _PAUSE = 1.5  # sample intervals between two samples that make a gap
 
 @dataclass(frozen=True)
 class Phase:
-    """The phase record of one output. runs: phase points [unit · sample intervals]; each run begins with 0. interval: s between phase
-    points. decimation: samples between them. samples: number of samples used; lost: number of samples in runs that are too short for
-    one difference, or after the last whole phase point of a run; missing: number of samples in the gaps; gaps: number of gaps that
-    ended a run; bridged: number of samples filled in."""
+    """The phase record of one output. runs: phase points [unit · sample intervals]; each run begins with 0. interval: time between
+    phase points, s. decimation: number of samples from one phase point to the next. samples: number of samples used; lost: number
+    of samples in runs that are too short for one difference, or after the last whole phase point of a run; missing: number of
+    samples in the gaps; gaps: number of gaps that ended a run; bridged: number of samples filled in."""
 
     runs: tuple[Array, ...]
     interval: float
@@ -162,7 +163,8 @@ class _Stretches:
 
 
 def read_phase(segments: Sequence[RecordedSegment], output: str, bridge: float = 0.0) -> Phase:
-    """The phase of one output over all segments; each sample is read once. bridge: s. Raises `EstimationError`."""
+    """The phase of one output over all segments; each sample is read once. bridge: length of the longest gap that is filled, s.
+    Raises `EstimationError`."""
     for recorded in segments:
         if output not in recorded.units:
             raise EstimationError(

@@ -23,7 +23,8 @@ _EXPONENTS = (-2, -1, 0, 1, 2)  # of the kinds of noise that an Allan variance d
 
 @dataclass(frozen=True, slots=True)
 class PlannedRecord:
-    """A planned record. interval: s between samples; lengths: (r,), phase points of each segment, one more than its samples."""
+    """A planned record. interval: time between samples, s; lengths: (r,), number of phase points of each segment, one more than the
+    number of its samples."""
 
     interval: float
     lengths: Integers
@@ -44,8 +45,8 @@ def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
 
 
 def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: float, name: str) -> Integers:
-    """The averaging factors to use: those of `taus` that fit twice into the longest run, or octaves. Raises `EstimationError` if there are
-    none."""
+    """The averaging factors to use: those of the `taus` that fit twice into the longest run, or octaves if there are no `taus`.
+    Raises `EstimationError` if there are none."""
     if not taus:
         return octave_factors(lengths)
     wanted = np.unique([max(1, round(tau.value / interval)) for tau in taus]).astype(np.int64)

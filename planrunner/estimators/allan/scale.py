@@ -1,7 +1,8 @@
 """Noise coefficients of the sensed quantity, for an output in pulses or volts with a scale factor.
 
 The scale factor is a quantity in the plan, such as `0.2012 (deg/h)/(pulse/s)`, or a coefficient of an estimate in `uses`, such as
-`drift.SF_Y`. Its unit decides whether it is sensed quantity per output or output per sensed quantity.
+`drift.SF_Y`. The unit of the scale factor decides whether the scale factor is sensed quantity per output or output per sensed
+quantity.
 
 The results are in the units that are usual in the field: deg/√h and deg/h for rates, m/s/√h and µg for accelerations.
 """
@@ -46,8 +47,8 @@ class SensedBy:
     """Conversion of an output's noise coefficients to those of the sensed quantity.
 
     units: for each of Q, N, B and K, the unit of the result, and the factor by which a coefficient of the output is multiplied. The
-    coefficients of the output are in its unit times s (Q), √s (N), 1 (B) and 1/√s (K). power: 1 if this factor contains the scale factor,
-    −1 if it contains its reciprocal. quantity: the scale factor, in its own unit.
+    coefficients of the output are in its unit times s (Q), √s (N), 1 (B) and 1/√s (K). power: 1 if this factor is proportional to
+    the scale factor, −1 if it is proportional to its reciprocal. quantity: the scale factor, in its own unit.
     """
 
     units: Mapping[str, tuple[str, float]]
@@ -101,7 +102,7 @@ def _coefficient(stated: str, uses: Mapping[str, Estimate] | Mapping[str, Design
 
 
 def _foreseen(used: Design) -> tuple[Coefficient, ...]:
-    """The scale factor for the prediction of a run. For a coefficient that cannot be predicted, the value is one and the unit is right."""
+    """The scale factor for the prediction of a run. For a coefficient that cannot be predicted, the value is 1 in the correct unit."""
     return (*used.predicted, *(Coefficient(one.name, 1.0, one.unit, math.nan) for one in used.unpredicted))
 
 

@@ -1,8 +1,9 @@
-"""Steady drift of an output: whether a record contains more of it than its noise explains, and how large it is.
+"""Steady drift of an output: whether the record drifts more than its noise explains, and how large the drift is.
 
-The halves of a run differ by the drift over half the run and by the noise, whose variance is twice the Allan variance at half the run.
-The Allan variance is computed from a fit of Hadamard variances, which a steady drift does not change. It is uncertain, mainly because the
-random walk is poorly known. The test therefore uses an upper bound of this variance, two standard uncertainties above the estimate.
+The halves of a run differ by the drift over half the run and by the noise, whose variance is twice the Allan variance at half the
+run. The Allan variance is computed from a fit of Hadamard variances, which a steady drift does not change. This Allan variance is
+uncertain, mainly because the random walk is poorly known. The test therefore uses an upper bound of the variance, two standard
+uncertainties above the estimate.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ _CHANCE = 1e-3  # probability of differences at least this large by noise alone
 
 @dataclass(frozen=True, slots=True)
 class SteadyDrift:
-    """A steady drift. slope: weighted mean over the runs, in the output's unit per second, with its standard uncertainty, for which the
-    noise is taken one standard uncertainty above its estimate. probability: chance that noise alone causes differences this large
-    between the halves of runs."""
+    """A steady drift. slope: weighted mean over the runs, in the output's unit per second, with its standard uncertainty. For this
+    uncertainty, the noise is taken one standard uncertainty above its estimate. probability: chance that noise alone causes
+    differences this large between the halves of runs."""
 
     slope: float
     standard_uncertainty: float

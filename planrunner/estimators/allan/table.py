@@ -17,9 +17,9 @@ KINDS = ("overlapping", "modified", "hadamard")
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """One deviation. kind: one of `KINDS`; factor: averaging factor m; tau: s; terms: number of terms in the sum; alpha: noise exponent
-    for which the degrees of freedom were computed; carried: whether alpha was adopted from a shorter averaging time; low, high:
-    confidence interval."""
+    """One deviation. kind: one of `KINDS`; factor: averaging factor m; tau: averaging time, s; terms: number of terms in the sum;
+    alpha: noise exponent for which the degrees of freedom were computed; carried: True if alpha was adopted from a shorter
+    averaging time; low, high: confidence interval."""
 
     kind: str
     factor: int
@@ -34,8 +34,8 @@ class Deviation:
 
 
 def octave_factors(lengths: Integers) -> Integers:
-    """The averaging factors 1, 2, 4 … up to the largest one at which the longest run holds four averages. If there are none, the
-    factors at which a run has at least one difference."""
+    """The averaging factors 1, 2, 4 … up to the largest one at which the longest run holds four averages. If there is no such
+    factor, the factors at which a run has at least one difference."""
     longest = int(lengths.max()) - 1
     last = max(1, longest // 4)
     return 2 ** np.arange(int(math.log2(last)) + 1, dtype=np.int64)

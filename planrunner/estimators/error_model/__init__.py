@@ -1,1 +1,1 @@
-"""Amplitudes of any effects of the catalogue from the means of segments."""
+"""Amplitudes of effects of the catalogue, fitted to the means of segments."""

@@ -2,9 +2,10 @@
 
     output = input along its own axis + Σ amplitude · column
 
-The columns come from `planrunner.error_model.effects`; a simulation and a diagnosis use the same columns. Here they are means over the
-segments. Their parameters have the catalogue's names and units, so that a result can be stated in a bench file. An output that is
-recorded in another unit than a rate or an acceleration (pulse/s) is K · (input + Σ …), where K is its fitted scale factor.
+The columns come from `planrunner.error_model.effects`, as in a simulation and in a diagnosis. Here the columns are means over the
+segments. The parameters of the effects have the names and units of the catalogue, so that a result can be stated in a bench file.
+If an output is recorded in another unit than that of a rate or an acceleration (pulse/s), output = K · (input + Σ …), where K is
+its fitted scale factor.
 """
 
 from __future__ import annotations
@@ -73,8 +74,8 @@ WITHIN = "within segments"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedOutput:
-    """One fitted output. observations: the observations of this output; site: influences of errors of the latitude and of gravity on
-    these observations."""
+    """One fitted output. observations: the observations of this output; site: the influences of the uncertain latitude and gravity
+    on these observations."""
 
     model: ModelledOutput
     observations: Observations
@@ -84,8 +85,8 @@ class FittedOutput:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelQuantities(Quantities):
-    """Fitted amplitudes. outputs: in the order of the plan. separate: amplitudes of all outputs in sequence, before common ones are
-    combined."""
+    """The fitted amplitudes. outputs: the fitted outputs in the order of the plan. separate: the amplitudes of all outputs in
+    sequence, before common amplitudes are combined."""
 
     outputs: tuple[FittedOutput, ...]
     found: Derived
@@ -137,8 +138,8 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         return Design(blocks, notes=notes, remarks=tuple(dict.fromkeys(remarks)))
 
     def foresee(self, request: DesignRequest[ErrorModelParameters]) -> Foresight:
-        """Predicts the coefficients from the expected recording. It gives no uncertainties if a shape is to be fitted, because only a
-        recording determines a shape."""
+        """Predicts the coefficients from the expected recording. If a shape is to be fitted, the prediction has no uncertainties,
+        because only a recording determines a shape."""
         outputs = [one for group in _planned(request) for one in group.outputs]
         parts = [(one, part) for one in outputs if (part := shaped_part(one)) is not None]
         unstated = dict.fromkeys(name for one in outputs for name in _unstated(one, request.parameters))
@@ -206,7 +207,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         )
 
     def words(self, request: EstimateRequest[ErrorModelParameters], made: ModelQuantities) -> Words:
-        """Makes the tables and plots of residuals by output, with both bases of uncertainty."""
+        """Makes the tables and plots of the residuals of each output, and the tables of the uncertainties."""
         basis = request.parameters.uncertainty
         notes: dict[FitNote, list[str]] = {}
         warnings: list[Said] = []
@@ -275,7 +276,7 @@ def _planned(request: DesignRequest[ErrorModelParameters]) -> tuple[Together, ..
 
 
 def _only_recorded(one: ModelledOutput, request: DesignRequest[ErrorModelParameters]) -> list[str]:
-    """Inputs of an output's effects that no segment states, because a channel of the recording gives them."""
+    """The quantities on which an output's effects depend and that no segment states, because a channel of the recording gives them."""
     channels = {
         Follows.SUPPLY: request.parameters.supply_channel,
         Follows.PRESSURE: request.parameters.pressure_channel,
@@ -309,7 +310,7 @@ def _recorded_states(
 
 
 def _known_monitors(parameters: ErrorModelParameters, units: Mapping[str, str]) -> None:
-    """Raises `EstimationError` for a channel that does not exist or has another dimension."""
+    """Raises `EstimationError` for a monitor channel that does not exist or has another dimension than needed."""
     for key, name, dimension, hint in (
         ("temperature_channel", parameters.temperature_channel, "temperature", "name the sensor's own thermometer"),
         ("supply_channel", parameters.supply_channel, "voltage", "name the channel of the supply voltage"),
@@ -324,7 +325,7 @@ def _known_monitors(parameters: ErrorModelParameters, units: Mapping[str, str]) 
 
 
 def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remark]:
-    """An error for amplitudes that the planned segments do not determine or separate. It names a remedy."""
+    """An error for amplitudes that the planned segments do not determine or separate. The error names a remedy."""
     amplitudes = one.columns.amplitudes
     seen = rank.look(_matrix(one) / one.columns.magnitudes)
     if not len(seen.null):
@@ -339,7 +340,7 @@ def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remar
 
 
 def _shares(one: ModelledOutput, segments: Sequence[Segment]) -> Array:
-    """The fraction of each segment's rate along the input axis of an output, (n, 1)."""
+    """The fraction of each segment's rate that acts along the input axis of an output, (n, 1); zero for an accelerometer."""
     axis = np.eye(3)[one.errors.axis]
     return shares_along(segments, [axis if one.errors.kind == "gyro" else 0 * axis])
 
@@ -347,9 +348,10 @@ def _shares(one: ModelledOutput, segments: Sequence[Segment]) -> Array:
 def _fitted(
     request: EstimateRequest[ErrorModelParameters], group: Together, shown: Collection[str] = ()
 ) -> list[FittedOutput]:
-    """Fits the outputs of a group. shown: names of the courses of drift that at least one output shows.
+    """Fits the outputs of a group. shown: names of the courses of a drift that at least one output shows.
 
-    A first fit gives the amplitudes of an output, because they determine how strongly errors of table and site affect it.
+    A first fit gives the amplitudes of each output, because these determine how strongly errors of table and site affect the
+    output.
     """
     parameters, basis = request.parameters, request.parameters.uncertainty
     recorded = [request.segments[row] for row in group.rows]
@@ -395,13 +397,13 @@ def _fitted(
 
 
 def _matrix(one: ModelledOutput) -> Array:
-    """Design matrix (n + r, p): rows of the means, then rows of the contrasts within segments."""
+    """Design matrix (n + r, p): one row for each mean, then one row for each contrast within a segment."""
     matrix = one.columns.matrix
     return matrix if one.within is None else np.vstack([matrix, one.within.contrasts.matrix])
 
 
 def _with_contrasts(means: Observations, one: ModelledOutput) -> Observations:
-    """Observations of an output: the means, then the contrasts within segments."""
+    """Observations of an output: first the means, then the contrasts within segments."""
     if one.within is None or not len(one.within.contrasts.sigma):
         return means
     contrasts = one.within.contrasts
@@ -430,15 +432,15 @@ def _block_with_contrasts(block: DesignBlock, one: ModelledOutput) -> DesignBloc
 
 
 def _padded(rows: Array, contrasts: Contrasts | None) -> Array:
-    """Rows (n, …) of the means, followed by zeros for the contrasts."""
+    """Rows (n, …) of the means, followed by rows of zeros for the contrasts."""
     if contrasts is None:
         return rows
     return np.concatenate([rows, np.zeros((len(contrasts.sigma), *rows.shape[1:]))])
 
 
 def _extended(error: CorrelatedError, contrasts: Contrasts | None, own: bool = False) -> CorrelatedError:
-    """Extends an error of the means to the contrasts within segments. The error itself does not affect the contrasts. own: flicker,
-    which affects the contrasts too."""
+    """Extends an error of the means to the contrasts within segments, where it is zero. own: True for flicker, which affects the
+    contrasts too. own: flicker, which affects the contrasts too."""
     if contrasts is None or not len(contrasts.sigma):
         return error
     changes = {}
@@ -451,8 +453,8 @@ def _extended(error: CorrelatedError, contrasts: Contrasts | None, own: bool = F
 
 
 def _modelled(course: DriftCourse, drift: DriftCourses, output: ModelledOutput) -> bool:
-    """Whether the plan models the temperature dependence of an output's bias. If so, no drift with temperature is sought in this
-    output."""
+    """Whether the plan contains the temperature dependence of an output's bias as an effect. If so, no drift with temperature is
+    sought in this output."""
     return (
         drift.by_evidence
         and bool(course.changed)
@@ -497,7 +499,8 @@ def _contradictions(request: EstimateRequest[ErrorModelParameters], outputs: Seq
 
 
 def _stacked(rows: Sequence[Array]) -> Array:
-    """The coefficients of all outputs as a matrix (m, P) with one row per output; a row is zero at the coefficients of the others."""
+    """The coefficients of all outputs as a matrix (m, P) with one row per output; each row is zero at the coefficients of other
+    outputs."""
     ends = np.cumsum([len(row) for row in rows])
     made = np.zeros((len(rows), int(ends[-1])))
     for k, (row, end) in enumerate(zip(rows, ends, strict=True)):
@@ -530,8 +533,8 @@ def _stated(request: EstimateRequest[ErrorModelParameters], one: FittedOutput) -
 
 
 def _between(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[FittedOutput]) -> dict[str, Array]:
-    """By basis, the covariance between amplitudes of different outputs. The correlation of their noise comes from the segments that all
-    of them use."""
+    """For each basis of the uncertainties, the covariance between the amplitudes of different outputs. The correlation of the
+    outputs' noise comes from the segments that all these outputs use."""
     rows = [one.model.rows for one in outputs]
     shared = sorted(set.intersection(*map(set, rows)))
     if len(outputs) < 2 or not shared:

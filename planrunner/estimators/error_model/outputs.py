@@ -51,8 +51,8 @@ _SENSED = {"angular rate": "gyro", "acceleration": "accel"}
 
 @dataclass(frozen=True, slots=True)
 class ReportedAmplitude:
-    """How one amplitude is reported. si: its SI value per `unit`. common: whether all outputs that name the amplitude share one value.
-    origin: in `unit`, the value that corresponds to a fitted value of zero."""
+    """How one amplitude is reported. si: SI value of one `unit`. common: True if all outputs that name the amplitude share one
+    value. origin: the value, in `unit`, that corresponds to a fitted value of zero."""
 
     name: str
     unit: str
@@ -64,14 +64,14 @@ class ReportedAmplitude:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelledOutput:
-    """The linear model of one output. If the output is recorded in the unit of the measured quantity (`direct`), means = own/unit.factor
-    + matrix · amplitudes, with `own` and `matrix` of `columns`. Otherwise the amplitude of the gain is the whole scale factor, and the
-    other columns are scaled by it.
+    """The linear model of one output. If the output is recorded in the unit of the measured quantity (`direct`), means =
+    own/unit.factor + matrix · amplitudes, with `own` and `matrix` of `columns`. Otherwise the amplitude with the index `gain` is
+    the whole scale factor, and the other columns are multiplied by this factor.
 
-    rows: indices of the output's segments among the segments of the estimate. gain: index of the scale factor among the amplitudes, None
-    if it is not fitted. within: the fit of the output's samples, at whose result the model is linearised; None for an output that needs
-    only the means. followed: only with `within`: effect and name of each amplitude in the model by which errors of the table and the site
-    affect the output.
+    rows: indices of the output's segments among the segments of the estimate. gain: index of the scale factor among the amplitudes;
+    None if the scale factor is not fitted. within: the fit of the output's samples, at whose result the model is linearised; None
+    for an output that needs only the means. followed: only with `within`: (effect, name) of each amplitude in the model that
+    describes how errors of the table and the site affect the output.
     """
 
     errors: OutputErrors
@@ -138,7 +138,7 @@ class ModelledOutput:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Together:
-    """A group of outputs that use the same segments. rows: indices of these segments among those of the estimate."""
+    """A group of outputs that use the same segments. rows: indices of these segments among the segments of the estimate."""
 
     model: ErrorsAtSegments
     segments: tuple[Segment, ...]
@@ -155,8 +155,8 @@ def models(
     states: SegmentStates,
     samples: SampledOutputs,
 ) -> tuple[Together, ...]:
-    """Builds the models of all outputs. units: of the outputs, as declared or recorded; states: of the segments; samples: of all
-    segments. Raises `EstimationError`."""
+    """Builds the models of all outputs. units: output → unit, as declared or recorded; states: states of all segments; samples:
+    samples of all segments. Raises `EstimationError`."""
     for name in parameters.axes:
         if name not in parameters.outputs:
             raise EstimationError(f"`axes` names '{name}'", closest(name, parameters.outputs), f"axes.{name}")
@@ -179,7 +179,7 @@ def changes_within(one: OutputErrors) -> bool:
 
 
 def with_shape(group: Together, k: int, part: EffectPart) -> Together:
-    """The group with another shape of an effect in its k-th output."""
+    """A copy of the group in which an effect in the k-th output has another shape."""
     old = group.outputs[k]
     errors = replace(old.errors, chosen=tuple(part if one.effect is part.effect else one for one in old.errors.chosen))
     (columns,) = replace(group.model, outputs=(errors,)).of_outputs()
@@ -244,8 +244,9 @@ def _kind(name: str, text: str, sensor: SensorModel) -> str:
 
 
 def _usable(one: OutputErrors, segments: Sequence[Segment]) -> tuple[int, ...]:
-    """Gyros use all segments whose rate is known; accelerometers use segments at rest, those in which others show the specific force, and
-    turns if an effect describes their input there."""
+    """The indices of the segments that an output can use. A gyro uses all segments whose rate is known. An accelerometer uses
+    segments at rest, segments in which other accelerometers show the specific force, and also turns if an effect describes its
+    input there."""
     turns = any(isinstance(item.effect, ExplainsTurning) for item in one.chosen)
 
     def shown(motion: Motion) -> bool:
@@ -296,7 +297,7 @@ def _sampled(
     states: SegmentStates,
     samples: SampledOutputs,
 ) -> Together:
-    """The outputs that are fitted to samples."""
+    """The outputs of a group that are fitted to samples."""
     held = tuple(_as_if_held(segments[row]) for row in rows)
     try:
         felt = mean_stimulus(held, site)
@@ -323,8 +324,8 @@ def _sampled(
 
 
 def _as_if_held(segment: Segment) -> Segment:
-    """The segments as they apply to errors of the table and the site: a rocking table counts as one at rest, and in an unknown attitude
-    these errors have no influence."""
+    """The segment as seen by errors of the table and the site: a rocking table counts as a table at rest, and in an unknown
+    attitude these errors have no influence."""
     if not isinstance(segment.motion, Rock | RecordedMotion):
         return segment
     attitude = np.zeros((3, 3)) if segment.attitude is None else segment.attitude

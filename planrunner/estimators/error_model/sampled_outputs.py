@@ -27,7 +27,7 @@ _LEAST = 1e-9  # of the largest value of an output: the least noise of a sample 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledOutputs:
-    """Access to samples. recording: all segments of the estimate, recorded or expected."""
+    """Access to the samples of an estimate's segments. recording: all segments of the estimate, recorded or expected."""
 
     recording: Sequence[RecordedSegment]
     site: Site
@@ -35,7 +35,7 @@ class SampledOutputs:
     parameters: ErrorModelParameters
 
     def in_time(self, rows: Sequence[int]) -> tuple[int, ...]:
-        """Segments in the order in which they were recorded."""
+        """The segments in the order in which they were recorded."""
         place = {id(self.recording[row]): row for row in rows}
         return tuple(place[id(one)] for one in in_time_order([self.recording[row] for row in rows]))
 

@@ -1,8 +1,9 @@
 """Fits the shape of an effect, such as a time constant, to the means of segments by variable projection.
 
-For each value of the shape the amplitudes are linear, and χ² of their fit is a function of the shape alone (G. Golub and V. Pereyra, SIAM
-J. Numer. Anal. 10, 1973). The fit searches for its smallest value within the bounds of the catalogue. There the derivative with respect to
-the shape becomes one more column of the fit, so that all uncertainties include that of the shape.
+For each value of the shape the amplitudes are linear, and χ² of their fit is a function of the shape alone (G. Golub and V.
+Pereyra, SIAM J. Numer. Anal. 10, 1973). The fit searches for the smallest χ² within the bounds of the catalogue. At the shape that
+is found, the derivative with respect to the shape becomes one more column of the fit, so that all uncertainties include the
+uncertainty of the shape.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ def shaped_part(output: ModelledOutput) -> EffectPart | None:
 
 
 def with_shapes(group: Together, together: Observations) -> Together:
-    """The group with the shapes of its effects at their best values. Each shape has the column of its derivative.
+    """The group with the shapes of its effects at their best values. Each shape adds the column of the derivative with respect to
+    this shape.
 
     together: observations of the group's outputs. Raises `UnfitDataError` if the observations do not determine a shape.
     """

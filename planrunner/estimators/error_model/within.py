@@ -1,13 +1,13 @@
 """Effects that change an output within segments, fitted to samples: shapes by variable projection, then one linear fit with the means.
 
-The samples of a segment are split into their mean and the differences from it. For given shapes, such as a time constant, the
-amplitudes are linear, and χ² of their fit is a function of the shapes alone (G. Golub and V. Pereyra, SIAM J. Numer. Anal. 10, 1973).
-The fit searches for its smallest value within the bounds of the catalogue. At this minimum, the model is linearised in amplitudes and
-shapes: J = ∂y/∂(amplitudes, shapes). For white noise of standard deviation σ, as many contrasts as J has columns contain everything
-that the N samples within the segments contribute to the fit. With JᵀJ = V·S·Vᵀ of the centred columns, the contrasts S^(−1/2)·Vᵀ·Jᵀ·y
-have uncorrelated noise σ and the design √S·Vᵀ. They join the means of the segments as additional observations of the generalised
-least-squares fit (`outputs_fit`). Drift, errors of the table and scatter between segments therefore act on the means as in every other
-fit.
+The samples of a segment are split into their mean and the differences from this mean. For given shapes, such as a time constant,
+the amplitudes are linear, and χ² of their fit is a function of the shapes alone (G. Golub and V. Pereyra, SIAM J. Numer. Anal. 10,
+1973). The fit searches for the smallest χ² within the bounds of the catalogue. At this minimum, the model is linearised in
+amplitudes and shapes: J = ∂y/∂(amplitudes, shapes). For white noise of standard deviation σ, as many contrasts as J has columns
+contain everything that the N samples within the segments contribute to the fit. With JᵀJ = V·S·Vᵀ of the centred columns, the
+contrasts S^(−1/2)·Vᵀ·Jᵀ·y have uncorrelated noise σ and the design √S·Vᵀ. The contrasts join the means of the segments as
+additional observations of the generalised least-squares fit (`outputs_fit`). Drift, errors of the table and scatter between
+segments therefore act on the means as in every other fit.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _IN_ONE = 0.8  # Σ e² of a contrast that one segment alone decides
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """The shape of an effect and its values in the catalogue, ascending. discrete: whether the effect allows only these values."""
+    """The shape of an effect and its values in the catalogue, ascending. discrete: True if the effect allows only these values."""
 
     part: EffectPart
     values: Array
@@ -57,7 +57,8 @@ class Shape:
         return self.part.effect.id
 
     def at(self, place: float) -> float:
-        """The shape at a position among the catalogue's values, counted from 0; interpolated between them."""
+        """The value of the shape at a position in the list of the catalogue's values, counted from 0 and interpolated between these
+        values."""
         from scipy.interpolate import PchipInterpolator
 
         if self.discrete or len(self.values) < 3:
@@ -67,7 +68,7 @@ class Shape:
         )
 
     def step(self, value: float) -> float:
-        """Step of the position for a numerical derivative."""
+        """Step of the shape for a numerical derivative."""
         near = int(np.clip(np.searchsorted(self.values, value), 1, len(self.values) - 1))
         return _SLOPE * float(self.values[near] - self.values[near - 1])
 
@@ -79,8 +80,9 @@ class Shape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contrasts:
-    """Contribution of the samples within segments, in the output's unit. matrix: (r, p), the linear model of r contrasts; values: (r,),
-    the contrasts; sigma: (r,), their standard deviations; flicker: (r, r), root of their covariance due to flicker with B = 1."""
+    """What the samples within segments contribute to a fit: r contrasts, in the output's unit. matrix: (r, p), the linear model of
+    the contrasts; values: (r,), the contrasts; sigma: (r,), their standard deviations; flicker: (r, r), root of their covariance
+    due to flicker with B = 1."""
 
     matrix: Array
     values: Array
@@ -92,13 +94,13 @@ class Contrasts:
 class WithinFit:
     """An output fitted to samples.
 
-    amplitudes: the p amplitudes of the fit: first those of the model, then the continuous shapes. matrix: (n, p), the linear model of the
-    means, as in `OutputColumns`; mean: (n,), observed; offset: (n,), part of the means that is not fitted, both in the unit of the
-    output. own, available: as in `OutputColumns`. shapes: effect → value. at_bound: effects whose shape is at a bound. coloured: factor
-    by which slow noise exceeds the variance that white noise explains; 1 if the noise is white. uneven: factor by which the contributions
-    of the segments to an effect scatter more than expected (variance ratio, the largest of all effects); 1 if the contributions agree.
-    moved_error: (n,), standard errors of the means of segments whose motion the recording shows, from the residuals of the fit; NaN for
-    the others.
+    amplitudes: the p amplitudes of the fit: first those of the model, then the continuous shapes. matrix: (n, p), the linear model
+    of the means, as in `OutputColumns`; mean: (n,), the observed means; offset: (n,), the part of the means that is not fitted. The
+    unit of `mean` and `offset` is that of the output. own, available: as in `OutputColumns`. shapes: effect → value. at_bound:
+    effects whose shape is at a bound. coloured: ratio of the variance of slow noise to the variance that white noise explains; 1 if
+    the noise is white. uneven: ratio of the variance of the segments' contributions to an effect to the expected variance, the
+    largest over all effects; 1 if the contributions agree. moved_error: (n,), standard errors of the means of segments whose motion
+    the recording shows, from the residuals of the fit; NaN for other segments.
     """
 
     amplitudes: tuple[Amplitude, ...]
@@ -117,9 +119,9 @@ class WithinFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledOutput:
-    """The samples of one output. observed: stimulus at the samples, in the order of the segments. values: (N,), in the output's unit;
-    None for a schedule. variance: (n,), of one sample in each segment; error: (n,), standard error of the mean of each segment. gain:
-    whether the scale factor is among the amplitudes. flicker: declared bias instability, in the output's unit."""
+    """The samples of one output. observed: stimulus at the samples, in the order of the segments. values: (N,), in the output's
+    unit; None for a schedule. variance: (n,), variance of one sample in each segment; error: (n,), standard error of the mean of
+    each segment. gain: True if the scale factor is among the amplitudes. flicker: declared bias instability, in the output's unit."""
 
     observed: Observed
     errors: OutputErrors
@@ -151,7 +153,8 @@ def fit_within(output: SampledOutput) -> WithinFit:
 
 
 class _Problem:
-    """Least squares over the samples of one output. The weights treat means, and differences from the means, separately."""
+    """Least squares over the samples of one output. The means of segments and the differences from these means have separate
+    weights."""
 
     def __init__(self, output: SampledOutput, model: ErrorsAtSamples, shapes: tuple[Shape, ...]):
         self.output, self.model, self.shapes = output, model, shapes
@@ -167,7 +170,8 @@ class _Problem:
     # -- the model -----------------------------------------------------------------------------------------------------
 
     def columns(self, values: Sequence[float], amplitudes: Array | None = None) -> SampleColumns:
-        """Columns of the model, evaluated at the stimulus that the given amplitudes produce; at the nominal stimulus if none are given."""
+        """Columns of the model, evaluated at the stimulus that the given amplitudes produce; at the nominal stimulus if no
+        amplitudes are given."""
         stimulus = {} if amplitudes is None else self._stimulus(amplitudes)
         key = (tuple(values), tuple(stimulus.values()))
         if key not in self._kept:
@@ -186,7 +190,8 @@ class _Problem:
         return tuple(n for n, one in enumerate(self.amplitudes) if of_stimulus(one.effect))
 
     def _stimulus(self, amplitudes: Array) -> dict[tuple[str, str], float]:
-        """Amplitudes of the stimulus in SI. Fitted values, like those of the other amplitudes, are in the output's unit per SI."""
+        """The amplitudes that change the stimulus, converted to SI. Fitted amplitudes of any kind are in the output's unit per SI
+        unit."""
         if not self.moving:
             return {}
         response = self._response(amplitudes)
@@ -203,7 +208,7 @@ class _Problem:
         return {shape.id: value for shape, value in zip(self.shapes, values, strict=True)}
 
     def linear(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """The output (N,) in its unit before an effect that acts on the output itself."""
+        """The output (N,) in its unit, before the action of an effect on the output."""
         columns = self.columns(values, amplitudes)
         ideal = 0.0 if self.output.gain else columns.own / self.factor
         return np.asarray(ideal + amplitudes @ columns.rows)
@@ -229,7 +234,7 @@ class _Problem:
         return np.asarray(rows)
 
     def _natural(self, n: int) -> float:
-        """Step of an amplitude of the stimulus for a numerical derivative."""
+        """Step for a numerical derivative with respect to an amplitude of the stimulus."""
         return 10 * self.amplitudes[n].factor * self.output.nominal
 
     # -- weights -------------------------------------------------------------------------------------------------------
@@ -241,14 +246,15 @@ class _Problem:
         return np.asarray(rows - self.means(rows)[..., self.owner])
 
     def weighted(self, rows: Array) -> Array:
-        """Weighted values of variance one: (…, N) → (…, N + n)."""
+        """Divides values by their noise, so that the variance is one: (…, N) → (…, N + n), first the differences from the means,
+        then the means."""
         means = self.means(rows)
         return np.concatenate([(rows - means[..., self.owner]) / self.sigma[self.owner], means / self.error], axis=-1)
 
     # -- amplitudes and shapes -----------------------------------------------------------------------------------------
 
     def nominal(self) -> Array:
-        """Amplitudes of an ideal sensor, together with the values that the plan expects."""
+        """The amplitudes of an ideal sensor, plus the values that the plan expects."""
         found = np.zeros(len(self.amplitudes))
         for place, one in enumerate(self.amplitudes):
             stated = self.output.expected.get(one.effect.id, {})
@@ -258,7 +264,7 @@ class _Problem:
         return found
 
     def planned(self) -> list[float]:
-        """The shapes that the plan expects; for other shapes, the middle of the catalogue's values."""
+        """The shapes that the plan expects; for a shape without an expected value, the middle of the catalogue's values."""
         return [
             self.output.expected.get(shape.id, {}).get(_shape_name(shape.part), shape.at((len(shape.values) - 1) / 2))
             for shape in self.shapes
@@ -293,7 +299,7 @@ class _Problem:
         return best, left
 
     def search(self, observed: Array, start: list[float] | None) -> list[float]:
-        """Finds the positions of the shapes with the smallest χ²."""
+        """Searches for the shapes that make χ² smallest, and returns them as positions in the catalogue's values."""
         from scipy.optimize import least_squares, minimize_scalar
 
         def chi_squared(places: Sequence[float]) -> float:
@@ -359,8 +365,8 @@ class _Problem:
         return self._linearised(values, amplitudes, observed, coloured)
 
     def _reweighted(self, values: Sequence[float], observed: Array) -> float:
-        """Computes the noise of samples and means again from the residuals of a fit; also returns the factor by which their ratio
-        changes."""
+        """Computes the noise of samples and means again from the residuals of a fit. Returns the factor by which the ratio of these
+        two noises changes."""
         before = self.sigma / self.error
         amplitudes, _ = self.projected(values, observed)
         left = observed - self.values(values, amplitudes)
@@ -382,9 +388,10 @@ class _Problem:
         return float(max(ratio.max(), 1 / ratio.min()))
 
     def _of_moved(self, left: Array) -> None:
-        """Errors of the means of segments whose motion the recording shows, from the residuals (N,). These contain the noise of the
-        reference, but not the motion. If the scatter between segments covers any error beyond white noise, the error is that of white
-        noise; otherwise it comes from the scatter of batches."""
+        """Computes the errors of the means of segments whose motion the recording shows, from the residuals (N,). The residuals
+        contain the noise of the reference, but not the motion. If there are more segments than amplitudes, the error is that of
+        white noise, because the scatter between segments covers any other error; otherwise the error also covers the scatter of
+        batches."""
         alone = len(self.counts) <= len(self.amplitudes)
         for s in np.flatnonzero(self.output.observed.moved):
             own = left[self.output.observed.segments()[s]]
@@ -441,13 +448,14 @@ class _Problem:
         )
 
     def _rescaled(self, amplitudes: Array, values: Sequence[float]) -> Array:
-        """Amplitudes whose values in the display unit stay the same when the shape changes. Their SI values may depend on the shape."""
+        """Adapts amplitudes to a changed shape, so that their values in the display unit stay the same. The SI values of amplitudes
+        may depend on the shape."""
         factors = [one.factor for one in self.columns(values).amplitudes]
         return np.asarray(amplitudes * factors / np.array([one.factor for one in self._latest]))
 
     def _contrasts(self, tangents: Array, values: Array, left: Array, coloured: float) -> tuple[Contrasts, float]:
-        """Contrasts as described in the docstring of the module, and the largest ratio of `uneven_ratios`. left: (N,), residuals;
-        coloured: factor of the variance of slow noise."""
+        """The contrasts that the docstring of the module describes, and the largest ratio of `uneven_ratios`. left: (N,),
+        residuals; coloured: as in `WithinFit`."""
         weight = 1 / self.sigma[self.owner]
         centred = self.centred(tangents) * weight
         size = np.sqrt(np.sum(centred**2, axis=1))
@@ -480,8 +488,8 @@ class _Problem:
         return contrasts, float(uneven.max(initial=1.0))
 
     def _colour(self, left: Array) -> float:
-        """Ratio of the variance of batch means to that of white noise; 1 if it is not significantly larger. left: (N,), residuals minus
-        their mean in each segment."""
+        """Ratio of the variance of batch means to the variance that white noise explains; 1 if the ratio is not significantly
+        larger. left: (N,), residuals minus their mean in each segment."""
         from scipy.special import chdtrc
 
         total, freedom = 0.0, 0
@@ -497,14 +505,15 @@ class _Problem:
 
 
 def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], coloured: float) -> Array:
-    """Variance of each of S contrasts, divided by the variance from white noise, (S,). It is estimated from the scatter of the segments'
-    contributions, and set to 1 if the contrasts together are not significantly uneven. functionals: (S, N), orthonormal; left: (N,),
-    residuals divided by their noise; first: (n,), index of the first sample of each segment; coloured: as in `WithinFit`.
+    """The variance of each of S contrasts, divided by its variance from white noise, (S,). The ratio is estimated from the scatter
+    of the segments' contributions, and set to 1 if the contrasts together are not significantly uneven. functionals: (S, N),
+    orthonormal; left: (N,), residuals divided by their noise; first: (n,), index of the first sample of each segment; coloured: as
+    in `WithinFit`.
 
-    The errors of a reference differ from motion to motion, and a longer segment does not reduce them. The ratio is R = Σ c²/(1 − Σ e²),
-    where c is the contribution of a segment to a contrast, and e the segment's share of the squared length of the contrast. R is unbiased
-    for contributions with the variance R·e if the fit makes Σ c = 0. This is the sandwich estimator for clustered data (K.-Y. Liang, S.
-    L. Zeger, Biometrika 73, 1986).
+    The errors of a reference differ from motion to motion, and a longer segment does not reduce them. The ratio is R = Σ c²/(1 − Σ
+    e²), where c is the contribution of a segment to a contrast, and e is the segment's share of the squared length of the contrast.
+    R is unbiased for contributions with the variance R·e if the fit makes Σ c = 0. This is the sandwich estimator for clustered
+    data (K.-Y. Liang, S. L. Zeger, Biometrika 73, 1986).
     """
     from scipy.special import chdtrc
 
@@ -524,7 +533,8 @@ def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], col
 
 
 def _solved(rows: Array, values: Array) -> Array:
-    """Least-squares coefficients (p,) of rows (p, N). If some cannot be separated, the solution of smallest norm is returned."""
+    """The least-squares coefficients (p,) of rows (p, N). If some coefficients cannot be separated, the solution of smallest norm
+    is returned."""
     size = np.sqrt(np.einsum("pn,pn->p", rows, rows))
     size = np.where(size > 0, size, 1.0)
     scaled = rows / size[:, None]
