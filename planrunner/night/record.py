@@ -106,6 +106,9 @@ class NightRecord:
             case "not_run":
                 test = self.tests[event["test"]]
                 test.state, test.reason = "not_run", event["reason"]
+            case "not_repeated":
+                test = self.tests[event["test"]]
+                test.state, test.reason = event["state"], event["reason"]
             case "warm_up":
                 self.warm_ups.append({"bench": event["bench"], "begins": event["now"], "ends": event["until"]})
             case "check_standard":

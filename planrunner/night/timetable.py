@@ -85,13 +85,15 @@ class WarmUp:
 
 @dataclass(slots=True)
 class _Test:
-    """A waiting test. since: the instant from which it may begin. pending: number of tests that must end before it."""
+    """A waiting test. since: the instant from which it may begin. pending: number of tests that must end before it. failed: how its last
+    attempt ended, if it waits for a repetition."""
 
     state: Literal["waiting", "running", "ended", "not run"] = "waiting"
     ending: EndOfTest | None = None
     since: float = -math.inf
     attempts: int = 0
     pending: int = 0
+    failed: EndOfTest | None = None
 
 
 @dataclass(slots=True)
@@ -180,6 +182,7 @@ class NightCourse:
             state.attempts -= 1
             return False
         if ending.value in plan.retry_on and state.attempts <= plan.retries and not self.stopped:
+            state.failed = ending
             self._wait(test, at + plan.retry_after.value)
             return False
         state.state, state.ending = "ended", ending
@@ -194,11 +197,15 @@ class NightCourse:
         self._tests[test].attempts -= 1
         self._benches[self.tests[test].bench].running = None
 
-    def abandon(self, test: int) -> None:
-        """Records that a waiting test will not run."""
+    def abandon(self, test: int) -> EndOfTest | None:
+        """Records that a waiting test will not run. Returns its result if it waited for a repetition: the end of its last attempt."""
         self._withdraw(test)
-        self._tests[test].state = "not run"
+        state = self._tests[test]
+        state.state, state.ending = "not run" if state.failed is None else "ended", state.failed
         self._settle(test)
+        if state.failed is not None:
+            self._follow(self.tests[test], state.failed)
+        return state.failed
 
     def _wait(self, index: int, since: float) -> None:
         """Makes a test wait until an instant before it may begin."""

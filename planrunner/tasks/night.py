@@ -44,7 +44,7 @@ from planrunner.night.civil_time import Opening, civil, shown_time
 from planrunner.night.expansion import PlannedTest, known_failure
 from planrunner.night.junit import to_junit
 from planrunner.night.notify import NotificationError, receiver, send, wanted
-from planrunner.night.record import FAULT, FOLDER, INTERRUPTED, RECORD, NightRecord
+from planrunner.night.record import FAULT, FOLDER, INTERRUPTED, RECORD, NightRecord, StateOfTest
 from planrunner.night.suite import Notification
 from planrunner.night.summary import headline, summary
 from planrunner.night.timetable import Begin, BenchHours, EndOfTest, NightCourse, NightHours
@@ -127,6 +127,14 @@ class NightResult:
     record: JsonObject
     exit_code: int
     trouble: str = ""
+
+
+_RESULTS: dict[EndOfTest, StateOfTest] = {
+    EndOfTest.PASSED: "passed",
+    EndOfTest.LIMIT: "failed",
+    EndOfTest.FAULT: "fault",
+    EndOfTest.REFUSED: "refused",
+}
 
 
 @dataclass(slots=True)
@@ -435,12 +443,13 @@ class _Night:
                 else:
                     self._course.ended(index, attempt.ends, EndOfTest(attempt.ending))
             last = test.attempts[-1] if test.attempts else None
-            if test.state == "not_run":
-                self._course.abandon(index)
-            elif last is not None and (
+            if last is not None and (
                 test.state == "running" or (test.state == "waiting" and last.ending == "fault" and last.run is not None)
             ):
                 self._begun_before[index] = last.identity
+        for index in self._course.waiting:
+            if self._record.tests[index].state not in ("waiting", "running"):
+                self._course.abandon(index)
         self._course.cooled()
 
     def _loop(self, stop: StopRequest) -> None:
@@ -450,9 +459,7 @@ class _Night:
             if not stop.after_segment and not self._trouble:
                 while lost := tuple(course.out_of_reach(now)):
                     for index, reason in lost:
-                        course.abandon(index)
-                        self._log("not_run", {"test": index, "reason": reason})
-                        self._say(now, f"did not run  {self._sound.tests[index].name}: {reason}")
+                        self._abandon(index, now, reason)
                 while (step := course.next(now)) is not None and not self._trouble:
                     if isinstance(step, Begin):
                         course.begun(step.test, now)
@@ -470,8 +477,28 @@ class _Night:
         if not stop.after_segment:
             reason = self._trouble or "nothing that it waits for can run"
             for index in course.waiting:
-                course.abandon(index)
-                self._log("not_run", {"test": index, "reason": reason})
+                self._abandon(index, self._clock.now(), reason)
+
+    def _abandon(self, index: int, now: float, reason: str) -> None:
+        """Records that a waiting test will not run. If it waited for a repetition, its last attempt is its result."""
+        name, ending = self._sound.tests[index].name, self._course.abandon(index)
+        if ending is None:
+            self._log("not_run", {"test": index, "reason": reason})
+            self._say(now, f"did not run  {name}: {reason}")
+            return
+        last = self._record.tests[index].attempts[-1].reason
+        state, reason = self._result(index, now, ending, f"{last}; not repeated: {reason}")
+        self._log("not_repeated", {"test": index, "state": state, "reason": reason})
+        self._say(now, f"{state:<12} {name}: {reason}")
+        self._write_reports()
+
+    def _result(self, index: int, now: float, ending: EndOfTest, reason: str) -> tuple[StateOfTest, str]:
+        """The state of a test that is not repeated, and the reason."""
+        name, failures = self._sound.tests[index].name, self._sound.suite.known_failures
+        known = known_failure(name, failures, ending.value, civil(now, self._sound.zone).date())
+        if known is not None:
+            return "known_failure", f"known until {known.until}: {known.reason}; {reason}"
+        return _RESULTS[ending], reason
 
     def _wait(self, moment: float, stop: StopRequest) -> None:
         """Waits until a test ends, or until a given instant. In simulated time, the test with the earliest planned end is the next
@@ -619,19 +646,9 @@ class _Night:
         final = self._course.ended(index, now, ending)
         run = self._run_folder(identity) if identity else None
         analysis = document.get("analysis")
-        state = "waiting"
+        state: StateOfTest = "waiting"
         if final:
-            state = {
-                EndOfTest.PASSED: "passed",
-                EndOfTest.LIMIT: "failed",
-                EndOfTest.FAULT: "fault",
-                EndOfTest.REFUSED: "refused",
-            }[ending]
-            known = known_failure(
-                test.name, self._sound.suite.known_failures, ending.value, civil(now, self._sound.zone).date()
-            )
-            if known is not None:
-                state, reason = "known_failure", f"known until {known.until}: {known.reason}; {reason}"
+            state, reason = self._result(index, now, ending, reason)
         elif ending is EndOfTest.FAULT and run is not None:
             self._begun_before[index] = run.name.rpartition("-")[2]
         limits = [_limit(item) for item in document.get("limits", ())]

@@ -185,6 +185,39 @@ def test_repetitions(lab: Path, say: str, more: str, state: str, attempts: int) 
     check_reports(result)
 
 
+NO_TIME = """\
+budget: 9 h
+benches: {{a: {{bench: virtual}}}}
+set: {{device_serial: D1, say: '{say}'}}
+plans:
+  x: {{plan: p.yaml, retries: 1, retry_on: [limit, fault], retry_after: 10 h, on_limit: stop_night, on_fault: stop_night}}
+  rest: {{plan: p.yaml, after: x}}
+known_failures: [{{tests: x/*, until: '2026-12-31', reason: worn, of: [{known}]}}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("say", "known", "state", "rest", "code"),
+    [
+        ("1", "fault", "failed", "not_run", 1 | FAULT),
+        ("1", "limit", "known_failure", "not_run", FAULT),
+        ("3", "limit", "fault", "not_run", FAULT),
+    ],
+)
+def test_a_failure_that_there_is_no_time_to_repeat_is_the_result(
+    say: str, known: str, state: str, rest: str, code: int, lab: Path
+) -> None:
+    """The repetition would begin after the end of the night. What a failure stops is stopped then too."""
+    text = NO_TIME.format(say=say, known=known)
+    result = night(lab, suite_in(lab, text))
+    test, after = result.record["tests"]
+    assert (test["state"], after["state"], len(test["attempts"])) == (state, rest, 1)
+    assert "; not repeated: it does not fit" in test["reason"]
+    assert result.exit_code == code
+    assert "not repeated: it does not fit" in (result.folder / "summary.md").read_text(encoding="utf-8")
+    check_reports(result)
+
+
 def test_a_bench_in_use_is_waited_for_and_the_summary_says_so(lab: Path) -> None:
     result = night(lab, suite_in(lab, ONE.format(say="busy+0", more="retries: 0")))
     assert result.exit_code == 0
@@ -275,6 +308,23 @@ def test_a_killed_night_goes_on_where_it_stopped(lab: Path, word: str, number: i
     assert len([call for call in calls if call[0] == "run"]) <= 3 - ended
     again = night(lab, sound)
     assert again.folder != result.folder  # a finished night is not continued
+
+
+def test_a_killed_night_keeps_a_result_that_was_not_repeated(lab: Path) -> None:
+    text = """\
+benches: {a: {bench: virtual}, b: {bench: virtual}}
+set: {device_serial: D1, say: "1"}
+plans:
+  x: {plan: p.yaml, benches: a, retries: 1, retry_on: [limit], retry_after: 1 h}
+  y: {plan: p.yaml, benches: b, on_limit: stop_night}
+"""
+    sound = suite_in(lab, text)
+    killed = subprocess.run([sys.executable, "-c", KILLER, str(lab), "not repeated", "1"], cwd=ROOT, check=False)
+    assert killed.returncode == -9
+    result = night(lab, sound)
+    assert states(result) == {"x/a": "failed", "y/b": "failed"} and result.record["sessions"] == 2
+    assert "not repeated: the night was stopped: a limit failed in y/b" in result.record["tests"][0]["reason"]
+    assert len((lab / "calls").read_text(encoding="utf-8").splitlines()) == 2
 
 
 def test_ctrl_c_ends_after_the_running_test_and_the_night_can_be_continued(lab: Path) -> None:

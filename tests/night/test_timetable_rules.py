@@ -114,6 +114,15 @@ def test_every_decision_is_that_of_the_plain_rules(seed: int) -> None:
     tests, durations, hours = a_night(dice)
     course, plain = NightCourse(tests, durations, hours), PlainRules(tests, durations, hours)
     ends: dict[int, float] = {}
+    failed: dict[int, EndOfTest] = {}
+
+    def stop(index: int, ending: EndOfTest) -> None:
+        plan, device = tests[index].plan, tests[index].device
+        action = {EndOfTest.LIMIT: plan.on_limit, EndOfTest.FAULT: plan.on_fault}.get(ending, "continue")
+        if action != "continue" and (action != "stop_device" or device is not None):
+            where = {"stop_night": "night", "stop_bench": f"bench {tests[index].bench}"}
+            plain.stopped.add(where.get(action, f"device {device}"))
+
     now = 0.0
     while True:
         while True:
@@ -123,8 +132,11 @@ def test_every_decision_is_that_of_the_plain_rules(seed: int) -> None:
             if not found:
                 break
             for index in expected:
-                course.abandon(index)
-                plain.state[index] = "not run"
+                ending = failed.get(index)
+                assert course.abandon(index) is ending
+                plain.state[index] = "not run" if ending is None else "ended"
+                if ending is not None:
+                    stop(index, ending)
         while True:
             step, wanted = course.next(now), plain.next(now)
             if step is None or wanted is None:
@@ -157,16 +169,13 @@ def test_every_decision_is_that_of_the_plain_rules(seed: int) -> None:
             if ending is EndOfTest.BUSY or again:
                 pause = BUSY_PAUSE if ending is EndOfTest.BUSY else plan.retry_after.value
                 plain.state[index], plain.since[index] = "waiting", now + pause
+                if ending is not EndOfTest.BUSY:
+                    failed[index] = ending
                 assert not final
                 continue
             assert final
             plain.state[index], plain.passed[index] = "ended", ending is EndOfTest.PASSED
-            action = {EndOfTest.LIMIT: plan.on_limit, EndOfTest.FAULT: plan.on_fault}.get(ending, "continue")
-            device = tests[index].device
-            if action != "continue" and (action != "stop_device" or device is not None):
-                plain.stopped.add(
-                    {"stop_night": "night", "stop_bench": f"bench {bench}"}.get(action, f"device {device}")
-                )
+            stop(index, ending)
     assert set(course.waiting) == {index for index, state in enumerate(plain.state) if state == "waiting"}
 
 
