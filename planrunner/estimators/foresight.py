@@ -35,7 +35,7 @@ def design_of(
 ) -> Design:
     """Checks how the planned segments determine the results of one estimate, and predicts the coefficients of a run.
 
-    designs: those of the preceding estimates. Raises `EstimationError` if the segments are not suitable for the estimator.
+    designs: designs of the preceding estimates. Raises `EstimationError` if the segments are not suitable for the estimator.
     """
     missing = [used for used in spec.uses if used not in designs]
     if missing:
@@ -54,7 +54,8 @@ def design_of(
 
 
 def detection_of(spec: EstimateSpec, estimator: Estimator[Record]) -> Detection | None:
-    """The spans to detect in the data. Raises `EstimationError` if the estimator uses whole segments."""
+    """The settings for detecting spans in the data; None if the plan names segments. Raises `EstimationError` if spans are to be
+    detected, but the estimator uses whole segments."""
     if not isinstance(spec.segments, Detection):
         return None
     if not (isinstance(estimator, FindsSpans) and estimator.finds_spans):

@@ -1,7 +1,7 @@
 """Checks that planned rates act on the fitted outputs and stay within the full scale of these outputs.
 
-If an output saturates, the line for its scale factor bends. If an output has its input axis perpendicular to the rotation axis, it senses
-only its misalignment.
+If an output saturates, its readings no longer lie on the straight line that gives the scale factor. If an output has its input axis
+perpendicular to the rotation axis, it senses only its misalignment.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: A
     """A warning if the planned rates act on none of the outputs, for example because the table spins about an axis other than the fitted
     one.
 
-    shares: (n, m), as for `beyond_full_scale`. Unknown orientations and outputs of specific force are not checked.
+    shares: (n, m), as in `beyond_full_scale`. Unknown orientations and outputs of specific force are not checked.
     """
     moving = [row for row, segment in enumerate(request.segments) if isinstance(segment.motion, Spin)]
     if not moving or any(request.segments[row].attitude is None for row in moving):
@@ -108,13 +108,15 @@ def _axis(motion: Motion) -> tuple[float, float, float] | None:
 
 
 def shares_by_name(segments: Sequence[Segment], mounting: Mapping[str, MountedAxis], outputs: Sequence[str]) -> Array:
-    """The fraction of the rate along each output's axis, (n, m): the axis is the sensor axis in the output's name (gyro_x: x), or the
-    axis in the plan's `mounting`. The fraction is one if the name contains no axis, and zero if the orientation is unknown."""
+    """The fraction of the rate along each output's axis, (n, m). The axis is the sensor axis in the output's name (gyro_x: x), or
+    the direction that the plan's `mounting` gives for this axis. The fraction is one if the name contains no axis, and zero if the
+    orientation is unknown."""
     return shares_along(segments, [input_direction(mounting, name) for name in outputs])
 
 
 def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]) -> Array:
-    """The fraction of the rate along input axes that are given in the sensor's frame, (3,) each; the fraction is one if an axis is None."""
+    """The fraction of the rate along input axes that are given in the sensor's frame, (3,) each; the fraction is one for an axis
+    that is None."""
     shares = np.zeros((len(segments), len(directions)))
     for row, segment in enumerate(segments):
         about = _axis(segment.motion)
@@ -127,9 +129,9 @@ def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]
 
 
 def input_direction(mounting: Mapping[str, MountedAxis], output: str) -> Array | None:
-    """The input axis of an output in the sensor's frame, (3,). It is the axis of `mounting` that the output's name gives, or the sensor
-    axis of that name. None if the name contains no axis. If the azimuth of the axis is not given, only the component along z is
-    returned, so that no valid rate is rejected."""
+    """The input axis of an output in the sensor's frame, (3,). It is the direction that `mounting` gives for the axis in the
+    output's name, or else the sensor axis itself. None if the name contains no axis. If the azimuth of the axis is not given, only
+    the component along z is returned, so that no valid rate is rejected."""
     axis = axis_of(output)
     if axis is None:
         return None

@@ -8,8 +8,8 @@ An estimator is a class found through the entry-point group `planrunner.estimato
         def design(self, request: DesignRequest[MyParameters]) -> Design | None      # before anything moves
         def estimate(self, request: EstimateRequest[MyParameters]) -> Estimate       # from the recording
 
-`planrunner.estimators.method` predicts the coefficients of `estimate` and their uncertainties with the estimator's own formula. Values in
-an `Estimate` are in the field's units, each named.
+`planrunner.estimators.method` predicts the coefficients of `estimate` and their uncertainties with the estimator's own formula.
+Values in an `Estimate` are in the units that are usual in the field, and each value names its unit.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ R = TypeVar("R", bound=Record)
 
 @dataclass(frozen=True, slots=True)
 class Coefficient:
-    """One estimated quantity with its standard uncertainty, both in `unit`. period: in `unit`, for a circular quantity, such as 360 for
-    a heading in deg. Values that differ by the period are equivalent. It is infinite for other quantities."""
+    """One estimated quantity with its standard uncertainty, both in `unit`. period: for a circular quantity, its period in `unit`,
+    such as 360 for a heading in deg; values that differ by the period are equivalent. The period of other quantities is infinite."""
 
     name: str
     value: float
@@ -91,10 +91,11 @@ class Estimate:
     [...], "standard_uncertainty": [...], "unit": "..."}}. The uncertainties there are of type A. The mean times of the data may be added
     as "time_s": [...].
 
-    data_covariance: the type A part alone. The analysis keeps it when it adds the influences. An estimate that uses this one starts from
-    `data_covariance` and propagates the influences (`Influence.through`). An input that acts on both estimates therefore counts once and
-    with its sign. expected: whether the estimate comes from a schedule instead of a recording. unstated: flicker for which the bench file
-    gives no size, as it acts on the coefficients; the analysis warns of it.
+    data_covariance: the part of the covariance that is of type A. The analysis keeps this part when it adds the influences. An
+    estimate that uses this one starts from `data_covariance` and propagates the influences (`Influence.through`). An input that
+    acts on an estimate and on another estimate that uses it is therefore counted only once, with its sign. expected: True if the
+    estimate comes from a schedule instead of a recording. unstated: flicker for which the bench file gives no size, as it acts on
+    the coefficients; the analysis warns of this flicker.
     """
 
     name: str
@@ -155,8 +156,8 @@ class EstimateRequest(Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class DesignRequest(Generic[P]):
-    """The request before anything is recorded. If `detection` is given, the spans are not known yet. uses: designs of the estimates that
-    the requested estimate uses, by their names in the plan."""
+    """The request to check an estimate before anything is recorded. If `detection` is given, the spans in the data are not known
+    yet. uses: designs of the estimates that the requested estimate uses, by their names in the plan."""
 
     name: str
     segments: tuple[Segment, ...]
@@ -172,8 +173,9 @@ class DesignRequest(Generic[P]):
 class DesignBlock:
     """The linear model of one output at the planned stimulus.
 
-    matrix: (n, p), SI; terms: the p column names; magnitudes: (p,) declared size of each column (Earth rate, g …), by which columns
-    are divided before rank and condition are judged; sigma: (n,) predicted standard uncertainty of each observation, output units.
+    matrix: (n, p), SI; terms: the p names of the columns; magnitudes: (p,), declared size of each column (Earth rate, g …), by
+    which the column is divided before rank and condition are judged; sigma: (n,), predicted standard uncertainty of each
+    observation, in the output's unit.
     """
 
     output: str
@@ -188,9 +190,9 @@ class DesignBlock:
 class Remark:
     """An error or warning of an estimator about planned segments. `check` prints it as a finding at `key` of the estimate.
 
-    code: such as `physics-release`, listed in docs/findings.md. error: whether the plan must not run. note: whether the remark only
-    informs and nothing has to be changed. conditions: whether the remark explains why the fit is ill-conditioned, so that the general
-    message is not repeated.
+    code: such as `physics-release`, listed in docs/findings.md. error: True if the plan must not run. note: True if the remark only
+    informs, so that nothing has to be changed. conditions: True if the remark explains why the fit is ill-conditioned, so that the
+    general message is not repeated.
     """
 
     code: str
@@ -204,9 +206,10 @@ class Remark:
 
 @dataclass(frozen=True, slots=True)
 class Foresight:
-    """Prediction of a run: `predicted` coefficients at nominal values with expected uncertainties, `unpredicted` ones without. Both are
-    empty if the coefficients of a run are not known. expected: for estimates that use this one, estimates from the expected
-    observations, one for each set of assumed values. notes: remarks on the prediction."""
+    """Prediction of a run. predicted: coefficients with nominal values and expected uncertainties; unpredicted: coefficients whose
+    uncertainties cannot be predicted. Both tuples are empty if the coefficients of a run are not known. expected: estimates from
+    the expected observations, one for each set of assumed values, for the prediction of estimates that use this one. notes: remarks
+    on the prediction."""
 
     predicted: tuple[Coefficient, ...] = ()
     unpredicted: tuple[Unpredicted, ...] = ()
@@ -221,11 +224,11 @@ class Foresight:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What an estimator states about planned segments. blocks: one per output; empty without a linear model. notes: on the planned
-    segments. extra: plain data for the designs of estimates that use this one. An estimator that gives coefficients by temperature puts
-    their `temperatures` [K] there (an empty list if there are none), and `names_by_temperature` if they are known. foresight: computes
-    the prediction of a run. The prediction takes longer than the rest of a design, so it is computed only when a limit, an estimate
-    that uses this one, or a reader needs it.
+    """What an estimator states about planned segments. blocks: one block per output; empty without a linear model. notes: notes on
+    the planned segments. extra: plain data for the designs of estimates that use this one. An estimator that gives coefficients at
+    certain temperatures adds these `temperatures` [K] to `extra` (an empty list if there are none), and `names_by_temperature` if
+    the names of the coefficients are known. foresight: computes the prediction of a run. The prediction takes longer than the rest
+    of a design, so it is computed only when a limit, an estimate that uses this one, or a reader needs it.
     """
 
     blocks: tuple[DesignBlock, ...]
@@ -270,7 +273,7 @@ class FindsSpans(Protocol):
 
 
 class Estimator(Protocol[R]):
-    """An estimator plug-in. R: the record of its keys."""
+    """An estimator plug-in. R: the type of the record of its keys."""
 
     summary: str
     Parameters: type[R]

@@ -22,8 +22,9 @@ class LinearFit:
     """A fit of n observations by p coefficients.
 
     coefficients: (p,). cofactor: (p, p), the covariance of the coefficients if `sigma` is the true standard uncertainty of the
-    observations. If only the proportions of `sigma` are right, the covariance is `cofactor` times `variance_factor`. residuals: (n,),
-    observed minus fitted. chi_squared: the weighted sum of squared residuals. condition: of the scaled and weighted columns.
+    observations. If only the proportions of `sigma` are right, the covariance is `cofactor` times `variance_factor`. residuals:
+    (n,), observed minus fitted. chi_squared: the weighted sum of squared residuals. condition: condition number of the scaled and
+    weighted columns.
     """
 
     coefficients: Array
@@ -47,7 +48,7 @@ def fit(
     names: Sequence[str] = (),
     covariance: Array | None = None,
 ) -> LinearFit:
-    """Least-squares coefficients of one output for `matrix` (n, p) and `observed` (n,). See `fit_each` for the other arguments."""
+    """Least-squares coefficients of one output from `matrix` (n, p) and `observed` (n,). See `fit_each` for the other arguments."""
     spread = None if sigma is None else np.asarray(sigma)[None]
     whitening = None if covariance is None else whitener(covariance[None])
     return fit_each(matrix, observed[None], spread, magnitudes, names, whitening)[0]
@@ -61,11 +62,12 @@ def fit_each(
     names: Sequence[str] = (),
     whitening: Array | None = None,
 ) -> tuple[LinearFit, ...]:
-    """Least-squares coefficients of m outputs for `matrix` (n, p) and `observed` (m, n), each output separately.
+    """Least-squares coefficients of m outputs from `matrix` (n, p) and `observed` (m, n), for each output separately.
 
-    sigma: (m, n) standard uncertainties, by default all 1. magnitudes: (p,) declared column sizes, by default the root mean squares of the
-    columns. whitening: (m, n, n), of correlated observations (`whitener`), instead of `sigma`. Raises `EstimationError` for too few
-    observations, values that are not finite, and terms that cannot be identified, which are named by `names`.
+    sigma: (m, n) standard uncertainties, by default all 1. magnitudes: (p,) declared column sizes, by default the root mean squares
+    of the columns. whitening: (m, n, n), matrices from `whitener` for correlated observations, used instead of `sigma`. names:
+    names of the terms, for messages. Raises `EstimationError` for too few observations, for values that are not finite, and for
+    terms that cannot be identified.
     """
     n, p = matrix.shape
     names = names or [f"coefficient {k + 1}" for k in range(p)]
@@ -122,8 +124,8 @@ _SMALL = 64  # rows of a matrix that is inverted as a whole
 
 
 def _triangles(matrix: Array, observed: Array, weight: Array | None, whitening: Array | None, scale: Array) -> Array:
-    """The matrix R of the QR factorisation of the weighted [matrix·scale | observed] for each of m outputs, shape (m, p + 1, p + 1) or
-    fewer rows."""
+    """The matrix R of the QR factorisation of the weighted [matrix·scale | observed] for each of m outputs, shape (m, p + 1, p +
+    1), or with fewer rows if there are fewer observations."""
     if whitening is None and len(matrix) >= 2 * _CHUNK:
         weights = [None] * len(observed) if weight is None else list(weight)
         return np.array([_triangle(matrix, one, own, scale) for one, own in zip(observed, weights, strict=True)])

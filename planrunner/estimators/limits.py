@@ -1,4 +1,4 @@
-"""Limits applied to coefficients: unit conversion, decision rule, verdict."""
+"""Applies limits to coefficients: conversion of units, decision rule and verdict."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from planrunner.uncertainty.global_risk import GlobalRisk, Prior, global_risk
 class LimitVerdict:
     """One limit and its verdict. value, standard_uncertainty, expanded_uncertainty, lower and upper are in `unit`.
 
-    quantity: `estimate.coefficient`; requirement: in words, such as `within ±5 deg/h`; probability: probability that the true value
-    conforms. guard_band: required distance of the value from the limits; guard_factor: guard band divided by U; coverage: coverage
-    probability of U; false_decision: the specific risk that this verdict is wrong. consumer_risk, producer_risk: the global risks of
-    the decision rule if the limit states a prior.
+    quantity: `estimate.coefficient`; requirement: the limit in words, such as `within ±5 deg/h`; probability: probability that the
+    true value conforms. guard_band: required distance of the value from the limits; guard_factor: guard band divided by U;
+    coverage: coverage probability of U; false_decision: the specific risk that this verdict is wrong. consumer_risk, producer_risk:
+    the global risks of the decision rule if the limit states a prior.
     """
 
     quantity: str
@@ -52,8 +52,8 @@ VerdictKind = Literal["pass", "warned", "fail", "none"]
 
 
 def verdict_kind(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnings: int) -> VerdictKind:
-    """The overall verdict on all limits. failures: messages about estimates and limits without a result; warnings: number of warnings
-    that may invalidate the verdict."""
+    """The overall verdict on all limits. failures: messages about estimates and limits that have no result; warnings: number of
+    warnings that may invalidate the verdict."""
     if failures:
         return "fail"
     if not limits:
@@ -64,8 +64,9 @@ def verdict_kind(limits: Sequence[LimitVerdict], failures: Mapping[str, str], wa
 
 
 def hold(limit: Limit, estimates: Mapping[str, Estimate]) -> LimitVerdict:
-    """The verdict on one limit (`plan.model.Limit`). A circular coefficient is first shifted by whole turns so that it is as near as
-    possible to the middle of the two bounds. Raises `EstimationError` if its quantity is missing or has another dimension."""
+    """The verdict on one limit (`plan.model.Limit`). A circular coefficient is first shifted by whole turns until it is as near as
+    possible to the middle between the two bounds of the limit. Raises `EstimationError` if the quantity of the limit is missing or
+    has another dimension."""
     coefficient = _coefficient(limit.quantity, estimates)
     lower, upper = bounds(limit, coefficient)
     u, freedom = coefficient.standard_uncertainty, coefficient.degrees_of_freedom
@@ -124,7 +125,7 @@ def _coefficient(quantity: str, estimates: Mapping[str, Estimate]) -> Coefficien
 def bounds(limit: Limit, coefficient: Coefficient) -> tuple[float, float]:
     """Lower and upper bound of a `plan.model.Limit` in the coefficient's unit; infinite for a bound that is not given.
 
-    Raises `EstimationError` for a limit with another dimension, without a bound, or that no value can meet.
+    Raises `EstimationError` for a limit that has another dimension, that has no bound, or that no value can meet.
     """
     if limit.within is not None:
         bound = parse_symmetric(limit.within)

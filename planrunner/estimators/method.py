@@ -3,9 +3,10 @@
     found = method.quantities(request)      the formula: coefficients, their covariance and their influences
     words = method.words(request, found)    tables, plots and notes for readers
 
-`estimate` calls both. The prediction of a run calls only the first, on the observations expected from the schedule. A check of a plan
-therefore gives every coefficient of the run and its uncertainty, computed with the same formula. If this takes too long, or if the
-samples themselves are needed, an estimator has a separate prediction (`ForeseesResults`), which tests compare with a run.
+`estimate` calls both functions. The prediction of a run calls only the first function, with the observations expected from the
+schedule. A check of a plan therefore gives every coefficient of the run and its uncertainty, computed with the same formula. If
+this takes too long, or if the samples themselves are needed, an estimator has a separate prediction (`ForeseesResults`). Tests
+compare this prediction with a run.
 """
 
 from __future__ import annotations
@@ -49,8 +50,8 @@ _ALIKE = 1e-6  # relative: what two assumptions give alike does not rest on what
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quantities:
     """Result of a formula. covariance: (m, m), contribution of the data, in the products of the coefficients' units; influences:
-    contributions that the data do not show; unstated: flicker about which the bench file says nothing. extra: plain data for estimates that
-    use this one; see `interface.Estimate`."""
+    contributions that the data do not show; unstated: flicker whose size the bench file does not state. extra: plain data for
+    estimates that use this one; see `interface.Estimate`."""
 
     coefficients: tuple[Coefficient, ...]
     covariance: Array
@@ -61,7 +62,7 @@ class Quantities:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Words:
-    """Tables, plots and notes of an estimate for readers. The fields are those of `interface.Estimate`."""
+    """Tables, plots and notes of an estimate for readers. The fields are as in `interface.Estimate`."""
 
     headline: tuple[str, ...] = ()
     settings: Mapping[str, Json] = field(default_factory=dict)
@@ -77,7 +78,8 @@ Q = TypeVar("Q", bound=Quantities)
 
 
 class Method(ABC, Generic[P, Q]):
-    """An estimator that consists of a formula and of explanations for readers. P: the record of its keys; Q: the result of its formula."""
+    """An estimator that consists of a formula and of explanations for readers. P: type of the record of its keys; Q: type of the
+    result of its formula."""
 
     summary: str
     Parameters: type[P]
@@ -94,8 +96,8 @@ class Method(ABC, Generic[P, Q]):
         """Makes tables, plots and notes for readers."""
 
     def known(self, request: DesignRequest[P]) -> Known:
-        """What this method knows about the outputs. The rest follows from their names and units. This method does not reject unsuitable
-        segments; `design` does."""
+        """What this method knows about the outputs. Everything else follows from the names and units of the outputs. This method
+        does not reject unsuitable segments; `design` does."""
         return Known()
 
     def estimate(self, request: EstimateRequest[P]) -> Estimate:
@@ -125,7 +127,7 @@ F = TypeVar("F", bound=Record, contravariant=True)
 
 @runtime_checkable
 class ForeseesResults(Protocol[F]):
-    """An estimator with a separate prediction."""
+    """An estimator that predicts the results of a run by a separate method, instead of by its formula."""
 
     def foresee(self, request: DesignRequest[F]) -> Foresight: ...
 
@@ -193,7 +195,7 @@ def _alike(one: Coefficient, others: Sequence[Coefficient]) -> bool:
 
 
 def _evaluated(estimator: Estimator[P], request: DesignRequest[P], expected: Expected, number: int) -> Estimate | None:
-    """The estimate from an expected recording with its complete uncertainty; None if the estimator cannot compute one."""
+    """The estimate from an expected recording, with its complete uncertainty; None if the estimator cannot compute an estimate."""
     uses = {
         name: design.expected[min(number, len(design.expected) - 1)]
         for name, design in request.uses.items()
@@ -235,7 +237,8 @@ def _evaluated(estimator: Estimator[P], request: DesignRequest[P], expected: Exp
 
 
 def _whole(made: Estimate) -> Estimate:
-    """The estimate with the influences added to the contribution of the data; declared noise has infinite degrees of freedom."""
+    """The estimate with the influences added to the contribution of the data. The degrees of freedom are infinite, because the
+    noise is declared."""
     covariance = np.array(made.covariance, dtype=float)
     for item in merged(one for one in made.influences if not one.in_scatter):
         covariance += item.covariance

@@ -4,8 +4,9 @@ An estimator may define how draws of its data and of the declared inputs become 
 
     def chain(self, request: EstimateRequest[MyParameters], estimate: Estimate) -> Draws
 
-including all nonlinearity. Without it, the draws use the covariance and sensitivities of the estimate. This tests the distributions and the
-effective degrees of freedom, but not the linearity. Workers share the draws, so they must be able to pickle the function that draws.
+including all nonlinearity. Without this method, the draws use the covariance and sensitivities of the estimate. The draws then test
+the distributions and the effective degrees of freedom, but not the linearity. Worker processes share the draws, so they must be
+able to pickle the function that draws.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ def validated(
     """The estimate with an additional table: Monte Carlo results for its headline coefficients, or for all coefficients if there is no
     headline.
 
-    first_order: whether `draws` are those of `linear_chain`. workers: share the draws.
+    first_order: True if `draws` are those of `linear_chain`. workers: processes that share the draws.
     """
     names = estimate.headline or tuple(item.name for item in estimate.coefficients)
     rows = [k for k, item in enumerate(estimate.coefficients) if item.name in names and item.standard_uncertainty > 0]

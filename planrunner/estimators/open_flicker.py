@@ -1,5 +1,4 @@
-"""Warns about flicker noise that is limited neither by the bench file nor by the data, so that the intervals of an estimate may be
-too narrow."""
+"""Warns about flicker noise that neither the bench file nor the data limit, so that the intervals of an estimate may be too narrow."""
 
 from __future__ import annotations
 
@@ -21,9 +20,9 @@ SUFFICIENT = 0.90
 
 @dataclass(frozen=True, slots=True)
 class OpenFlicker:
-    """Flicker of a channel that may be larger than an estimate assumes. bound: the largest B that the data do not exclude, in `unit`.
-    coefficient: name of the coefficient whose interval is most affected; widening: factor by which this interval would have to be wider
-    if B were `bound`."""
+    """Flicker of a channel that may be larger than an estimate assumes. bound: the largest bias instability B that the data do not
+    exclude, in `unit`. coefficient: name of the coefficient whose interval is most affected; widening: factor by which this
+    interval would have to be wider if B were `bound`."""
 
     channel: str
     unit: str
@@ -33,9 +32,9 @@ class OpenFlicker:
 
 
 def open_flicker(estimate: Estimate) -> tuple[OpenFlicker, ...]:
-    """The flicker that may make an interval of an estimate too narrow, one entry for each channel. estimate: with standard uncertainties
-    and degrees of freedom of the whole budget. Coefficients that are measures of scatter or largest values are not examined, because they
-    contain the flicker."""
+    """The flicker that may make an interval of an estimate too narrow, one entry for each channel. estimate: the estimate, whose
+    standard uncertainties and degrees of freedom include the whole budget. Coefficients that are a measure of scatter or a largest
+    value are not examined, because they contain the flicker."""
     found = []
     spreads = np.array([item.standard_uncertainty for item in estimate.coefficients])
     located = np.array([item.role is CoefficientRole.LOCATION for item in estimate.coefficients], dtype=bool)
@@ -57,8 +56,8 @@ def open_flicker(estimate: Estimate) -> tuple[OpenFlicker, ...]:
 
 
 def with_flicker_words(estimate: Estimate) -> Estimate:
-    """The estimate with a warning about the flicker that may make its intervals too narrow, and a note about the other channels whose
-    flicker the bench file does not give."""
+    """The estimate with a warning about the flicker that may make its intervals too narrow, and with a note about other channels
+    for which the bench file gives no flicker."""
     if not estimate.unstated:
         return estimate
     found = open_flicker(estimate)

@@ -1,13 +1,13 @@
-"""Segments that do not agree with the others, and segments whose errors the others would not reveal.
+"""Finds segments that do not agree with the other segments, and segments whose errors the other segments would not reveal.
 
-The test uses the mean-shift model: segment i of an output has an error δ, which an additional column describes that is 1 in row i and 0
-elsewhere. The t value of δ is the externally studentised residual (Cook and Weisberg, Residuals and Influence in Regression, 1982, 2.2.2;
-for correlated observations Baarda, A Testing Procedure for Use in Geodetic Networks, 1968). The largest t value of all segments is tested
-with Bonferroni's bound. If it is significant, the search is repeated among the other segments, so that two wrong labels do not hide each
-other.
+The test uses the mean-shift model: segment i of an output has an error δ. An additional column, which is 1 in row i and 0
+elsewhere, describes this error. The t value of δ is the externally studentised residual (Cook and Weisberg, Residuals and Influence
+in Regression, 1982, 2.2.2; for correlated observations Baarda, A Testing Procedure for Use in Geodetic Networks, 1968). The largest
+t value of all segments is tested with Bonferroni's bound. If the largest t value is significant, the search is repeated among the
+other segments, so that two wrong labels do not hide each other.
 
-The redundancy of a segment is the share of its error that appears in its residual. If it is small, the segment alone determines a
-coefficient: its error enters the result without a trace in the residuals (Baarda, ibid.).
+The redundancy of a segment is the share of its error that appears in its residual. If the redundancy is small, the segment alone
+determines a coefficient: the error of the segment enters the result without a trace in the residuals (Baarda, ibid.).
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _ROUNDING = 1e-10  # of an output's largest fitted value: smaller errors are tho
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A segment that does not agree with the others. error: difference of its mean from the value expected from the others, in the
-    output's unit. deviations: this difference in standard deviations; probability: chance of a value at least this large among all
-    segments and outputs. changes: (p,), change of the output's coefficients if the segment is left out."""
+    """A segment that does not agree with the others. error: difference between the segment's mean and the value expected from the
+    other segments, in the output's unit. deviations: this difference in standard deviations; probability: chance of a value at
+    least this large among all segments and outputs. changes: (p,), change of the output's coefficients if the segment is left out."""
 
     output: str
     label: str
@@ -44,16 +44,16 @@ class Outlier:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Agreement of the segments of a fit. outliers: of all outputs, the least probable first; empty if the residuals have fewer than
-    two degrees of freedom. unchecked: labels of the segments whose error would hardly appear in the residuals of any output; empty if
-    there are no residuals at all."""
+    """Agreement of the segments of a fit. outliers: outliers of all outputs, the least probable first; empty if the residuals have
+    fewer than two degrees of freedom. unchecked: labels of the segments whose error would hardly appear in the residuals of at
+    least one output; empty if there are no residuals at all."""
 
     outliers: tuple[Outlier, ...] = ()
     unchecked: tuple[str, ...] = ()
 
 
 def agreement(fit: OutputsFit, basis: str) -> Agreement:
-    """Tests how the segments of a fit agree with each other."""
+    """Tests whether the segments of a fit agree with each other."""
     if not fit.freedom:
         return Agreement()
     found: list[Outlier] = []
@@ -69,7 +69,7 @@ def agreement(fit: OutputsFit, basis: str) -> Agreement:
 
 
 def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> list[Outlier]:
-    """Outliers of one output. whole: the shifts before any segment has a column."""
+    """Outliers of one output. whole: the shifts before any segment has an additional column."""
     from scipy.special import stdtr
 
     found: list[Outlier] = []
@@ -96,9 +96,9 @@ def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> li
 
 @dataclass(frozen=True, slots=True)
 class _Shifts:
-    """The effect of one additional column for each segment. errors: (n,), δ of each segment; drops: (n,), the decrease of χ²; both are 0
-    for a segment that the model fits whatever its reading is. redundancy: (n,), of each segment; chi_squared: χ² without the additional
-    column."""
+    """The effect of one additional column for each segment. errors: (n,), δ of each segment; drops: (n,), the decrease of χ²; both
+    arrays are 0 for a segment that the model fits whatever the reading of the segment is. redundancy: (n,), redundancy of each
+    segment; chi_squared: χ² without the additional column."""
 
     errors: Array
     drops: Array
@@ -108,8 +108,8 @@ class _Shifts:
 
 @dataclass(frozen=True, slots=True)
 class _Weighed:
-    """Weighted observations of an output. covariance, weights: (n, n), each the inverse of the other; columns: (n, P), scaled;
-    residuals: (n,)."""
+    """Weighted observations of an output. covariance, weights: (n, n), each matrix the inverse of the other; columns: (n, P),
+    scaled; residuals: (n,)."""
 
     covariance: Array
     weights: Array
@@ -125,7 +125,7 @@ class _Weighed:
         return cls(covariance, whitening.T @ whitening, columns, fit.fits[k].residuals)
 
     def shifts(self, taken: tuple[int, ...]) -> _Shifts:
-        """The shifts. taken: segments that already have a column."""
+        """The shifts of all segments. taken: segments that already have an additional column."""
         n = len(self.residuals)
         columns = np.column_stack([self.columns, np.eye(n)[:, list(taken)]])
         weighted = self.weights @ columns

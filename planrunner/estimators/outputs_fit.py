@@ -1,8 +1,9 @@
-"""Several outputs fitted by one design: coefficients with joint covariance on either basis, and their degrees of freedom.
+"""Several outputs fitted with one design: coefficients with joint covariance and degrees of freedom, on each of two bases of
+uncertainty.
 
-The prior knowledge about the observations is one covariance V for each output: the noise observed within the segments, and the declared
-correlated errors (`correlated_errors`). The fit is generalised least squares with V. There are two bases of uncertainty, which answer
-different questions:
+The prior knowledge about the observations is one covariance V for each output: the noise observed within the segments, and the
+declared correlated errors (`correlated_errors`). The fit is generalised least squares with V. There are two bases for the
+uncertainty, which answer different questions:
 
     within_segment   V is used as it is. The noise has many degrees of freedom; the effects are added as influences.
                      Unstated changes from segment to segment (switch-on, an incomplete model) are not included.
@@ -37,19 +38,20 @@ _WIDEST = 1e9  # of the largest spread: what exceeds the noise then is not the m
 
 @dataclass(frozen=True, slots=True)
 class OutputsFit:
-    """m outputs fitted by p terms each from n segments. units: of the outputs; labels: of the segments; matrix: (n, p), the terms'
-    columns.
+    """m outputs fitted by p terms each from n segments. units: units of the outputs; labels: labels of the segments; matrix: (n,
+    p), the columns of the terms.
 
-    noises: for each output, the noise within the segments. spreads: (m, n), standard uncertainties from which the weights are computed,
-    without the effects: noise within the segments and, where needed, a standard deviation between segments (`between_segments`). between:
-    (m,), this standard deviation, 0 if not needed. ratios: (m,), residual variance divided by the variance expected from noise and
-    effects. effects: the effects that are in the weights; `unweighted`: the other effects, which occur if the noise of an output is not
-    known. pooled: whether one variance factor applies to all outputs, which is true if the proportions of their noise are known
-    beforehand; pooled_freedom: its degrees of freedom. drift: the courses that are fitted together with the terms, q columns; `fits` and
-    the degrees of freedom are those of all P = p + q columns. all_gains: (m, P, n), derivatives of the coefficients of all P columns with
-    respect to the observations. all_cofactors: by basis, (m, P, m, P), covariance of these coefficients before the variance factors.
-    within: number of observations at the end that are not means of segments (`Observations`). unstated: effects of unknown size, given
-    for a size of one unit; they are not in the fit. names: (p,), of the terms.
+    noises: for each output, the noise within the segments. spreads: (m, n), standard uncertainties from which the weights are
+    computed, without the effects: noise within the segments and, where needed, an added standard deviation between segments
+    (`between_segments`). between: (m,), the added standard deviation; 0 if it is not needed. ratios: (m,), residual variance
+    divided by the variance expected from noise and effects. effects: the effects that the weights include; unweighted: the other
+    effects, which exist only if the noise of an output is not known. pooled: True if one variance factor applies to all outputs,
+    which requires that the proportions of the outputs' noise are known beforehand; pooled_freedom: degrees of freedom of this
+    factor. drift: the courses of a drift that are fitted together with the terms, with q columns; `fits` and the degrees of freedom
+    refer to all P = p + q columns. all_gains: (m, P, n), derivatives of the coefficients of all P columns with respect to the
+    observations. all_cofactors: basis → (m, P, m, P), covariance of these coefficients before the variance factors. within: number
+    of observations at the end that are not means of segments (`Observations`). unstated: effects of unknown size, each given for
+    the size of one unit; these effects are not in the fit. names: (p,), names of the terms.
     """
 
     outputs: tuple[str, ...]
@@ -74,7 +76,7 @@ class OutputsFit:
 
     @property
     def columns(self) -> Array:
-        """(n, P), the terms' columns and those of the drift."""
+        """The columns (n, P) of the terms and of the drift."""
         return joined(self.matrix, self.drift.courses)
 
     @property
@@ -94,8 +96,8 @@ class OutputsFit:
 
     @property
     def drift_spreads(self) -> Array:
-        """Standard uncertainties of the amplitudes of the drift with noise and all effects in the weights, shape (m, q). On the residual
-        basis they are multiplied by the square roots of the variance factors."""
+        """Standard uncertainties of the amplitudes of the drift, shape (m, q), if the weights include the noise and all effects. On
+        the residual basis, they are to be multiplied by the square roots of the variance factors."""
         variances = np.einsum("apap->ap", self.all_cofactors["residual"])
         return np.asarray(np.sqrt(variances[:, self.matrix.shape[1] :]))
 
@@ -115,8 +117,8 @@ class OutputsFit:
 
     @property
     def variance_factors(self) -> Array:
-        """Residual variance divided by the variance expected from the weights, shape (m,): one factor for each output, or their mean
-        for all outputs if pooled."""
+        """Residual variance divided by the variance expected from the weights, shape (m,): a factor for each output or, if pooled,
+        the mean of these factors for all outputs."""
         factors = np.array([fit.variance_factor for fit in self.fits])
         return np.full_like(factors, factors.mean()) if self.pooled else factors
 
@@ -135,16 +137,16 @@ class OutputsFit:
         return covariance
 
     def influences(self, basis: str, functionals: Array | None = None) -> tuple[Influence, ...]:
-        """Influences of the effects on the coefficients, output after output. If functionals (q, m, n) are given, influences on these
-        linear functions of the observations. On the residual basis, the covariance already includes the effects that are in the
-        weights."""
+        """Influences of the effects on the coefficients, output after output. If functionals (q, m, n) are given, the influences
+        are those on these linear functions of the observations. On the residual basis, the covariance already includes the effects
+        that the weights include."""
         acting = functionals_of(self.gains) if functionals is None else functionals
         doubted = tuple(one.through(acting) for one in self._doubted_drift())
         weighted = tuple(one.through(acting, basis == "residual") for one in self.effects)
         return (*weighted, *(one.through(acting) for one in self.unweighted), *doubted)
 
     def _doubted_drift(self) -> Iterator[CorrelatedError]:
-        """Courses that are not fitted, as errors whose size is the amplitude that a fit of them finds."""
+        """Courses of a drift that are not fitted, as errors whose size follows from the amplitude that a fit of the course gives."""
         for one in self.drift.doubted:
             for output, (name, own) in enumerate(zip(self.outputs, one.amplitudes, strict=True)):
                 for part, amplitude, column in zip(one.course.parts, own.tolist(), one.course.columns.T, strict=True):
@@ -155,8 +157,8 @@ class OutputsFit:
                     yield CorrelatedError(quantity, {output: column[:, None]})
 
     def unstated_flicker(self, functionals: Array | None = None) -> tuple[UnstatedFlicker, ...]:
-        """The flicker of unknown size, as it acts on the coefficients, output after output. If functionals (q, m, n) are given, as it
-        acts on these linear functions of the observations."""
+        """The flicker of unknown size, as it acts on the coefficients, output after output. If functionals (q, m, n) are given, the
+        flicker as it acts on these linear functions of the observations."""
         if not self.unstated:
             return ()
         acting = functionals_of(self.gains) if functionals is None else functionals
@@ -167,7 +169,7 @@ class OutputsFit:
         )
 
     def _evidence(self, output: int, error: CorrelatedError) -> FlickerEvidence | None:
-        """What the observations of an output show of the flicker."""
+        """What the observations of an output show about the size of the flicker."""
         noise = self.noises[output]
         if not all(one.known for one in self.noises):
             return None
@@ -207,7 +209,8 @@ def coefficients_by_noise(matrix: Array, observations: Observations, magnitudes:
 
 @kept(64)
 def _coefficients(matrix: Array, observed: Array, weights: Array, magnitudes: Array, names: tuple[str, ...]) -> Array:
-    """Fits the coefficients (m, p) of outputs (m, n). weights: (m, n), the proportions of their noise."""
+    """Fits the coefficients (m, p) of outputs (m, n). weights: (m, n), standard deviations of the noise, of which only the
+    proportions matter."""
     return np.array([one.coefficients for one in least_squares.fit_each(matrix, observed, weights, magnitudes, names)])
 
 
@@ -223,13 +226,14 @@ def fit_outputs(
     drift: DriftCourses = NO_DRIFT,
     unstated: Sequence[CorrelatedError] = (),
 ) -> OutputsFit:
-    """Fits every observed channel by the same terms. Raises `EstimationError`.
+    """Fits every observed channel with the same terms. Raises `EstimationError`.
 
-    Weights come from the noise within the segments and the effects. On the residual basis, a standard deviation between segments may be
-    added to the noise. It is added in this case: the noise differs between segments or there are effects, and noise and effects together
-    do not explain the residuals. Without it, the segment with the least noise would dominate the fit, although its error is as large as
-    the errors of the other segments. Outputs can be pooled only if their noise is known and nothing is added to it. equal: give all
-    segments the same weight. drift: courses that are fitted too, or only if the data show them. unstated: as in `OutputsFit`.
+    The weights come from the noise within the segments and from the effects. On the residual basis, a standard deviation between
+    segments is added to the noise in this case: the noise differs between segments or there are effects, and noise and effects
+    together do not explain the residuals. Without this addition, the segment with the least noise would dominate the fit, although
+    its error is as large as the errors of the other segments. Outputs can be pooled only if their noise is known and nothing is
+    added to the noise. equal: True gives all segments the same weight. drift: courses of a drift that are fitted too: always, or
+    only if the data show them. unstated: as in `OutputsFit`.
     """
     m = len(observations.channels)
     noises = [within_segment_noise(observations, k) for k in range(m)]
@@ -285,7 +289,8 @@ def fit_outputs(
 
 @dataclass(frozen=True, slots=True)
 class _Fitted:
-    """The m fitted outputs; see `OutputsFit`. whitening: of their observations, (m, n, n); None for noise alone."""
+    """The m fitted outputs; see `OutputsFit`. whitening: (m, n, n), whitening of the observations of each output; None for noise
+    alone."""
 
     fits: tuple[LinearFit, ...]
     gains: Array
@@ -297,10 +302,11 @@ class _Fitted:
 
 @dataclass(frozen=True, slots=True)
 class _Weighting:
-    """Observations (m, n) of the outputs and the effects on them in addition to noise. roots: (m, n, r), of the effects
-    (`stacked_roots`); sigma: (m, n), of the noise; whitening: of both, (m, n, n), or None without effects. It takes n³ operations, so that
-    all fits with these weights share it. expected: the means have no noise, so chi² is replaced by its expectation. within: number of
-    observations at the end that are no means of segments, and in which nothing varies between segments."""
+    """The observations (m, n) of the outputs, their noise, and the effects on them. roots: (m, n, r), roots of the effects
+    (`stacked_roots`); sigma: (m, n), standard deviations of the noise; whitening: (m, n, n), whitening of noise and effects
+    together, or None without effects. The whitening takes n³ operations, so all fits with these weights share it. expected: True if
+    the means have no noise; chi² is then replaced by its expectation. within: number of observations at the end that are not means
+    of segments, and in which nothing varies between segments."""
 
     matrix: Array
     observed: Array
@@ -317,8 +323,8 @@ class _Weighting:
         return self._fits(self.sigma, self.whitening)
 
     def known(self, noises: Sequence[WithinSegmentNoise], residual: bool) -> _Fitted:
-        """Fit weighted by noise and effects. residual: whether a standard deviation between segments may be added to the noise, if the
-        residuals require it."""
+        """Fit weighted by noise and effects. residual: True if a standard deviation between segments may be added to the noise, if
+        the residuals require this."""
         spreads, between, whitening = self.sigma.copy(), np.zeros(len(noises)), self.whitening
         found = self.plain()
         ratios = _factors(found)
@@ -337,8 +343,8 @@ class _Weighting:
         return _Fitted(tuple(found), _gains(found, weighted), spreads, between, ratios, whitening)
 
     def equal(self) -> _Fitted:
-        """Fit with equal weights. The comparison of residuals and noise comes from a second fit, which is weighted by the noise, because
-        with equal weights a few large residuals would decide."""
+        """Fit with equal weights. Residuals and noise are compared in a second fit, which is weighted by the noise, because with
+        equal weights a few large residuals would decide the comparison."""
         spreads = np.broadcast_to(np.sqrt(np.mean(self.sigma**2, axis=1, keepdims=True)), self.sigma.shape)
         whitening = _whitening(spreads, self.roots)
         found = self._fits(spreads, None)
@@ -348,8 +354,8 @@ class _Weighting:
         return _Fitted(fits, gains, spreads, np.zeros(len(fits)), _factors(self.plain()), whitening)
 
     def pooled_freedom(self, found: _Fitted, correlation: Array) -> float:
-        """Degrees of freedom of the mean of the outputs' variance factors: those of a chi-squared variable with the same mean and variance
-        (Satterthwaite)."""
+        """Degrees of freedom of the mean of the outputs' variance factors: those of the chi-squared variable that has the same mean
+        and variance (Satterthwaite)."""
         m, p, n = found.gains.shape
         if found.whitening is None:
             return float((n - p) * m**2 / np.sum(correlation**2))
@@ -373,7 +379,8 @@ class _Weighting:
 
 
 def _whitening(spreads: Array, roots: Array) -> Array | None:
-    """The whitening (m, n, n) of noise with these spreads (m, n) and of effects with these roots (m, n, r); None without effects."""
+    """The whitening (m, n, n) for noise with the standard deviations `spreads` (m, n) and for effects with the roots `roots` (m, n,
+    r); None without effects."""
     return least_squares.whitener(mixed(spreads, roots)) if roots.size else None
 
 
@@ -389,8 +396,9 @@ def _gains(fits: Sequence[LinearFit], weighted: Array) -> Array:
 def _cofactors(
     found: _Fitted, noises: Sequence[WithinSegmentNoise], correlation: Array, effects: Array
 ) -> dict[str, Array]:
-    """Cofactors of the coefficients, by basis. On both bases, the correlation of the noise between outputs comes from the samples,
-    because the residuals of a few segments do not determine it. effects: (m, n, r), roots of the effects."""
+    """Cofactors of the coefficients for each basis of the uncertainties. On each basis, the correlation of the noise between
+    outputs comes from the samples, because the residuals of a few segments do not determine it. effects: (m, n, r), roots of the
+    effects."""
     m, p, _ = found.gains.shape
 
     def products(roots: Array) -> Array:
@@ -420,9 +428,9 @@ def between_segments(
     """The standard deviation between segments that, together with `spread` (n,), makes chi²/dof equal to one (Mandel and Paule, Anal.
     Chem. 54, 1982).
 
-    fitted: computes the fit for a given spread. means: (n,), marks the observations to which the deviation is added. chi²/dof decreases
-    as the deviation grows, so the deviation is found by a search for the root. The result is zero if chi²/dof is at most one without any
-    deviation, or if no deviation makes it one.
+    fitted: computes the fit for a given spread. means: (n,), marks the observations to which the deviation is added. chi²/dof
+    decreases as the deviation grows, so the deviation is found by a search for the root. The result is zero if chi²/dof is at most
+    one without an added deviation, or if no deviation makes it one.
     """
     from scipy.optimize import brentq
 

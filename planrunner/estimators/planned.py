@@ -1,4 +1,5 @@
-"""Input of estimators from planned segments, before anything is recorded: design matrices at rest, and the expected noise."""
+"""What estimators need to know about planned segments, before anything is recorded: design matrices at rest, and the expected
+noise."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ def matrix_at_rest(
 ) -> Array:
     """The design matrix of positions at rest, shape (n, p), SI.
 
-    needed: the reason why segments must be at rest, for the message about a segment that moves; otherwise: text added to the message
+    needed: the reason why segments must be at rest, for the message about a segment that moves; otherwise: a text for the message
     about an unknown orientation. Raises `EstimationError` in both cases.
     """
     moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]

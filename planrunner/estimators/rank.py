@@ -1,7 +1,7 @@
-"""Analysis of a design matrix: rank, condition and the terms that it cannot separate.
+"""Analysis of a design matrix: its rank, its condition, and the terms that it cannot separate.
 
-Everything is judged on columns divided by their declared magnitudes (Earth rate, g …): the raw SI columns of a sound eight-position plan
-differ by five orders of magnitude and would look ill-conditioned.
+All results are computed for columns divided by their declared magnitudes (Earth rate, g …): the raw SI columns of a sound
+eight-position plan differ by five orders of magnitude and would look ill-conditioned.
 """
 
 from __future__ import annotations
@@ -52,9 +52,10 @@ def look(scaled: Array, tolerance: float = TOLERANCE) -> MatrixRank:
 
 
 def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, float], ...], ...]:
-    """The null space as a few short combinations of names whose columns add up to zero. They are found by Gauss–Jordan elimination.
+    """The null space as a few short linear combinations of named columns, each of which is zero. The combinations are found by
+    Gauss–Jordan elimination.
 
-    A single name means a column of zeros.
+    A combination of a single name means that its column is zero.
     """
     rows = null.copy()
     done = 0
@@ -77,14 +78,14 @@ def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, fl
 
 
 def unidentifiable(null: Array, names: Sequence[str]) -> tuple[str, ...]:
-    """The names in the null space, in their original order. The data determine none of these terms."""
+    """The names of the terms in the null space, in their original order. The data determine none of these terms."""
     return tuple(
         name for name, weight in zip(names, np.abs(null).max(axis=0, initial=0.0), strict=True) if weight > 1e-6
     )
 
 
 def explain(null: Array, names: Sequence[str]) -> str:
-    """The null space in words, for a quality engineer; empty if every term can be identified."""
+    """Explains the null space to a quality engineer, in words; empty if every term can be identified."""
     if not len(null):
         return ""
     sentences = []

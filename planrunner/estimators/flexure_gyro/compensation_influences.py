@@ -1,8 +1,9 @@
 """Influences of the declared inputs of the bench on residuals after compensation and on their sums of squares.
 
-Let c be the coefficients of a set, X the design of the verification positions and i the outputs. The residual is r = M⁻¹·(i − X·c). A
-wrong input affects r in two ways: through X, and through c, because the calibration used the same latitude, gravity, azimuth and table.
-Both contributions have the name of the same input, so they are added with their signs. M is computed from c.
+Let c be the coefficients of a set, X the design of the verification positions and i the outputs. The residual is r = M⁻¹·(i − X·c),
+where the matrix A wrong input affects r in two ways: through X, and through c, because the calibration used the same latitude,
+gravity, azimuth and table. Both contributions have the name of the same input, so they are added with their signs. M is computed
+from c.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ from planrunner.uncertainty.influences import Aspect, Influence
 def residual_influences(
     request: EstimateRequest[object], units: tuple[str, ...], matrix: Array, observed: Array, rate: float
 ) -> tuple[Influence, ...]:
-    """Influences on the residuals at v verification positions, (sets·2·v,), set after set. Within a set, the residuals of the first rate
-    at all positions come first, then those of the second rate.
+    """Influences on the residuals at v verification positions, (sets·2·v,), set after set. Within a set, the residuals of the first
+    rate (ω_Y) at all positions come first, then the residuals of the second rate (ω_X).
 
-    units: units of the outputs. matrix: (v, p), of the verification positions, SI. observed: (v, 2), the measured outputs. rate: unit of
-    the residuals, in rad/s.
+    units: units of the outputs. matrix: (v, p), design of the verification positions, SI. observed: (v, 2), the measured outputs.
+    rate: size of the unit of the residuals, rad/s.
     """
     found: list[Influence] = []
 
@@ -47,20 +48,20 @@ def residual_influences(
 
 
 def recovery(coefficients: Array, positions: int, rate: float) -> Array:
-    """The matrix (2·v, 2·v) that converts outputs minus their prediction by the coefficients (2, p) to rates in units of `rate` rad/s.
-    Rows and columns are ordered by rate or output, then by position."""
+    """The matrix (2·v, 2·v) that converts the outputs minus their values predicted by the coefficients (2, p) to rates in units of
+    `rate` rad/s. Rows are ordered by rate, then by position; columns are ordered by output, then by position."""
     return np.asarray(np.kron(np.linalg.inv(coefficients[:, 1:3]), np.eye(positions)) / rate)
 
 
 def sums_and_ratios(residuals: Array, sets: int) -> Array:
     """Sums of squares and their ratios, (2·sets − 1, n), from the residuals of all sets (sets·2·v, n). The residual sums of squares
-    come first, then the ratios of the other sets to the first set."""
+    come first, then the ratios of the sums of the other sets to the sum of the first set."""
     sums = np.sum(residuals.reshape(sets, -1, residuals.shape[1]) ** 2, axis=1)
     return np.concatenate([sums, sums[1:] / sums[0]])
 
 
 def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) -> list[Influence]:
-    """Influences on i − X·c that act at the verification positions."""
+    """Influences on i − X·c that act through the verification positions."""
     each = np.array(np.broadcast_to(np.eye(len(matrix)), (2, len(matrix), len(matrix))))
     model, segments = flexure_gyro.static_model(), [recorded.segment for recorded in request.segments]
     site = site_errors(model, segments, request.site, request.setup.inputs, coefficients)
@@ -69,8 +70,9 @@ def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) 
 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:
-    """Influences on SI [U; V] of a set through its calibration. The simulated scatter includes flicker, but not the contribution of the
-    table's errors to the scatter of the calibration."""
+    """Influences on the coefficients [U; V] of a set, in SI, that act through the calibration of the set. Flicker is left out,
+    because the simulated scatter includes it. The errors of the table remain, because the simulated scatter does not include their
+    contribution to the calibration."""
     coefficients = np.array(used.extra["coefficients"])
     quantities, factors = reported(units, flexure_gyro.static_model(), ())
     own_noise = {aspect.of(output) for aspect in Aspect for output in used.extra["outputs"]}

@@ -1,9 +1,9 @@
 """Expected residuals after compensation, from the positions, their noise and the uncertainties declared in the bench.
 
-To first order the residual of a set on a verification position is M⁻¹·(e − x·δ), with e the noise of that position, x its row of the design
-and δ the error of the coefficients. All sets share the verification noise, so single ratios scatter less than ratios of independent sums.
-Flicker correlates calibration and verification: a slow drift is in both and cancels. Errors of the table cancel too if a verification
-position is also a calibration position.
+To first order, the residual of a set at a verification position is M⁻¹·(e − x·δ), where e is the noise at this position, x is the
+row of the design for this position, and δ is the error of the coefficients. All sets share the verification noise, so the ratio of
+two sums scatters less than a ratio of independent sums. Flicker correlates calibration and verification: a slow drift appears in
+both and cancels. Errors of the table also cancel if a verification position is also a calibration position.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from planrunner.base.kept import kept
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Predicted residuals. expected: residual sum of squares by set. ratios: by set, (5 %, median, 95 %) of the ratio to the first set.
-    Both include noise and declared uncertainties. relative_spread: by set, half of the central 68.27 % interval of the sum divided by
-    its expectation. ratio_spread: by set, half of the central 68.27 % interval of the ratio. Both spreads come from noise alone."""
+    """Predicted residuals. expected: set → residual sum of squares. ratios: set → (5 %, median, 95 %) of the ratio of its sum to
+    the sum of the first set. `expected` and `ratios` include noise and declared uncertainties. relative_spread: set → half of the
+    central 68.27 % interval of the sum, divided by the expected sum. ratio_spread: set → half of the central 68.27 % interval of
+    the ratio. `relative_spread` and `ratio_spread` come from noise alone."""
 
     expected: dict[str, float]
     ratios: dict[str, tuple[float, float, float]]
@@ -30,12 +31,13 @@ class Prediction:
 
 
 def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[Array]) -> dict[str, Array]:
-    """Linear maps by set, (2·v, z). A map converts z independent inputs with standard deviation 1 to the outputs at the v verification
-    positions, minus the outputs that the set's coefficients predict there. Rows are ordered output after output.
+    """A linear map (2·v, z) for each set. The map converts z independent inputs with standard deviation 1 to the outputs at the v
+    verification positions, minus the outputs that the set's coefficients predict there. Rows are ordered output after output.
 
-    verification: (v, p), design of the verification positions. sets: by name, (2, p, n), the matrices that compute the coefficients of
-    each output from the n observations of the calibration. roots: for each output, L (N, r), where L·Lᵀ is the covariance of its
-    observations: first those at the verification positions, then those of the sets in their order.
+    verification: (v, p), design of the verification positions. sets: name of the set → (2, p, n), the matrices that compute the
+    coefficients of each output from the n observations of the calibration. roots: for each output, L (N, r), where L·Lᵀ is the
+    covariance of the observations of this output: first those at the verification positions, then those of each set, in the order
+    of the sets.
     """
     found = {}
     for name, maps in _carried(verification, sets).items():
@@ -47,7 +49,7 @@ def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[A
 
 
 def expected_sum(maps: Array) -> float:
-    """Expected sum of squares of `maps` (r, z) applied to independent inputs of standard deviation one."""
+    """The expected sum of squares of the r results that `maps` (r, z) gives for independent inputs of standard deviation one."""
     return float(np.sum(maps**2))
 
 
@@ -63,8 +65,9 @@ def expected_sums(verification: Array, sets: tuple[tuple[Array, Array], ...]) ->
 
 
 def predict_residuals(noise: Mapping[str, Array], stated: Mapping[str, Array], trials: int, seed: int) -> Prediction:
-    """Prediction from seeded simulated experiments. noise, stated: by set, (r, z) and (r, s), maps from independent inputs of standard
-    deviation one to the residuals. All sets share the inputs."""
+    """Predicts the residuals from simulated experiments with a given random seed. noise, stated: set → map (r, z) or (r, s) from
+    independent inputs of standard deviation one to the residuals: for the noise, and for the declared uncertainties. All sets have
+    the same inputs."""
     rng = np.random.default_rng(seed)
     first = next(iter(noise))
     drawn = rng.standard_normal((noise[first].shape[1], trials))
@@ -92,7 +95,7 @@ def _half(drawn: Array) -> float:
 
 
 def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[Array]]:
-    """By set and output, the matrix (v, N) that maps all observations to the residuals of the verification positions."""
+    """For each set and output, the matrix (v, N) that maps all observations to the residuals at the verification positions."""
     v, total = len(verification), len(verification) + sum(gains.shape[2] for gains in sets.values())
     found, start = {}, v
     for name, gains in sets.items():
@@ -106,9 +109,9 @@ def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[A
 
 
 def weighted_inverse(matrix: Array, sigma: Array) -> Array:
-    """The matrices that compute the coefficients from the observations, (m, p, n), for m outputs, p coefficients and n positions, by
-    weighted least squares. sigma: (m, n), standard deviations of the observations. The columns of the design `matrix` (n, p) are scaled
-    internally, because in SI units it is ill-conditioned."""
+    """The matrices that compute the coefficients from the observations, (m, p, n), for m outputs, p coefficients and n positions,
+    by weighted least squares. sigma: (m, n), standard deviations of the observations. The columns of the design `matrix` (n, p) are
+    scaled internally, because the design in SI units is ill-conditioned."""
     size = np.abs(matrix).max(axis=0)
     size[size == 0] = 1.0
     inverse: Array = np.linalg.pinv(matrix / sigma[..., None] / size) / size[:, None] / sigma[:, None, :]

@@ -1,7 +1,8 @@
-"""Residuals in verification positions after compensation with each of two or more sets of coefficients (CN100554884C, model G0).
+"""Residuals at verification positions after compensation with each of two or more sets of coefficients (CN100554884C, model G0).
 
-Each set recovers ω_Y and ω_X from the outputs; the differences from the components of the Earth rate are its residuals. The measured ratio
-of the residual sums of squares is compared with the ratio expected from the positions of the sets.
+Each set recovers ω_Y and ω_X from the outputs; the residuals of a set are the differences between these rates and the components of
+the Earth rate. The measured ratio of the residual sums of squares is compared with the ratio expected from the positions of the
+sets.
 """
 
 from __future__ import annotations
@@ -148,7 +149,7 @@ class CompensationResidual:
 
 
 def _independent(stated: Sequence[Influence]) -> list[Influence]:
-    """The inputs without those that the residuals of a fit suggest: they are no knowledge from before the experiment."""
+    """The inputs that were known before the experiment, without those that were derived from the residuals of a fit."""
     return [one for one in stated if not one.quantity.from_residuals]
 
 
@@ -166,7 +167,7 @@ def _several(sets: Sized) -> None:
 
 
 def _relative(block: DesignBlock) -> Array:
-    """The noise of the calibration relative to its root mean square, because only ratios matter."""
+    """The noise of the calibration, divided by its root mean square, because only ratios matter."""
     typical = float(np.sqrt(np.mean(block.sigma**2)))
     return block.sigma / typical if typical > 0 else np.ones_like(block.sigma)
 

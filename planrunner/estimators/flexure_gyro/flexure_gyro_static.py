@@ -74,7 +74,7 @@ class FlexureGyroStaticParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StaticQuantities(Quantities):
-    """Fitted static coefficients. stated: influences on SI [U; V], output after output."""
+    """Fitted static coefficients. stated: influences on [U; V] in SI, output after output."""
 
     observations: Observations
     design: PositionsDesign
@@ -105,7 +105,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         return Design(blocks, notes=(note,), extra=known, remarks=remarks)
 
     def known(self, request: DesignRequest[FlexureGyroStaticParameters]) -> Known:
-        """The declared U and V of the sensor; for a sensor without declaration, those of a gyro without drift."""
+        """The declared coefficients U and V of the sensor; if none are declared, the coefficients of a gyro without drift."""
         parameters = request.parameters
         nominal, names = request.sensor.nominal, flexure_gyro.physical_names(parameters.terms)
         if any(name not in nominal for name in names[:4]):
@@ -145,7 +145,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         )
 
     def words(self, request: EstimateRequest[FlexureGyroStaticParameters], found: StaticQuantities) -> Words:
-        """Makes the tables of residuals, of both bases of uncertainty, and of the determinant of the positions."""
+        """Makes the tables of the residuals, of the uncertainties on each basis, and of the determinant of the positions."""
         fit, basis = found.fit, request.parameters.uncertainty
         judged = judge(fit, basis)
         notes, warnings = list(judged.texts), list(judged.warnings)
@@ -259,8 +259,8 @@ def _extra(
     fit: OutputsFit,
     parameters: FlexureGyroStaticParameters,
 ) -> dict[str, object]:
-    """Data in SI for an estimate that uses these coefficients for compensation: coefficients, covariance on both bases, the design, and
-    the times and noise of the observations. The bias instability is 0.0 if the weights do not include it."""
+    """Data in SI for an estimate that uses these coefficients for compensation: coefficients, their covariance on each basis, the
+    design, and the times and noise of the observations. The bias instability is given as 0.0 if the weights do not include it."""
     flicker = {effect.quantity.name: effect.quantity.standard_uncertainty for effect in fit.effects}
     return {
         "outputs": list(parameters.outputs),
@@ -323,8 +323,8 @@ def _drift(axis: str, rate: str, kind: str) -> Said:
 
 
 def information(design: PositionsDesign) -> tuple[dict[str, object], Said]:
-    """The values `determinant` and `condition` for comparing sets of positions, with rates in Earth-rate units and accelerations in g;
-    and the same values in words."""
+    """The values `determinant` and `condition`, by which sets of positions can be compared, and the same values in words. The unit
+    of rates is the Earth rate, and the unit of accelerations is g."""
     sight = rank.look(design.matrix / design.magnitudes)
     determinant, condition = sight.determinant, sight.condition
     note = said(

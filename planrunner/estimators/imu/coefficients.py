@@ -35,8 +35,8 @@ _DIMENSION = {"gyro": DIMENSIONS["angular rate"], "accel": DIMENSIONS["accelerat
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """Responses of the three outputs of a triad. kind: gyro or accel. units: (3,), in which the outputs are recorded. values: (3, p),
-    coefficients of the model's terms, in those units per SI unit of each column."""
+    """Responses of the three outputs of a triad. kind: gyro or accel. units: (3,), the units in which the outputs are recorded.
+    values: (3, p), coefficients of the model's terms, in these units per SI unit of each column."""
 
     kind: str
     units: tuple[Unit, ...]
@@ -168,8 +168,8 @@ def _must_turn(responses: Sequence[Response]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """One reported quantity of one output: factor × `of`, where `of` computes a value from the output's row of responses, in own unit
-    per SI column."""
+    """One reported quantity of one output: factor × the value that `of` computes from the row of the output's responses, which are
+    in the output's unit per SI unit of each column."""
 
     reported: Reported
     of: RowFormula
@@ -185,7 +185,7 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
     found: list[_Part] = []
 
     def add(name: str, text: str, of: RowFormula, words: Said, si: float = own.factor) -> None:
-        """Adds a quantity. text: the unit of the report; si: the SI value of the unit of `of`."""
+        """Adds a quantity. text: unit of the reported quantity; si: SI value of the unit of the result of `of`."""
         try:
             factor = si / unit(text).factor
         except UnknownUnitError as error:

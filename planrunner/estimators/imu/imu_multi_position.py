@@ -103,7 +103,7 @@ class ImuMultiPositionParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Triad:
-    """One triad's data. kind: gyro or accel."""
+    """The data of one triad. kind: gyro or accel."""
 
     kind: str
     design: PositionsDesign
@@ -169,7 +169,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         )
 
     def words(self, request: EstimateRequest[ImuMultiPositionParameters], made: ImuQuantities) -> Words:
-        """Makes the tables of matrices and residuals, with both bases of uncertainty."""
+        """Makes the tables of the matrices and the residuals, and of the uncertainties on each basis."""
         parameters = request.parameters
         basis = parameters.uncertainty
         triads, frame, found = made.triads, made.frame, made.found
@@ -261,7 +261,8 @@ def _design(kind: str, terms: Sequence[str], segments: Sequence[Segment], site: 
 
 
 def _magnitudes(model: ErrorModel, matrix: Array) -> Array:
-    """Declared sizes of the columns, (p,). For all rates it is the largest planned rate, so that an axis without rotation is detected."""
+    """Declared sizes of the columns, (p,). For the columns of all three rates, the size is the largest planned rate, so that an
+    axis without rotation is detected."""
     rates = [k for k, term in enumerate(model.terms) if term.unit == "rad/s"]
     sizes = model.magnitudes
     if rates:
@@ -327,7 +328,8 @@ def _earth_rate_alone(
 def _extra(
     request: EstimateRequest[ImuMultiPositionParameters], frame: Framed, found: Sequence[Coefficient]
 ) -> dict[str, object]:
-    """Matrices for estimates that use this one, and the coefficients with their temperature if all segments had the same temperature."""
+    """The matrices, for estimates that use this estimate, and the coefficients with their temperature if all segments had the same
+    temperature."""
     extra: dict[str, object] = {
         one.kind: {
             "terms": list(one.model.names),
@@ -353,7 +355,8 @@ def _inverse(one: Response) -> Array | None:
 
 
 def by_temperature(found: Sequence[Coefficient], celsius: float, time: float) -> Mapping[str, object]:
-    """The coefficients at one temperature, in the form of `extra` that `interface.Estimate` describes. time: of the test, s."""
+    """The coefficients at one temperature, in the form of `extra` that `interface.Estimate` describes. time: mean time of the test,
+    s."""
     return {
         one.name: {
             "temperature_degC": [celsius],

@@ -1,1 +1,1 @@
-"""Residual of constant errors in a navigation with a rotation cycle."""
+"""How much of constant sensor errors remains in a navigation with a rotation cycle."""

@@ -1,7 +1,8 @@
-"""The part of a navigation's velocity error with the period of the rotation cycle, separated from Schuler and 24-hour oscillations.
+"""The part of a navigation's velocity error that repeats with the rotation cycle, separated from Schuler and 24-hour oscillations.
 
-Horizontal velocity is written as a complex number, east + i·north. Over a whole number of cycles it is fitted by least squares with a
-straight line, the free oscillations at ±ω_s − Ω·sin φ and ±Ω, and the harmonics of the cycle at plus and minus their rates.
+Horizontal velocity is written as a complex number, east + i·north. Over a whole number of cycles, the velocity is fitted by least
+squares with a straight line, with the free oscillations at ±ω_s − Ω·sin φ and ±Ω, and with the harmonics of the cycle at positive
+and negative rates.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ class TooLittleError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class PeriodicPart:
-    """The periodic part of a velocity error. orders: (m,), positive and negative harmonics; velocities: (m,), their coefficients [m/s];
-    noise: (m,), standard uncertainty of each [m/s], from the residuals; hidden: harmonics that are too close to a free oscillation;
-    period: s."""
+    """The periodic part of a velocity error. orders: (m,), positive and negative harmonics; velocities: (m,), coefficients of the
+    harmonics [m/s]; noise: (m,), standard uncertainty of each coefficient [m/s], from the residuals; hidden: harmonics that are too
+    close to a free oscillation; period: period of the cycle, s."""
 
     orders: NDArray[np.int_]
     velocities: Complex
@@ -43,7 +44,7 @@ class PeriodicPart:
         return largest(self.orders, self.velocities)
 
     def largest_position(self) -> float:
-        """Amplitude of the position error that repeats with the cycle [m]."""
+        """Amplitude of the position error [m] that repeats with the cycle."""
         return largest(self.orders, self.velocities * self.period / (2j * math.pi * self.orders))
 
     def position_noise(self) -> float:
@@ -52,7 +53,7 @@ class PeriodicPart:
 
 
 def largest(orders: NDArray[np.int_], parts: Complex) -> float:
-    """The largest absolute value over a cycle of Σ parts·exp(i·order·ω·t)."""
+    """The largest absolute value of Σ parts·exp(i·order·ω·t) over a cycle."""
     if not len(orders):
         return 0.0
     phase = np.linspace(0, 2 * math.pi, 64 * int(np.abs(orders).max()), endpoint=False)
@@ -60,7 +61,7 @@ def largest(orders: NDArray[np.int_], parts: Complex) -> float:
 
 
 def periodic_part(time: Array, velocity: Complex, period: float, highest: int, site: Site) -> PeriodicPart:
-    """Separates the periodic part of a velocity error. time: (n,), s, evenly spaced, from the beginning of a cycle; velocity: (n,),
+    """Separates the periodic part of a velocity error. time: (n,), s, evenly spaced, starting when a cycle starts; velocity: (n,),
     m/s; highest: the highest harmonic to fit.
 
     Raises `TooLittleError`.

@@ -1,8 +1,9 @@
-"""Effect of rotating the sensor on its navigation: comparison of two or more navigations, one of them without rotation.
+"""The effect of rotating the sensor on its navigation: a comparison of two or more navigations, of which one is without rotation.
 
-Each navigation is a `strapdown_navigation` estimate. Over their common duration, their errors give the ratio of CEP rates and the
-suppression of the position error. Over whole cycles, the periodic part is separated and compared with the prediction from the cycle's
-residual and harmonics for declared constant errors. docs/rotation-cycles.md gives theory and figures.
+Each navigation is a `strapdown_navigation` estimate. Over the time common to all navigations, their errors give the ratio of CEP
+rates and the suppression of the position error. Over whole cycles, the periodic part of the error is separated and compared with a
+prediction, which follows from the declared constant errors and from the residual and the harmonics of the cycle.
+docs/rotation-cycles.md gives the theory and figures.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class ModulationResidualParameters(Record):
 
     @property
     def declared(self) -> Array | None:
-        """Declared constant errors (6,), rad/s and m/s²; None if the plan states none."""
+        """Declared constant errors (6,), rad/s and m/s²; None if the plan states no constant errors."""
         if not self.gyro_errors and not self.accelerometer_errors:
             return None
         parts = (self.gyro_errors, self.accelerometer_errors)
@@ -70,8 +71,8 @@ class ModulationResidual:
     Parameters = ModulationResidualParameters
 
     def design(self, request: DesignRequest[ModulationResidualParameters]) -> Design:
-        """Makes a design without coefficients. Its notes give the residuals of the cycles. A remark reports why the comparison is not
-        possible, if so."""
+        """Makes a design without coefficients. Its notes give the residuals of the cycles. If the comparison is not possible, a
+        remark gives the reason."""
         moving = [segment for segment in request.segments if rotation(segment.motion, request.setup.table) is not None]
         if not moving or len(request.uses) < 2:
             message = (
@@ -89,7 +90,7 @@ class ModulationResidual:
         return Design((), notes=tuple(_left(segment, request) for segment in told))
 
     def foresee(self, request: DesignRequest[ModulationResidualParameters]) -> Foresight:
-        """Gives only the names of the coefficients, because their values compare the errors of single navigations."""
+        """Gives only the names of the coefficients, because the values depend on the errors of single navigations."""
         designs = list(request.uses.items())
         if not all("turned" in design.extra for _, design in designs):
             return Foresight()
@@ -134,7 +135,7 @@ class ModulationResidual:
 
 
 def _lacks(request: DesignRequest[ModulationResidualParameters]) -> Remark | None:
-    """Missing navigations, as far as the designs of the used estimates describe them."""
+    """The navigations that are missing, as far as the designs of the used estimates show this."""
     told = {name: used.extra for name, used in request.uses.items() if used is not None and "navigated" in used.extra}
     if len(told) < len(request.uses):
         return None
@@ -178,8 +179,8 @@ def _compared(name: str, still: str) -> tuple[tuple[str, str, Said], tuple[str, 
 
 
 def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coefficient, ...], Array]:
-    """Ratios of CEP rates and suppression, with their covariance. They are correlated because all of them contain the navigation at
-    rest."""
+    """The ratios of CEP rates and the suppressions, with their covariance. The results are correlated, because all of them contain
+    the navigation without rotation."""
     if still.rms == 0.0:
         raise UnfitDataError(f"'{still.name}' has no position error at all, so nothing can be compared with it")
     coefficients, rows = [], []
@@ -293,8 +294,8 @@ def _cycles(
 def _predicted(
     navigations: Sequence[Navigation], request: EstimateRequest[ModulationResidualParameters]
 ) -> list[Table]:
-    """Errors predicted from the declared constant errors by the linear error equations. The error about the vertical is not modulated,
-    so the prediction for the horizontal errors alone shows the benefit of a cycle."""
+    """Errors predicted from the declared constant errors by the linear error equations. A cycle does not modulate the error about
+    the vertical, so the prediction for the horizontal errors alone shows the benefit of the cycle."""
     declared = request.parameters.declared
     if declared is None:
         return []
@@ -340,7 +341,8 @@ def _plots(navigations: Sequence[Navigation]) -> tuple[Plot, ...]:
 
 
 def _left(segment: Segment, request: DesignRequest[ModulationResidualParameters]) -> str:
-    """The residual of the cycle of a planned segment, and the position error that the declared horizontal errors cause through it."""
+    """The residual of the cycle of a planned segment, and the position error that this residual leaves of the declared horizontal
+    errors."""
     table, declared = request.setup.table, request.parameters.declared
     cycle = rotation(segment.motion, table)
     assert cycle is not None

@@ -1,4 +1,4 @@
-"""The navigations that `modulation_residual` compares: their errors over the common time, and the rotation of each."""
+"""The navigations that `modulation_residual` compares: their errors over the common time, and the rotation of each navigation."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _NO_REFERENCE = (
 
 @dataclass(frozen=True, slots=True)
 class Navigation:
-    """One navigation over the time common to all. course: (5, n), time [s], east and north position error [m], east and north velocity
-    error [m/s]; cycle: None at rest; aligned: the cycle during alignment, None at rest; highest: the highest harmonic of interest;
-    spread: relative standard uncertainty of the radial error rate."""
+    """One navigation over the time that all navigations cover. course: (5, n), time [s], east and north position error [m], east
+    and north velocity error [m/s]; cycle: the cycle during navigation, None at rest; aligned: the cycle during alignment, None at
+    rest; highest: the highest harmonic of interest; spread: relative standard uncertainty of the radial error rate."""
 
     name: str
     attitude: Array | None
@@ -53,7 +53,8 @@ class Navigation:
 
     @property
     def cep_rate(self) -> float:
-        """The CEP rate [nmi/h]: √(ln 2) times the slope of the line through the origin that is fitted to radial error over time."""
+        """The CEP rate [nmi/h]: √(ln 2) times the slope of a line through the origin that is fitted to the radial error as a
+        function of time."""
         time = self.course[0]
         return CEP_SHARE * float(time @ self.radial / (time @ time)) * HOUR / NAUTICAL_MILE
 

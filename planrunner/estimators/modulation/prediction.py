@@ -1,9 +1,10 @@
-"""Predicted errors of a navigation on a turning table from declared constant sensor errors. One prediction uses the linear error
-equations, the other uses harmonics.
+"""Predicted errors of a navigation on a turning table, caused by declared constant sensor errors. One prediction uses the linear
+error equations, the other uses harmonics.
 
-An alignment at rest adjusts tilt and azimuth to compensate the unobservable sensor errors (`ErrorEquations.levelled`). As long as the
-unit stays at rest, these errors then mostly cancel. An alignment through a cycle compensates only the residual of the cycle. Afterwards
-the errors of gyros and accelerometers, rotated with the table, are the input of the equations.
+An alignment at rest adjusts tilt and azimuth so that they compensate the sensor errors that it cannot observe
+(`ErrorEquations.levelled`). As long as the unit then stays at rest, these errors mostly cancel. An alignment through a cycle
+compensates only the residual of the cycle. After the alignment, the errors of gyros and accelerometers, rotated with the table, are
+the input of the equations.
 """
 
 from __future__ import annotations
@@ -32,10 +33,11 @@ def errors_over_time(
     seconds: float,
     site: Site,
 ) -> tuple[Array, Array]:
-    """Position errors over time, as (times (n,) [s], errors (n, 2) [m] east and north).
+    """Position errors as a function of time: times (n,) [s] and errors (n, 2) [m], east and north.
 
-    errors: (6,), constant errors of gyros [rad/s] and accelerometers [m/s²] along x, y, z; attitude: (3, 3), rows are the sensor's axes in
-    East-North-Up at the first position; cycle, aligned: of the navigation and of the alignment before it, None at rest.
+    errors: (6,), constant errors of gyros [rad/s] and accelerometers [m/s²] along x, y, z; attitude: (3, 3), rows are the sensor's
+    axes in East-North-Up at the first position; cycle, aligned: rotation cycle of the navigation, and of the alignment before it;
+    None at rest.
     """
     equations = ErrorEquations.at(site)
     level = attitude.T @ errors.reshape(2, 3).T  # columns: gyros, accelerometers, in East-North-Up
@@ -63,7 +65,7 @@ def errors_over_time(
 
 
 def horizontal(errors: Array, attitude: Array) -> Array:
-    """Constant errors (6,) without their vertical part, which rotation about the vertical does not modulate."""
+    """Constant errors (6,) without their vertical part, because rotation about the vertical does not modulate this part."""
     up = attitude[:, 2]
     across: Array = errors - np.concatenate([up * (part @ up) for part in (errors[:3], errors[3:])])
     return across
@@ -72,7 +74,8 @@ def horizontal(errors: Array, attitude: Array) -> Array:
 def periodic_amplitudes(
     errors: Array, attitude: Array, cycle: RotationCycle, orders: NDArray[np.int_], site: Site
 ) -> tuple[float, float]:
-    """Amplitudes of the velocity [m/s] and position errors [m] that repeat with the cycle, from its harmonics `orders`."""
+    """Amplitudes of the velocity error [m/s] and the position error [m] that repeat with the cycle, computed from the harmonics
+    `orders` of the cycle."""
     level = attitude.T @ errors.reshape(2, 3).T
     gyro, accelerometer = (complex(level[0, column], level[1, column]) for column in (0, 1))
     forced = {
