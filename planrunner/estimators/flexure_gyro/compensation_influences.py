@@ -1,9 +1,8 @@
 """Influences of the declared inputs of the bench on residuals after compensation and on their sums of squares.
 
 Let c be the coefficients of a set, X the design of the verification positions and i the outputs. The residual is r = M⁻¹·(i − X·c),
-where the matrix A wrong input affects r in two ways: through X, and through c, because the calibration used the same latitude,
-gravity, azimuth and table. Both contributions have the name of the same input, so they are added with their signs. M is computed
-from c.
+where the matrix M is computed from c. A wrong input affects r in two ways: through X, and through c, because the calibration used the
+same latitude, gravity, azimuth and table. Both contributions have the name of the same input, so they are added with their signs.
 """
 
 from __future__ import annotations
