@@ -1,1 +1,1 @@
-"""The running runs of an archive, the server of the live page, and the view on a terminal."""
+"""Runs in progress: their observation in an archive, the server of the live page, and the view on a terminal."""

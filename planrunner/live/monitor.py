@@ -1,7 +1,8 @@
-"""The running runs of an archive, found in its run folders; and the actions of a person: pause, continue, confirm a prompt.
+"""Finds the runs of an archive that are in progress, from their run folders, and carries out the actions of a person: pause,
+continue, confirm a prompt.
 
-Runs are executed by other processes. A run with a live state is running if that state changes, or if its folder is locked. The lock
-is tried as rarely as possible, because a trial holds it for a moment.
+Runs are executed by other processes. A run with a live state is running if its live state changes, or if its folder is locked. The
+lock is tried as rarely as possible, because each trial holds the lock for a moment.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ RunOutcome = Literal["finished", "not finished", "unreadable"]
 
 @dataclass(frozen=True, slots=True)
 class RunHeader:
-    """Data of a run from run.json; empty texts if it cannot be read. started: UTC, ISO 8601."""
+    """Data of a run from run.json; empty texts if it cannot be read. started: time of the start, UTC, ISO 8601."""
 
     run: str
     plan: str = ""
@@ -55,7 +56,7 @@ class RunHeader:
 
 @dataclass(frozen=True, slots=True)
 class RunningRun:
-    """A running run. asked_to_pause: whether a pause is requested, even if it has not begun."""
+    """A run that is in progress. asked_to_pause: True if a pause is requested, even if the pause has not begun."""
 
     header: RunHeader
     state: LiveState
@@ -67,7 +68,8 @@ class RunningRun:
 
 @dataclass(frozen=True, slots=True)
 class RecentRun:
-    """A recent run. segments: number of recorded segments. reason: last failure in the journal, if any."""
+    """A recent run that is not in progress. segments: number of recorded segments. reason: last failure in the journal, empty if
+    there is none."""
 
     header: RunHeader
     outcome: RunOutcome
@@ -80,7 +82,7 @@ class RecentRun:
 
 @dataclass(frozen=True, slots=True)
 class Activity:
-    """State of an archive at one moment; the newest runs first. at: UTC, ISO 8601."""
+    """State of an archive at one moment; the newest runs come first."""
 
     running: tuple[RunningRun, ...]
     recent: tuple[RecentRun, ...]
@@ -95,8 +97,8 @@ class Activity:
 
 @dataclass(slots=True)
 class _Pulse:
-    """The last live state of a run. at: time in this state. seen: when it was first seen, s. alive: answer of the lock, None if it
-    was not tried for this state."""
+    """The last live state of a run. at: the time that this state states. seen: time when this state was first seen, s. alive:
+    whether the folder of the run was found locked; None if the lock was not tried for this state."""
 
     at: str
     seen: float
@@ -104,7 +106,7 @@ class _Pulse:
 
 
 class Monitor:
-    """Observes an archive. Raises `InputError` if it is not a folder. It may be used from several threads."""
+    """Observes an archive. Raises `InputError` if the archive is not a folder. A monitor may be used from several threads."""
 
     def __init__(self, archive: Path):
         try:
@@ -135,7 +137,7 @@ class Monitor:
             return Activity(tuple(running), tuple(islice(recent, RECENT)))
 
     def _names(self) -> list[str]:
-        """Names of the folders, the newest run first. The names begin with the time."""
+        """Names of the run folders, the newest run first. The names begin with the time of the run."""
         try:
             with os.scandir(self.path) as listed:
                 names = [item.name for item in listed if not item.name.startswith(".") and item.is_dir()]
@@ -178,7 +180,7 @@ class Monitor:
         return self._headers[name]
 
     def _ended(self, name: str) -> RecentRun | None:
-        """A run that is not running. Its journal is read again only if it has grown."""
+        """A run that is not running. The journal of such a run is read again only if it has grown."""
         try:
             folder = self._archive.folder(name)
             journal = folder.entry(JOURNAL)

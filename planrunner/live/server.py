@@ -75,7 +75,7 @@ class _Watching:
         self.text = ""
 
     def enter(self) -> bool:
-        """Registers a page. Returns whether there is room for it."""
+        """Registers a page. Returns False if too many pages are open, or if the server stops."""
         with self._condition:
             if self._watchers >= MOST_WATCHERS or self._stop.is_set():
                 return False
@@ -90,7 +90,8 @@ class _Watching:
             self._watchers -= 1
 
     def after(self, number: int) -> tuple[int, str]:
-        """The first text with a higher number than the given one, or the same text after `KEEP_ALIVE`."""
+        """Waits for a text with a higher number than `number`, and returns this number and the text; after `KEEP_ALIVE`, returns
+        the present ones."""
         with self._condition:
             self._condition.wait_for(lambda: self.number > number or self._stop.is_set(), KEEP_ALIVE)
             return self.number, self.text
@@ -132,7 +133,8 @@ class RefusedRequestError(Exception):
 
 
 class LiveServer(ThreadingHTTPServer):
-    """Serves the live page of an archive until `shutdown`. port: 0 for a free one. Raises `InputError` if the port is not available."""
+    """Serves the live page of an archive until `shutdown`. port: port number; 0 selects a free port. Raises `InputError` if the
+    port is not available."""
 
     daemon_threads = True
     allow_reuse_address = True
@@ -165,7 +167,7 @@ class LiveServer(ThreadingHTTPServer):
         super().shutdown()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Ignores errors of pages that were closed."""
+        """Ignores errors in connections of pages that were closed."""
 
 
 class _Handler(BaseHTTPRequestHandler):

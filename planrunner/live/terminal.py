@@ -1,4 +1,4 @@
-"""The running runs on a terminal: a table with the statistics of the channels, and one line for each run for a log."""
+"""Shows runs in progress on a terminal: a table with the statistics of the channels, or one line for each run for a log."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BAR = 60
 
 
 def activity_view(activity: Activity) -> RenderableType:
-    """All running runs, for a terminal."""
+    """A view of all runs in progress, for a terminal."""
     from rich.console import Group
     from rich.text import Text
 
@@ -73,7 +73,7 @@ def _number(value: float, digits: int) -> str:
 
 
 def log_line(run: RunningRun) -> str:
-    """One line for a run, for a log."""
+    """One line about a run in progress, for a log."""
     return f"{_title(run)}: {_place(run)}"
 
 

@@ -1,10 +1,10 @@
 """Alignment at rest: coarse alignment from the directions of gravity and Earth rotation, fine alignment from the velocity, which should
 be zero.
 
-Coarse: the mean specific force points up, its cross product with the mean rate points east (Britting, "Inertial Navigation Systems
-Analysis", 1971, chapter 9). Fine: the navigator runs from the coarse attitude. As the unit does not move, the computed velocity is an
-error. This velocity is the measurement of a Kalman filter with the linear error equations, which gives tilt and azimuth with their
-covariance (gyrocompassing). Swaying is permitted, because the gyros measure it.
+Coarse: the mean specific force f points up, and its cross product with the mean rate, ω × f, points east (Britting, "Inertial
+Navigation Systems Analysis", 1971, chapter 9). Fine: the navigator starts with the coarse attitude. As the unit does not move, the
+computed velocity is an error. This velocity is the measurement of a Kalman filter with the linear error equations, which gives tilt
+and azimuth with their covariance (gyrocompassing). Swaying is permitted, because the gyros measure it.
 
 While the unit keeps its attitude, constant sensor errors cannot be distinguished from tilt and azimuth (`ErrorEquations.levelled`). If
 the unit is turned about the vertical from stop to stop, they can be distinguished. The filter then includes them as states, together with
@@ -35,11 +35,12 @@ _PRIOR = math.radians(10)  # standard uncertainty of the coarse attitude; so wid
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """Result of an alignment. rotation: body axes as columns in East-North-Up, (3, 3). covariance: (16, 16), of the remaining errors: the
-    states of `error_equations`, the constant sensor errors, and the gyro errors per rate of turn in body axes. constant: (6,), constant
-    errors as estimated, rad/s and m/s². consistency: root mean square of the innovations divided by the value expected from the noise; 1
-    or less is normal. largest: the largest innovation, m/s. followed: (16, 6, m), the remaining errors if one of the 6 sensors has an
-    error of 1 rad/s or 1 m/s² in one of m intervals of the alignment; m = 0 unless the intervals are requested."""
+    """Result of an alignment. rotation: body axes as columns in East-North-Up, (3, 3). covariance: (16, 16), covariance of the
+    remaining errors: the states of `error_equations`, the constant sensor errors, and the gyro errors per rate of turn in body
+    axes. constant: (6,), estimates of the constant sensor errors, rad/s and m/s². consistency: root mean square of the innovations
+    divided by the value expected from the noise; 1 or less is normal. largest: the largest innovation, m/s. followed: (16, 6, m),
+    the remaining errors if one of the 6 sensors has an error of 1 rad/s or 1 m/s² in one of m intervals of the alignment; m = 0
+    unless the intervals are requested."""
 
     rotation: Array
     covariance: Array
@@ -63,7 +64,8 @@ def coarse(rate: Array, force: Array) -> Array:
 
 
 class FineAlignment:
-    """The Kalman filter of the fine alignment. It takes velocities knot by knot and gives the attitude at the end."""
+    """The Kalman filter of the fine alignment. It takes the velocities of the navigator at one output time (knot) after another,
+    and gives the attitude at the end."""
 
     def __init__(
         self,
@@ -73,9 +75,10 @@ class FineAlignment:
         constant: Array | None = None,
         follow: float | None = None,
     ):
-        """density: (6, 6), variance per second of the integrated gyros [rad²/s] and accelerometers [(m/s)²/s], navigation axes.
-        seconds: time between knots. constant: (6,), standard uncertainty of the constant errors before alignment; None if they are
-        not estimated. follow: length of the intervals for `Alignment.followed`, s; None for none."""
+        """density: (6, 6), in navigation axes, variance per second of the integrated gyros [rad²/s] and accelerometers [(m/s)²/s].
+        seconds: time between knots, the output times of the navigator. constant: (6,), standard uncertainty of the constant errors
+        before alignment; None if they are not estimated. follow: length of the intervals for `Alignment.followed`, s; None if they
+        are not requested."""
         self._transition = np.eye(_ALL)
         self._transition[:SIZE, :SIZE], self._response = equations.step(seconds)
         self._added = np.zeros((_ALL, _ALL))
@@ -124,8 +127,8 @@ class FineAlignment:
         self._largest = max(self._largest, *map(abs, innovation.tolist()))
 
     def _follow(self, kept: Array, transition: Array, interval: int) -> None:
-        """Updates the errors that sensor errors in this interval and before leave after the measurement. The initial states of the
-        alignment do not contain these sensor errors, so their responses begin at zero."""
+        """Updates the errors that remain after the measurement because of sensor errors in this interval and in earlier intervals.
+        The initial states of the alignment do not contain these sensor errors, so their responses begin at zero."""
         missing = INPUTS * (interval + 1) - self._followed.shape[1]
         errors = np.hstack([self._followed, np.zeros((_ALL, max(missing, 0)))])
         errors = transition @ errors
@@ -133,7 +136,7 @@ class FineAlignment:
         self._followed = kept @ errors
 
     def finish(self, rotation: Array) -> Alignment:
-        """The aligned attitude. rotation: the attitude of the navigator, (3, 3), less than one knot interval after the last knot."""
+        """The aligned attitude. rotation: (3, 3), attitude of the navigator, less than one knot interval after the last knot."""
         consistency = math.sqrt(self._squares / self._count) if self._count else math.nan
         aligned = attitude.small_rotation(self._state[TILT]) @ rotation
         constant = self._state[SIZE : SIZE + INPUTS].copy()

@@ -1,8 +1,9 @@
 """Attitude: body axes in East-North-Up as quaternion, matrix, and heading, pitch and roll.
 
-The body's x, y, z axes are right, forward, up: with heading, pitch and roll zero they point east, north, up. Heading: of the y axis
-from true north, clockwise seen from above; pitch: of the y axis above the horizon; roll: about the y axis, positive with the x axis
-below it. Quaternions are scalar first and rotate body vectors into navigation axes.
+The body's x, y, z axes are right, forward, up: with heading, pitch and roll zero they point east, north, up. Heading is the angle
+of the y axis from true north, clockwise seen from above. Pitch is the angle of the y axis above the horizon. Roll is the rotation
+about the y axis, positive if the x axis is below the horizon. Quaternions are scalar first and rotate body vectors into navigation
+axes.
 """
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ class ErrorEquations:
         return np.asarray((covariance + covariance.T) / 2)
 
     def covariances(self, start: Array, density: Array, seconds: float, count: int) -> Iterator[Array]:
-        """Covariance (7, 7) after 1, 2 … `count` intervals of `seconds`, beginning with `start`."""
+        """Yields the covariance (7, 7) after 1, 2 … `count` intervals of `seconds`, beginning with the covariance `start`."""
         transition, added = self.step(seconds)[0], self.noise(density, seconds)
         covariance = start
         for _ in range(count):

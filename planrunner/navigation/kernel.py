@@ -122,8 +122,8 @@ def _product(p, q):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _new_attitude(q, body, e, n, u):  # type: ignore[no-untyped-def]
-    """The attitude after two rotations: the body's rotation vector, and a rotation vector (e, n, u) of the navigation axes. It is
-    normalised."""
+    """The attitude after two rotations: the body's rotation vector, and a rotation vector (e, n, u) of the navigation axes. The
+    resulting quaternion is normalised."""
     bx, by, bz = body
     s, c = _half_angle(bx * bx + by * by + bz * bz)
     turned = _product(q, (c, s * bx, s * by, s * bz))
@@ -154,7 +154,7 @@ def _new_velocity(v, d, place, dt, held):  # type: ignore[no-untyped-def]
 
 @compiled()
 def advance(state, increments, interval, aiding, earth, gains, held, every, knots):  # type: ignore[no-untyped-def]
-    """Advances `state` (18,) over n samples in place; returns the number of knots written.
+    """Advances `state` (18,) over n samples in place; returns the number of output points (knots) written.
 
     increments: (6, n), angle [rad] and velocity [m/s] about and along body x, y, z. interval: (n,), s. aiding: (n,) reference
     height [m] for the damped vertical channel, or (1,) for a constant one. earth: (rotation rate [rad/s], factor on normal

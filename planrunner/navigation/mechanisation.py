@@ -47,9 +47,10 @@ class Navigator:
         every: int = 1,
         last: Array | None = None,
     ):
-        """quaternion: body to East-North-Up, scalar first (4,). velocity: (3,), m/s. position: latitude, longitude [rad], height [m].
-        vertical: `held`, `damped` or `free`; `held` keeps height and vertical velocity. gravity_factor: factor on normal gravity. every:
-        steps between knots. last: (6,), the increments before the first, for coning and sculling; zeros if None."""
+        """quaternion: body to East-North-Up, scalar first (4,). velocity: (3,), m/s. position: latitude, longitude [rad], height
+        [m]. vertical: `held`, `damped` or `free`; `held` keeps height and vertical velocity. gravity_factor: factor on normal
+        gravity. every: number of steps between output points (knots). last: (6,), the increments before the first step, for coning
+        and sculling; zeros if None."""
         from planrunner.navigation import kernel
 
         self._kernel = kernel
@@ -66,7 +67,7 @@ class Navigator:
         self._height = np.array([position[2]])
 
     def advance(self, increments: Array, interval: Array, reference_height: Array | None = None) -> Knots:
-        """Takes n increments and returns the knots among them.
+        """Takes n increments and returns the output points (knots) that lie among them.
 
         increments: (6, n), angle [rad] and velocity [m/s] on body x, y, z over the intervals (n,) [s]. reference_height: (n,) or (1,), m,
         for the damped channel; by default the initial height.

@@ -17,7 +17,7 @@ from planrunner.night.suite import DAYS, NightWindow
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """A window on one day, from the instant `opens` to the instant `closes`."""
+    """An opening of a window on one day, from the instant `opens` to the instant `closes`."""
 
     opens: float
     closes: float

@@ -31,10 +31,11 @@ Measurement = tuple[Path, str, tuple[tuple[str, str], ...]]
 class PlannedTest:
     """One test of a night: one run of a plan.
 
-    name: unique, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1,dwell=2 min`. entry: name of the plan in the suite.
-    matrix: run information from the matrix. parameters: values for parameters of the plan. information: all run information that
-    the suite gives for the test, whether the plan asks for it or not. after, needs: indices of the tests that must have ended, and
-    of those that must have passed. mark: its place in the suite. standard: whether it measures the check standard of its bench.
+    name: unique name of the test, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1,dwell=2 min`. entry: name of the plan
+    in the suite. matrix: run information from the matrix. parameters: values for parameters of the plan. information: all run
+    information that the suite gives for the test, whether the plan asks for it or not. after, needs: indices of the tests that must
+    have ended before this test begins, and of the tests that must have passed. mark: place of the test in the suite. standard: True
+    if the test measures the check standard of its bench.
     """
 
     index: int
@@ -55,7 +56,7 @@ class PlannedTest:
 
     @property
     def values(self) -> dict[str, str]:
-        """The values that distinguish it from the other tests of its plan with its device on its bench."""
+        """The values that distinguish the test from the other tests of its plan with the same device on the same bench."""
         return {**self.matrix, **self.parameter_values}
 
     @property
@@ -70,8 +71,8 @@ class PlannedTest:
 
 @dataclass(frozen=True, slots=True)
 class StandardFirst:
-    """The check standard of a bench that is measured before its other tests. file: of the plan. blocks: whether the other tests
-    need the check standard to be in control."""
+    """A check standard that is measured before the other tests of its bench. file: file of the plan that measures it. blocks: True
+    if the other tests need the check standard to be in control."""
 
     device: str
     file: Path
@@ -85,8 +86,8 @@ CHECK_STANDARD = "check standard"
 def expand_suite(
     suite: Suite, folder: Path, log: Findings, standards: Mapping[str, StandardFirst] = MappingProxyType({})
 ) -> tuple[PlannedTest, ...]:
-    """The tests in the order of the file, after those of the check standards. folder: of the suite. standards: bench → its check standard,
-    if that is measured first. Unknown names, cycles and plans without a test become findings."""
+    """The tests in the order of the file, after those of the check standards. folder: folder of the suite. standards: bench → its
+    check standard, if the check standard is measured first. Unknown names, cycles and plans without a test become findings."""
     before = log.raised
     _check_names(suite, log)
     _check_cycles(suite, log)
@@ -200,9 +201,9 @@ def _combinations(choices: Mapping[str, Sequence[_Value]]) -> Iterator[dict[str,
 def _waited_for(
     test: PlannedTest, entries: Sequence[str], groups: Mapping[tuple[str | None, ...], Sequence[int]]
 ) -> tuple[int, ...]:
-    """The tests of other plans for which a test waits. These are the tests of its device on its bench; if there are none, those of
-    its device; if there are none, all tests. groups: tests of a plan, of a plan with a device, and of a plan with a device on a
-    bench."""
+    """The tests of other plans for which a test waits. For each of these plans, they are the tests with the same device on the same
+    bench; if there are none, the tests with the same device; if there are none either, all tests of the plan. groups: tests of a
+    plan, of a plan with a device, and of a plan with a device on a bench."""
     found: list[int] = []
     for entry in dict.fromkeys(entries):
         here, of_device = groups.get((entry, test.device, test.bench)), groups.get((entry, test.device))
@@ -231,7 +232,8 @@ def _check_names(suite: Suite, log: Findings) -> None:
 
 
 def _check_values(plan: SuitePlan, log: Findings) -> None:
-    """Checks for a value that is given twice, or a name in both `matrix` and `parameters`. Both would give two tests the same name."""
+    """Checks for a value that is given twice, or a name in both `matrix` and `parameters`. Either fault would give two tests the
+    same name."""
     for key, choices in (("matrix", plan.matrix), ("parameters", plan.parameters)):
         for name, values in choices.items():
             for place, value in enumerate(values):
@@ -269,8 +271,8 @@ def _check_cycles(suite: Suite, log: Findings) -> None:
 
 
 def _cycle_from(suite: Suite, start: str, done: set[str]) -> list[str]:
-    """A cycle that is reachable from a plan and has no plan in `done`; all plans reached are added to `done`. It works without
-    recursion, so that a long chain causes no error."""
+    """A cycle that can be reached from a plan without the plans in `done`; all plans that the search reaches are added to `done`.
+    The search works without recursion, so that a long chain causes no error."""
     path: list[str] = []
     stack: list[tuple[str, bool]] = [(start, False)]
     while stack:
@@ -293,7 +295,7 @@ def _cycle_from(suite: Suite, start: str, done: set[str]) -> list[str]:
 
 
 def known_failure(test: str, failures: Sequence[KnownFailure], kind: str, today: date) -> KnownFailure | None:
-    """The entry that covers a failure of this kind (`limit` or `fault`) of a test on this day."""
+    """The known failure in the suite that covers a failure of this kind (`limit` or `fault`) of a test on this day."""
     for entry in failures:
         covered = any(fnmatchcase(test, pattern) for pattern in entry.tests)
         if covered and kind in entry.of and today <= date.fromisoformat(entry.until):

@@ -28,7 +28,8 @@ FORMAT = 1
 
 
 def holds_nights(folder: Path) -> bool:
-    """Whether a folder is the folder in which an archive keeps its nights. It is next to the run folders, so `runs/*` includes it."""
+    """Whether a folder is the folder in which an archive keeps its nights. This folder lies beside the run folders, so `runs/*`
+    includes it."""
     return folder.name == FOLDER and folder.is_dir() and not (folder / RUN).exists()
 
 
@@ -55,7 +56,7 @@ class Attempt:
 
 @dataclass(slots=True)
 class RecordedTest:
-    """A test and its result. findings: reasons in words, each with file and line if known."""
+    """A test and its result."""
 
     about: JsonObject
     state: StateOfTest = "waiting"
@@ -71,8 +72,7 @@ class RecordedTest:
 
 @dataclass(slots=True)
 class NightRecord:
-    """A night. closes: instant; None without window and budget. state: running, interrupted, finished, or abandoned if it was not
-    continued."""
+    """The record of a night. state: running, interrupted, finished, or abandoned if the night was not continued."""
 
     zone: tzinfo | None = None
     created: JsonObject = field(default_factory=dict)
@@ -141,7 +141,7 @@ class NightRecord:
         return LIMIT_FAILED if "failed" in states else DONE
 
     def counts(self) -> dict[str, int]:
-        """State → number of tests, in the order of importance; states without tests are left out."""
+        """Maps each state to its number of tests, in the order of importance; states without tests are left out."""
         order = ("failed", "fault", "refused", "not_run", "known_failure", "passed", "running", "waiting")
         found = {state: sum(test.state == state for test in self.tests) for state in order}
         return {state: number for state, number in found.items() if number}

@@ -122,7 +122,7 @@ def build_site(index: Index, out: Path, notice: Announce | None = None) -> Built
 
 
 def _night(runs: Sequence[RunRow]) -> str:
-    """The moment after which the wall display shows runs; the newest run comes first."""
+    """The moment after which the wall display shows runs. runs: all runs, the newest first."""
     if not runs:
         return ""
     return (datetime.fromisoformat(runs[0].created) - NIGHT).isoformat(timespec="microseconds")
@@ -202,7 +202,7 @@ def _reports(archive: Path, run: RunRow) -> Iterator[str]:
 
 def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs: Sequence[RunRow]) -> Json:
     """A coefficient of a device over time, the oldest run first, with the limits of the plans, the control charts and the changes.
-    None for a missing value or uncertainty, and if there are no control limits."""
+    Missing values and uncertainties are None, and so are control limits that do not exist."""
     ordered = list(reversed(found))
     held = trend(device, quantity, [HistoryPoint(runs[point.run], point.row, point.limits) for point in ordered])
     usable = {point.run.folder for point in held.points}
@@ -210,7 +210,7 @@ def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs
     charts = held.charts
 
     def spread(values: NDArray[np.float64] | None) -> list[Json]:
-        """The values of a chart at their indices."""
+        """The values of a chart at the indices of their runs; None for runs without a value in the chart."""
         placed: list[Json] = [None] * len(ordered)
         for k, value in zip(places, () if values is None else values.tolist(), strict=values is not None):
             placed[k] = value

@@ -61,7 +61,7 @@ class NightWindow(Record):
 
 
 class StandardOverride(Record):
-    """Tests run although the check standard of the bench is not in control."""
+    """Tests of this bench run although its check standard is not in control."""
 
     by: str = key(
         Text(PERSON, "a person's name"), "Who decides this: a name in `may_override` of the bench file.", "anna"
@@ -215,7 +215,7 @@ class SuitePlan(Record):
 
 
 class KnownFailure(Record):
-    """A failure that is known and does not make the night fail, until a date."""
+    """A known failure that, until a stated date, does not make the night fail."""
 
     tests: tuple[str, ...] = key(
         ListOf(Text(r"[^\x00-\x1f]{1,200}", "a test's name or pattern"), single=True, minimum=1),
@@ -236,7 +236,7 @@ class KnownFailure(Record):
 
 
 class NightDiagnosis(Record):
-    """After the night, its runs are diagnosed together with recent runs of the same plans."""
+    """A diagnosis after the night: the runs of the night, together with recent runs of the same plans."""
 
     recent: int = key(
         Number(4, 400, integer=True),

@@ -49,8 +49,8 @@ class EndOfTest(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BenchHours:
-    """The hours in which a bench may work, and its warm-up. openings: None for any time. warm_up, stays_warm: s; inf for a bench
-    that stays warm."""
+    """The hours in which a bench may work, and its warm-up. openings: None if the bench may work at any time. warm_up: duration of
+    the warm-up, s; stays_warm: time for which the bench stays warm after a warm-up or a test, s; inf if it never cools down."""
 
     openings: tuple[Opening, ...] | None = None
     warm_up: float = 0.0
@@ -59,7 +59,8 @@ class BenchHours:
 
 @dataclass(frozen=True, slots=True)
 class NightHours:
-    """The hours of a night, as instants. begins, closes: of the night; closes is inf without window and budget."""
+    """The hours of a night, as instants. begins, closes: instants at which the night begins and closes; `closes` is inf without
+    window and budget."""
 
     begins: float
     closes: float
@@ -85,8 +86,8 @@ class WarmUp:
 
 @dataclass(slots=True)
 class _Test:
-    """A waiting test. since: the instant from which it may begin. pending: number of tests that must end before it. failed: how its last
-    attempt ended, if it waits for a repetition."""
+    """A waiting test. since: the earliest instant at which the test may begin. pending: number of tests that must end before it begins.
+    failed: how its last attempt ended, if the test waits for a repetition."""
 
     state: Literal["waiting", "running", "ended", "not run"] = "waiting"
     ending: EndOfTest | None = None
@@ -99,7 +100,7 @@ class _Test:
 @dataclass(slots=True)
 class _Bench:
     """The state of a bench. warm_at: end of its last warm-up. last_used: end of its last test. stopped: the reason why no further
-    test begins on it.
+    test begins on the bench; empty if there is none.
 
     ready: device → its tests that wait only for the bench, the device and the hours, in the order of the suite. first: heap of the
     first such test of each device. longest: heaps of the waiting tests with and without a warm-up, as (−planned seconds, test).
@@ -119,7 +120,7 @@ class _Bench:
 class NightCourse:
     """The state of a night. durations: planned seconds of each test; None if unknown (the test then counts as short).
 
-    It finds the next action without examining every test, so that the time for a night grows with the number of its tests and
+    The next action is found without examining every test, so that the time for a night grows with the number of its tests and
     dependencies, not with its square.
     """
 
@@ -172,7 +173,7 @@ class NightCourse:
             bench.warm_at = None
 
     def ended(self, test: int, at: float, ending: EndOfTest) -> bool:
-        """Records that a running test has ended. Returns True if it will not be repeated, so that this outcome is its result."""
+        """Records that a running test has ended. Returns True if the test will not be repeated, so that this outcome is its result."""
         planned, state = self.tests[test], self._tests[test]
         bench = self._benches[planned.bench]
         bench.running, bench.last_used = None, at
@@ -198,7 +199,7 @@ class NightCourse:
         self._benches[self.tests[test].bench].running = None
 
     def abandon(self, test: int) -> EndOfTest | None:
-        """Records that a waiting test will not run. Returns its result if it waited for a repetition: the end of its last attempt."""
+        """Records that a waiting test will not run. If the test waited for a repetition, returns its result: the end of its last attempt."""
         self._withdraw(test)
         state = self._tests[test]
         state.state, state.ending = "not run" if state.failed is None else "ended", state.failed
@@ -208,7 +209,7 @@ class NightCourse:
         return state.failed
 
     def _wait(self, index: int, since: float) -> None:
-        """Makes a test wait until an instant before it may begin."""
+        """Makes a test wait at least until an instant."""
         test, state = self.tests[index], self._tests[index]
         bench = self._benches[test.bench]
         state.state, state.since = "waiting", since
@@ -241,7 +242,7 @@ class NightCourse:
                 heappush(bench.first, index)
 
     def _withdraw(self, index: int) -> None:
-        """Removes a waiting test from the ready ones."""
+        """Removes a waiting test from the ready tests."""
         test = self.tests[index]
         bench = self._benches[test.bench]
         ready = bench.ready.get(test.device, [])
@@ -390,7 +391,7 @@ class NightCourse:
 
     def _starts(self, index: int, now: float, *, soonest: bool = False) -> float | None:
         """The first instant from now at which a test could begin with respect to the hours alone; None if it no longer fits.
-        soonest: whether to ignore its pause."""
+        soonest: if True, ignores the pause of the test before a repetition."""
         test, state = self.tests[index], self._tests[index]
         limits, bench = self.hours.benches[test.bench], self._benches[test.bench]
         earliest = max(now, self.hours.begins, -math.inf if soonest else state.since, bench.warm_at or -math.inf)
@@ -455,7 +456,7 @@ class NightForecast:
 
     @property
     def ends(self) -> float:
-        """The predicted end; the beginning if nothing runs."""
+        """The predicted end of the night; its beginning if no test runs."""
         return max((slot.ends for slot in self.slots), default=self.hours.begins)
 
     @property

@@ -50,15 +50,15 @@ class AngleSpikes:
     """Examines the samples of one channel in one pass over a segment."""
 
     def __init__(self, channel: str, radian: float, count: float, factor: float) -> None:
-        """radian: one radian in the channel's unit. count: declared resolution in this unit, 0 if none. factor: standard deviations that a
-        spike exceeds."""
+        """radian: one radian in the channel's unit. count: declared resolution in the channel's unit, 0 if none is declared.
+        factor: number of standard deviations that a spike must exceed."""
         self.channel, self.radian, self.count, self.factor = channel, radian, count, factor
         self.parts: list[tuple[Array, RowNumbers, Array]] = []
         self.held, self.begun = 0, False
         self.found: list[Find] = []
 
     def add(self, values: Array, first: int, time: Array) -> None:
-        """The next samples. first: row number of the first one. Samples that are not finite are ignored."""
+        """Takes the next samples. first: row number of the first of them. Samples that are not finite are ignored."""
         for low in range(0, len(values), _PIECE):
             part = slice(low, low + _PIECE)
             self._add(values[part], first + low, time[part])
@@ -126,7 +126,7 @@ class AngleSpikes:
         return max(_COUNTS * self.count, _SMALLEST * self.radian)
 
     def _judged(self, x: Array, k: int, scale: float) -> list[tuple[int, float, float]]:
-        """The sample k if it is a spike, which is then replaced in x."""
+        """Place, deviation and noise of the sample k if it is a spike, which is then replaced in x; otherwise empty."""
         off = float(_off_course(x[k - _SIDE : k + _SIDE + 1])[0])
         least = max(self.factor * scale, self._smallest)
         if abs(off) <= least or abs(off) <= self._seen_counts(x, k):
@@ -150,7 +150,7 @@ class AngleSpikes:
         return min(_COUNTS * float(bends.min(initial=math.inf)), _COARSE * self.radian)
 
     def _at_the_end(self, x: Array) -> list[tuple[int, float, float]]:
-        """A spike among the first samples of x, which may run backwards."""
+        """A spike among the first samples of x; for the last samples of a segment, x is reversed."""
         scale = _SCALE * float(np.median(np.abs(_off_parabola(x))))
         for k in range(1, _SIDE):
             off = float(_off_parabola(x[k : k + 4])[0])
@@ -175,5 +175,5 @@ def _off_parabola(x: Array) -> Array:
 
 
 def _after_fit(x: Array, pattern: Array) -> float:
-    """Sum of the squares that are left of x after a fit of its pattern."""
+    """Sum of the squares of x that remains after a fit of `pattern`."""
     return float(x @ x - (x @ pattern) ** 2 / (pattern @ pattern))

@@ -36,8 +36,8 @@ _ROUNDS = 4
 
 @dataclass
 class Averaged:
-    """One segment in bins. begin: time of its first sample, s; step: s between samples; time: (n,); table: channel → (n,), in its unit;
-    rejected: rows with a NaN. The rest as in `Bins`, in SI."""
+    """One segment in bins. begin: time of the first sample, s; step: time between samples, s; time: (n,), times of the bins, s;
+    table: channel → (n,), in the channel's unit; rejected: number of rows with a NaN. The other fields are as in `Bins`, in SI."""
 
     begin: float = np.nan
     step: float = np.nan
@@ -102,9 +102,9 @@ def averaged(
     size: int,
     encoder: tuple[str, float] | None = None,
 ) -> Averaged:
-    """A segment averaged in bins of `size` samples, in one pass. names: channels, the K measured ones first; factors: (K,), of their
-    units; counts: (K,), SI; smallest: (K,), the smallest noise for the detection of outliers, SI. encoder: a channel of `names` that
-    wraps, and the number of its units per turn."""
+    """A segment averaged in bins of `size` samples, in one pass. names: channels, the K measured ones first; factors: (K,), factors
+    from their units to SI; counts: (K,), size of one count, SI; smallest: (K,), the smallest noise for the detection of outliers,
+    SI. encoder: a channel of `names` that wraps, and the number of its units per turn."""
     out = Averaged(energy=np.zeros((len(factors),) * 2), spikes=np.zeros(len(factors), dtype=np.int64))
     out.levels = [np.empty(0) for _ in factors]
     times, means, last = [], [], None

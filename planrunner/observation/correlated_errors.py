@@ -1,7 +1,8 @@
 """Errors of the segments' means that are correlated between segments: declared flicker, and errors of the table.
 
-A correlated error states how every observation follows r independent inputs of one stated uncertainty. This determines two things: the
-contribution to the covariance of the observations, by which they are weighted, and the sensitivity of each result to the inputs.
+A correlated error states how every observation follows r independent inputs that share one stated uncertainty. This determines two
+things: the contribution to the covariance of the observations, by which they are weighted, and the sensitivity of each result to
+the inputs.
 """
 
 from __future__ import annotations
@@ -22,9 +23,10 @@ _RESOLVED = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorrelatedError:
-    """A correlated error. changes: (n, r) by index of the affected output: change of each observation per unit of each input. parts:
-    names of the r inputs, as for `Influence`. within: by index of the output, (n,), contribution of the error to the variance within the
-    segments, per unit² of the input. channel: the channel whose noise the error is; empty for errors that are not noise."""
+    """A correlated error. changes: maps the index of each affected output to (n, r), the change of each observation per unit of
+    each input. parts: names of the r inputs, as for `Influence`. within: maps the index of an output to (n,), the contribution of
+    the error to the variance within the segments, per unit² of the input. channel: the channel whose noise the error is; empty for
+    errors that are not noise."""
 
     quantity: InputQuantity
     changes: Mapping[int, Array]
@@ -52,14 +54,15 @@ def functionals_of(gains: Array) -> Array:
 
 
 def explained(effects: Sequence[CorrelatedError], output: int) -> Array | float:
-    """Contribution of the effects to the variance within the segments, (n,)."""
+    """Contribution of correlated errors to the variance within the segments, (n,)."""
     shares = (one.quantity.standard_uncertainty**2 * one.within[output] for one in effects if output in one.within)
     return sum(shares, 0.0)
 
 
 def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> Array:
-    """Changes of the n observations of each output per standard uncertainty of every input, (outputs, n, r); 0 for an effect that does
-    not act. If L₁ and L₂ belong to two outputs, L₁·L₂ᵀ is the contribution of the effects to the covariance between their observations."""
+    """Changes of the n observations of each output per standard uncertainty of every input, (outputs, n, r); 0 for an effect that
+    does not act on the output. If L₁ and L₂ belong to two outputs, L₁·L₂ᵀ is the contribution of the effects to the covariance
+    between their observations."""
     roots = []
     for effect in effects:
         columns = next(iter(effect.changes.values())).shape[1]
@@ -71,8 +74,8 @@ def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> A
 
 
 def mixed(spread: Array, roots: Array) -> Array:
-    """Covariance (…, n, n) of outputs' observations: noise of standard uncertainty `spread` (…, n), and the contribution of the effects,
-    from `roots` (…, n, r)."""
+    """Covariance (…, n, n) of the observations of outputs: noise of standard uncertainty `spread` (…, n), and the contribution of
+    the effects, from `roots` (…, n, r)."""
     covariance = np.asarray(roots @ roots.swapaxes(-1, -2))
     i = np.arange(spread.shape[-1])
     variances = covariance[..., i, i] + spread**2

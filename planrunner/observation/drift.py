@@ -1,9 +1,10 @@
-"""Courses of a slow drift of the outputs during a test: in time, with temperature, and with its rate of change.
+"""Courses that a slow drift of the outputs may take during a test: in time, with temperature, and with the rate of change of the
+temperature.
 
-A drift is a nuisance: its courses are fitted together with the coefficients, so that the uncertainties of the coefficients include a
-contribution of the unknown drift. Each course is the mean over each segment, minus its average over the recorded time of all segments of
-the estimate. A constant is therefore the value for the whole test: at the average time, at the average temperature and at its average
-rate of change. It has the same meaning for outputs that use only some of the segments.
+A drift is a nuisance: its courses are fitted together with the coefficients, so that the uncertainties of the coefficients include
+a contribution of the unknown drift. Each course is the mean over each segment, minus its average over the recorded time of all
+segments of the estimate. A constant is therefore the value for the whole test: at the average time, at the average temperature and
+at its average rate of change. The constant therefore has the same meaning for outputs that use only some of the segments.
 """
 
 from __future__ import annotations
@@ -56,10 +57,10 @@ def thermometer() -> str | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftCourse:
-    """One course of drift. columns: (n, r), the same course for r parts of an output; they do not have the unit of the output. per: the
-    unit by which a fitted amplitude is divided. parts: names of the parts, if there are several. order: of a course in time, otherwise
-    0. changed: change of the recorded temperature between segments, K, if the course follows it and the change is significant;
-    otherwise 0."""
+    """One course of drift. columns: (n, r), the same course for r parts of an output; they do not have the unit of the output. per:
+    the unit by which a fitted amplitude is divided. parts: names of the parts, if there are several. order: power of the time for a
+    course in time, otherwise 0. changed: change of the recorded temperature between segments, K, if the course follows it and the
+    change is significant; otherwise 0."""
 
     name: str
     per: str
@@ -71,9 +72,9 @@ class DriftCourse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftCourses:
-    """The courses that may be fitted. by_evidence: only if the data show them; otherwise all of them. fits: number of separate fits in
-    which the same drift is sought. shown: names of the courses that one of these fits shows; they are fitted where the segments allow
-    it."""
+    """The courses that may be fitted. by_evidence: if True, a course is fitted only if the data show it; otherwise all courses are
+    fitted. fits: number of separate fits in which the same drift is sought. shown: names of the courses that one of these fits
+    shows; they are fitted where the segments allow it."""
 
     courses: tuple[DriftCourse, ...] = ()
     by_evidence: bool = True
@@ -110,9 +111,9 @@ def drift_of(
 ) -> DriftCourses:
     """The courses for the observations of recorded segments.
 
-    channel: the thermometer, if the plan names one. segments: segments of the observations, in their order; none if the observations
-    are parts of segments with unknown temperature. test: all segments of the estimate. Raises `EstimationError` if the plan asks for a
-    temperature that is not recorded.
+    channel: the thermometer, if the plan names one. segments: segments of the observations, in their order; empty if the
+    observations are parts of segments with unknown temperature. test: all segments of the estimate. Raises `EstimationError` if the
+    plan asks for a temperature that is not recorded.
     """
     names, by_evidence = asked(words), BY_EVIDENCE in words
     if not names or (by_evidence and observations.expected):
@@ -145,8 +146,8 @@ def courses_by_evidence(
 ) -> tuple[DriftCourses, DriftCourses]:
     """The courses that n observations may show, and the same courses over all r rows.
 
-    start, end: (r,), s, first of the observations, then of further times; seconds: (r,), recorded time of the observations, s, and 0 at
-    the further times; kelvin: (r,), temperatures; None if they are not recorded. observed: n.
+    start, end: (r,), s, first for the observations, then for further times; seconds: (r,), recorded time of each observation, s,
+    and 0 at the further times; kelvin: (r,), temperatures, None if they are not recorded. observed: number n of observations.
     """
     rows = list(range(observed))
     names = asked((BY_EVIDENCE,))
@@ -164,8 +165,8 @@ def _courses(
     names: Sequence[str],
     by_evidence: bool,
 ) -> list[DriftCourse]:
-    """The courses among `names`; with the temperature only if it is known and changes between the given rows. Arrays: (n,), as in
-    `in_time`."""
+    """The courses among `names`; courses with the temperature only if the temperature is known and changes between the given rows.
+    Arrays: (n,), as in `in_time`."""
     courses = list(in_time(start, end, seconds))
     if kelvin is not None:
         changed = float(np.ptp(kelvin[rows]))
@@ -189,8 +190,8 @@ def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)
 
 
 def _with_temperature(middle: Array, kelvin: Array, seconds: Array, names: Sequence[str]) -> tuple[DriftCourse, ...]:
-    """The courses with temperature among `names`. middle: (n,), s; kelvin: (n,), of the segments. The rate of change of the temperature
-    is the slope of the line through the neighbouring segments."""
+    """The courses with temperature among `names`. middle: (n,), s; kelvin: (n,), temperatures of the segments. The rate of change
+    of the temperature is the slope of the line through the neighbouring segments."""
     if len(kelvin) < 2 or np.ptp(kelvin) < _STEADY:
         return ()
     by_level, by_rate = WITH_TEMPERATURE
@@ -215,7 +216,7 @@ def recorded_thermometer(segments: Sequence[RecordedSegment], channel: str | Non
 def thermometer_of(units: Mapping[str, str], channel: str | None, by_evidence: bool) -> str | None:
     """The channel of the temperature; None if there is none and the plan does not require it.
 
-    units: of the channels that every segment has; channel: as named in the plan. Raises `EstimationError`.
+    units: units of the channels that every segment has; channel: the channel that the plan names, if any. Raises `EstimationError`.
     """
     thermometers = [name for name in sorted(units) if _is_temperature(units[name])]
     if channel is not None:

@@ -37,7 +37,7 @@ def drift_span() -> Quantity:
 
 
 def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
-    """One effect for each output whose bias instability is stated. span: s."""
+    """One effect for each output whose bias instability is stated. span: time span around the test that defines a constant, s."""
     outputs = observations.channels
     stated = {
         k: quantity for k, name in enumerate(outputs) if (quantity := inputs.of_output(Aspect.BIAS_INSTABILITY, name))
@@ -60,8 +60,8 @@ def _effects(
 
 
 def _root(covariance: Array) -> Array:
-    """L with L·Lᵀ = covariance (n, n). Cholesky factors take a tenth of the time of eigenvectors, which are needed only if the covariance
-    is singular, as that of a test without gaps that fills the whole span."""
+    """L with L·Lᵀ = covariance (n, n). A Cholesky factor takes a tenth of the time of eigenvectors. Eigenvectors are needed only if
+    the covariance is singular, for example for a test without gaps that fills the whole span."""
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -69,8 +69,9 @@ def _root(covariance: Array) -> Array:
 
 
 def unstated_flicker(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
-    """Flicker with B = 1, in the output's unit, for each output whose bias instability the bench file does not give. There are no effects
-    for expected observations, because these contain only declared effects. span: s."""
+    """Flicker with B = 1, in the output's unit, for each output whose bias instability the bench file does not give. There are no
+    effects for expected observations, because these contain only declared effects. span: time span around the test that defines a
+    constant, s."""
     outputs = [] if observations.expected else [*enumerate(observations.channels)]
     silent = {k: of_unit_size(name, observations.units[k]) for k, name in outputs if name in inputs.without_flicker}
     return _effects(observations, silent, span)

@@ -1,8 +1,8 @@
 """Segments without the samples that screening found to be wrong.
 
-Means, scatter and extremes of a channel are computed without its bad samples. For integration and filtering, samples are read one by
-one. A short bad stretch is then filled by a straight line from the level before it to the level after it. A long one reads as missing
-numbers, which each reader treats like samples that were never recorded. A repeated sample is dropped.
+Means, scatter and extremes of a channel are computed without its bad samples. For integration and filtering, samples are read one
+by one. A short bad stretch is then filled by a straight line from the level before it to the level after it. A long stretch reads
+as missing numbers, which each reader treats like samples that were never recorded. A repeated sample is dropped.
 """
 
 from __future__ import annotations

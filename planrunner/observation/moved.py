@@ -23,8 +23,9 @@ _UNIT = 0.05  # deviation of the norm of a quaternion from 1
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionShown:
     """A motion from recorded channels. table: angle, rate and acceleration of an axis with an encoder, (n,) each, zero without an
-    encoder. course: the motion, if other channels show it; None with an encoder. averaging: number of samples to average. usable: (n,),
-    samples with neighbours on both sides. differences: whether rates are differences between the two neighbours of a sample."""
+    encoder. course: the motion, if other channels show it; None with an encoder. averaging: number of samples to average. usable:
+    (n,), True for samples with neighbours on both sides. differences: True if rates are differences between the two neighbours of a
+    sample."""
 
     table: Mapping[str, Array]
     course: BodyMotion | None
@@ -45,7 +46,8 @@ class MotionShown:
 def recorded_course(
     motion: RecordedMotion, attitude: Array | None, site: Site, time: Array, shown: Mapping[str, Array]
 ) -> MotionShown:
-    """The motion at n samples. attitude: of the segment, at the first sample; time: (n,), s; shown: channel → (n,), SI.
+    """The motion at n samples. attitude: attitude of the sensor at the first sample of the segment; time: (n,), s; shown: channel →
+    (n,), SI.
 
     Raises `ObservationError` if the channels cannot show the motion.
     """

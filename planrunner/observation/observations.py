@@ -29,12 +29,13 @@ SIGNIFICANCE = (
 class Observations:
     """Means of k channels over n segments, in the channels' units.
 
-    mean: (n, k). standard_error: (n, k), of each mean, from the scatter within its segment; NaN if the segment is too short. batches:
-    (n,), number of batches for this standard error. start, end: (n,), of the recorded interval, half-open, s on the run's clock.
-    correlation: (k, k) of the channels' noise, over all segments. expected: whether they come from a schedule; means then have no
-    noise, and standard errors come from the declared noise. share: (n,), fraction of the samples that are used; None for all. courses:
-    (n,), of each segment as in `Statistics`; None without motion. within: number of further observations at the end that are not means
-    but contrasts within segments; their standard errors are known.
+    mean: (n, k). standard_error: (n, k), of each mean, from the scatter within its segment; NaN if the segment is too short.
+    batches: (n,), number of batches for this standard error. start, end: (n,), of the recorded interval, half-open, s on the run's
+    clock. correlation: (k, k), correlation of the channels' noise, over all segments. expected: True if the observations are
+    predicted from a schedule; means then have no noise, and standard errors come from the declared noise. share: (n,), fraction of
+    the samples that are used; None for all. courses: (n,), the course of each segment as in `Statistics`; None without motion.
+    within: number of further observations at the end that are not means but contrasts within segments; their standard errors are
+    known.
     """
 
     channels: tuple[str, ...]
@@ -171,9 +172,9 @@ def _correlation(scatter: Array) -> Array:
 
 
 def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], channels: Sequence[str]) -> Array:
-    """Correlation of the channels' means, (k, k). It is the correlation of the samples, (k, k), which is known best, unless that of the
-    batch means differs significantly (Fisher's z, with Bonferroni's bound over the pairs). They differ if the samples have a common
-    part that averages out, such as a vibration.
+    """Correlation of the channels' means, (k, k). It is the correlation of the samples, (k, k), which is known best, unless the
+    correlation of the batch means differs significantly (Fisher's z, with Bonferroni's bound over the pairs). The two correlations
+    differ if the samples have a common part that averages out, such as a vibration.
 
     The transform of a correlation coefficient r from ν degrees of freedom has the variance 1/(ν − 2) (Fisher, Metron 1, 1921)."""
     k, scatter, freedom = len(channels), np.zeros((len(channels),) * 2), 0.0

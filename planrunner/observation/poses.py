@@ -35,7 +35,7 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 def unknown_orientations(recording: Sequence[RecordedSegment]) -> bool:
     """Whether all segments rest in unknown orientations. Segments whose motion the recording shows need no orientation.
 
-    Raises `ObservationError` if only some segments do, or if one moves."""
+    Raises `ObservationError` if only some of the segments are in unknown orientations, or if one of these moves."""
     unknown = [
         item.label
         for item in recording
@@ -64,8 +64,9 @@ def poses(
 ) -> Observed:
     """Recorded poses for a diagnosis: one channel `accel`, the accelerometer reading along gravity.
 
-    nominal: terms that the simulation fits, used to find directions. Gyros are omitted, because at rest in an unknown orientation they
-    show only a bias. Raises `ObservationError` without a complete triad of accelerometers, and if the readings are not near a sphere.
+    nominal: terms that the simulation fits, used to find directions. Gyros are omitted, because at rest in an unknown orientation
+    they show only a bias. Raises `ObservationError` if there is no complete triad of accelerometers, or if the readings are not
+    near a sphere.
     """
     recording = in_time_order(recording)
     found = [channel for channel in channels_of(recording[0], sensor, only) if channel.kind == "accel"]

@@ -11,9 +11,9 @@ motion, so that a turning or rocking sensor is compared with its own course. The
 the samples have one value. The scale is therefore never less than a trimmed mean of the deviations, half a count, or a part of the usual
 change from sample to sample.
 
-*Stuck.* Runs of equal samples are compared with the other runs of the same segment: a stretch is stuck if it is more than `RUN` times as
-long as 99 % of them, and if noise as large as that of the segment would leave the count in which it stands. Coarse counts, in which the
-noise does not reach the next count, therefore never count as stuck; neither do smooth signals.
+*Stuck.* Runs of equal samples are compared with the other runs of the same segment. A stretch is stuck if it is more than `RUN`
+times as long as 99 % of them, and if noise as large as that of the segment would have moved its samples to another count. Coarse
+counts, in which the noise does not reach the next count, therefore never count as stuck; neither do smooth signals.
 """
 
 from __future__ import annotations
@@ -105,8 +105,8 @@ def varies(output: OutputModel) -> bool:
 
 
 def watch_of(sensor: SensorModel) -> WatcherOf:
-    """Screens the sensor's outputs, and all recorded angles for spikes. Thermometers are not screened, because they may keep one value for
-    a long time."""
+    """Makes watchers that screen the sensor's outputs, and that search all recorded angles for spikes. Thermometers are not
+    screened, because they may keep one value for a long time."""
 
     def watch(segment: Segment, units: Mapping[str, str], rows: int) -> Screening:
         counts, scales, angles = {}, {}, []
@@ -125,7 +125,7 @@ def watch_of(sensor: SensorModel) -> WatcherOf:
 
 
 def _angle(name: str) -> float | None:
-    """One unit of an angle in rad; None for a unit of another quantity, or an unknown one."""
+    """The size of an angle's unit in rad; None for a unit of another quantity, or an unknown one."""
     try:
         found = unit(name)
     except UnknownUnitError:
@@ -143,7 +143,8 @@ def threshold(samples: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """A run of equal samples. row, time: of the first; last: time of the last, s; before, after: the samples on either side."""
+    """A run of equal samples. row, time: row and time of the first sample; last: time of the last sample, s; before, after: the
+    samples on either side."""
 
     row: int
     length: int
@@ -165,8 +166,9 @@ class _Last:
 
 @dataclass
 class _Window:
-    """A piece of one channel with the neighbouring samples that exist. low, high: its own samples; usual, count: mean change and count
-    as known when the piece was examined; places: (n,), indices of the samples before its large changes."""
+    """A piece of one channel with the neighbouring samples that exist. low, high: the piece's own samples are values[low:high];
+    usual, count: mean change between neighbours, and count, as known when the piece was examined; places: (n,), indices of the
+    samples before the large changes of the piece."""
 
     values: Array
     rows: RowNumbers
@@ -193,9 +195,9 @@ class _Window:
 
 @dataclass
 class _Runs:
-    """Runs of equal samples of one channel. lengths: number of runs by length, the last entry for longer runs; long: the longest runs;
-    row, time, before: of the current run; length: its length so far; count: smallest change; bend, bends: sum and number of second
-    differences."""
+    """Runs of equal samples of one channel. lengths: number of runs by length, the last entry for longer runs; long: the longest
+    runs; row, time: row and time of the first sample of the current run; before: the sample before the current run; length: its
+    length so far; count: smallest change; bend, bends: sum and number of second differences."""
 
     lengths: RowNumbers = field(default_factory=lambda: np.zeros(_SHORT + 1, dtype=np.int64))
     long: list[_Run] = field(default_factory=list)
@@ -283,8 +285,9 @@ class Screening:
         steady: bool,
         angles: Sequence[AngleSpikes] = (),
     ):
-        """counts: channel → declared count, 0 if none; full_scales: either sign; both in the channels' units. steady: whether the
-        segment is planned at rest or turning evenly, so that the stimulus causes no changes within it."""
+        """counts: channel → declared count, 0 if none is declared; full_scales: channel → full scale of either sign. Counts and
+        full scales are in the channels' units. steady: True if the segment is planned at rest or turning evenly, so that the
+        stimulus causes no changes within it."""
         self.channels, self.steady, self.angles = tuple(counts), steady, angles
         self.counts = np.array([counts[name] for name in self.channels])
         self.full_scales = full_scales
@@ -412,8 +415,8 @@ class Screening:
     def _channel(
         self, k: int, values: Array, rows: Numbered, times: Array, means: Array | None, low: float, high: float
     ) -> None:
-        """Examines whole pieces of one channel, or the last one. A piece has no finding if no sample is far from the mean and each
-        sample differs from the one before. This check is fast and is done for several pieces together."""
+        """Examines whole pieces of one channel, or its last, shorter piece. A piece has no finding if no sample is far from the
+        mean and each sample differs from the one before. This check is fast and is done for several pieces together."""
         last = self._last(k)
         pieces = max(len(values) // _PIECE, 1)
         size = len(values) // pieces
@@ -596,13 +599,14 @@ class Screening:
         return [*found, *self._flat_tops(k, found), *self._steps(k, found)]
 
     def _judged(self, one: Find) -> Find:
-        """Decides whether a burst counts as bad. At the beginning or end of a segment it may be motion, so there it is only reported."""
+        """Decides whether a burst counts as bad. At the beginning or end of a segment, a burst may be motion, so there it is only
+        reported."""
         at_an_end = one.first < _SPIKE or one.first + one.rows > self.row - _SPIKE
         return replace(one, bad=False) if one.kind is FindKind.BURST and at_an_end else one
 
     def _stretch(self, k: int, run: _Run) -> Find:
-        """The finding for a run of equal samples. It is clipped if its value is at the full scale, or is an extreme value of the
-        segment that also occurs elsewhere."""
+        """The finding for a run of equal samples. The run is clipped if its value is at the full scale, or is an extreme value of
+        the segment that also occurs elsewhere."""
         extremes = ((self.largest[k], self.at_top[0, k]), (self.smallest[k], self.at_bottom[0, k]))
         limit = 0.99 * self.full_scales.get(self.channels[k], math.inf)
         clipped = abs(run.value) >= limit or any(run.value == value and at > run.length + 1 for value, at in extremes)
@@ -740,8 +744,8 @@ def _as_one(finds: Sequence[Find]) -> list[Find]:
 
 
 def _off(values: Array, size: int, places: RowNumbers) -> Array:
-    """Distances of some of the values (n,) from the medians of the `size` values around them. Beyond the ends, the values go on as a mirror
-    image about the line through the ends, so that a slow change of the values is no distance."""
+    """Distances of some of the values (n,) from the medians of the `size` values around them. Beyond the ends, the values go on as
+    a mirror image about the line through the ends, so that a slow change of the values does not count as a distance."""
     half = size // 2
     wide = np.pad(values, half, mode="reflect")
     if half >= _SLOPE_FROM:
@@ -755,7 +759,7 @@ def _off(values: Array, size: int, places: RowNumbers) -> Array:
 
 
 def _mean_around(values: Array, size: int) -> Array:
-    """Means of the `size` values around each of (n,)."""
+    """Means of the `size` values around each of n values."""
     sums = np.concatenate(([0.0], np.cumsum(np.pad(values, size // 2, mode="reflect"))))
     return np.asarray((sums[size:] - sums[:-size]) / size)
 

@@ -32,8 +32,9 @@ PER_SIGMA = 1.954
 def with_standing(
     recording: Sequence[RecordedSegment], sensor: SensorModel, channels: Collection[str], chance: float
 ) -> tuple[RecordedSegment, ...]:
-    """The segments with a finding for each channel that keeps one value although its noise would have changed it. The finding counts as
-    reported, not as bad, because without its samples the channel would have no data left. A person has to decide.
+    """The segments with a finding for each channel that keeps one value although its noise would have changed it. The finding is
+    only reported and does not count as bad, because without its samples the channel would have no data left. A person has to
+    decide.
 
     chance: largest probability with which noise may leave a channel at one value for the channel still to be reported as stuck.
     """
@@ -68,7 +69,8 @@ def _range(item: RecordedSegment, name: str) -> float:
 
 
 def _by_others(item: RecordedSegment, changing: Sequence[RecordedSegment], name: str, chance: float) -> bool:
-    """Whether the noise of the channel would have changed it here. The noise is that of the nearest segments in which it changes."""
+    """Whether the noise that the channel has in other segments would have changed its value in this segment. The noise is taken
+    from the nearest segments in which the channel changes."""
     still = isinstance(item.segment.motion, Rest)
     alike = [one for one in changing if not still or isinstance(one.segment.motion, Rest)]
     nearest = sorted(alike, key=lambda one: abs(one.statistics.start - item.statistics.start))[:_COMPARED]
@@ -88,7 +90,7 @@ def _samples(item: RecordedSegment, name: str) -> Array:
 
 
 def _moves(values: Array, samples: int, chance: float) -> bool:
-    """Whether noise like that of (n,) values would not stay at one value for this number of samples."""
+    """Whether noise like that of (n,) values would change the value at least once within this number of samples."""
     if len(values) < _LEAST:
         return False
     first, second = np.abs(np.diff(values)), np.abs(np.diff(values, 2))
@@ -101,9 +103,9 @@ def _moves(values: Array, samples: int, chance: float) -> bool:
 
 
 def leaves_count(noise: float, count: float, samples: int, chance: float) -> bool:
-    """Whether white noise of this standard deviation leaves one count within this number of samples. The probability that it does not is
-    at most `chance`. Up to 0.3 count² of its variance may come from the counts: a channel that alternates between two counts without any
-    noise has this variance."""
+    """Whether white noise of this standard deviation leaves one count within this number of samples. This is so if the probability
+    that the noise stays within the count is at most `chance`. Up to 0.3 count² of its variance may come from the counts: a channel
+    that alternates between two counts without any noise has this variance."""
     beyond = noise**2 - 0.3 * count**2
     if beyond <= 0:
         return False

@@ -22,8 +22,9 @@ _MOST_BATCHES = 64
 
 @dataclass(frozen=True, slots=True)
 class StillSpan:
-    """One span of time in which the sensor is still. count: samples. mean, standard_error: (k,), of the detection's channels in their
-    units; the standard error from `batches` consecutive batch means, NaN where there are fewer than two."""
+    """One span of time in which the sensor is still. count: number of samples. mean, standard_error: (k,), of the detection's
+    channels in their units; the standard error of the mean comes from `batches` consecutive batch means, NaN where there are fewer
+    than two."""
 
     span: Span
     count: int

@@ -20,11 +20,11 @@ class Site:
 
     latitude: astronomic, defined by the plumb line. An accelerometer at rest measures along the plumb line, so this latitude gives
     the angle between the Earth's axis and a level surface. geodetic_latitude: rad, on the ellipsoid, for positions; None if both
-    latitudes are treated as equal. They differ by the deviation of the vertical (Torge and Müller, Geodesy, 4th ed., 6.1).
-    longitude: rad, east positive; height: m above the ellipsoid. They are used only if positions are navigated. azimuth: from true
-    north to the table's reference direction, positive clockwise seen from above (towards east). Orientation words in plans mean
-    true directions; the joint angles of the table allow for the azimuth. magnetic_field: the Earth's field in true East-North-Up,
-    in the unit that the bench names; None if it is not known.
+    latitudes are treated as equal. The two latitudes differ by the deviation of the vertical (Torge and Müller, Geodesy, 4th ed.,
+    6.1). longitude: rad, east positive; height: m above the ellipsoid. Longitude and height are used only if positions are
+    navigated. azimuth: from true north to the table's reference direction, positive clockwise seen from above (towards east).
+    Orientation words in plans mean true directions; the joint angles of the table allow for the azimuth. magnetic_field: the
+    Earth's field in true East-North-Up, in the unit that the bench names; None if it is not known.
     """
 
     latitude: float

@@ -36,7 +36,7 @@ class Unreachable(ValueError):  # noqa: N818 - reads as what the table says
 
 @dataclass(frozen=True, slots=True)
 class TableAxis:
-    """One axis of a table, outermost first.
+    """One axis of a table; the axes of a table are listed outermost first.
 
     direction: the axis at joint angle zero, ENU unit vector, before the site's azimuth is applied. max_rate: rad/s;
     max_acceleration: rad/s^2; lowest, highest: joint limits, rad (infinite for a continuous axis with slip rings).
@@ -169,7 +169,8 @@ def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> A
 
 
 def _least(ways: list[Angles], values: list[float]) -> list[Angles]:
-    """The ways with the smallest value, and those that exceed it by so little that rounding or the end of a motion may decide."""
+    """The ways with the smallest value, and other ways whose value is larger by so little that rounding or the end of a motion may
+    decide."""
     most = min(values) * (1 + AS_QUICK) + ALIKE
     return [way for way, value in zip(ways, values, strict=True) if value <= most]
 
@@ -177,8 +178,8 @@ def _least(ways: list[Angles], values: list[float]) -> list[Angles]:
 def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
     """Time [s] of a rest-to-rest move with a trapezoidal rate profile.
 
-    With the rate w and the acceleration a, the acceleration to w takes w/a and covers w²/2a. A move with |angle| < w²/a therefore does
-    not reach w. Its profile is a triangle, and it takes 2·√(|angle|/a).
+    With the rate w and the acceleration a, the table reaches w after the time w/a and the angle w²/2a. A move with |angle| < w²/a
+    therefore does not reach w. Its profile is a triangle, and it takes 2·√(|angle|/a).
     """
     distance = abs(angle)
     if distance < max_rate**2 / max_acceleration:
@@ -291,8 +292,8 @@ def _inner(axes: Sequence[TableAxis], outer: float, middle: float, wanted: Array
 
 
 def _locked_family(axes: Sequence[TableAxis], middle: float, wanted: Array, near: Sequence[float]) -> list[Angles]:
-    """Solutions in gimbal lock. With outer and inner axis parallel only the sum of their angles counts: keep one of them still, or stop it
-    at a limit.
+    """Solutions in gimbal lock. With outer and inner axis parallel, only the sum of their angles counts: one of the two axes keeps
+    still, or stops at a limit.
     """
     outer, inner = axes[0], axes[2]
     turned = rotation_about(axes[1].direction, middle) @ np.asarray(inner.direction)
@@ -329,7 +330,8 @@ def _misalignment(axes: Sequence[TableAxis], angles: Angles, wanted: Array) -> f
 
 
 def _place(axis: TableAxis, angle: float, near: float) -> tuple[float, tuple[float, str] | None]:
-    """The equivalent of `angle` nearest to `near` within the limits; otherwise the distance to the limits, and the reason.
+    """The angle equivalent to `angle` that is nearest to `near` within the limits. If no equivalent angle is within the limits, the
+    result also contains the distance to the limits, and the reason.
 
     At a distance of half a turn, two angles are equally near. A continuous axis then turns in the positive direction. A limited
     axis goes to the angle nearer to zero, even if the other is nearer by `NEARLY`. If both are equally far from zero, it goes to

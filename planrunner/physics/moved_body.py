@@ -1,7 +1,8 @@
 """The input of a sensor whose motion was not commanded, computed from the channels of the recording that show the motion.
 
-A hand, a vehicle or a jig without a drive moves the sensor; an encoder, an attitude reference, or other gyros and accelerometers on the
-same body show how. Derivatives are differences over the neighbouring samples, so that their mean over a stretch depends on its ends alone.
+A hand, a vehicle or a jig without a drive moves the sensor. An encoder, an attitude reference, or other gyros and accelerometers on
+the same body show the motion. Derivatives are differences over the neighbouring samples, so that the mean of a derivative over a
+stretch depends only on the ends of the stretch.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def averaged(values: Array, size: int) -> Array:
 
 def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None = None) -> BodyMotion:
     """The motion from unit quaternions (n, 4), real part first, that transform vectors from the sensor's axes to East-North-Up.
-    force: (n, 3), measured; by default that of a sensor that only rotates."""
+    force: (n, 3), measured specific force; by default, the specific force of a sensor that only rotates."""
     from scipy.spatial.transform import Rotation
 
     attitude = Rotation.from_quat(quaternions, scalar_first=True).as_matrix().swapaxes(1, 2)
@@ -62,7 +63,7 @@ def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None
 
 def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: Array | None = None) -> BodyMotion:
     """The motion from measured angular rates (n, 3) relative to inertial space. start: (3, 3), the attitude at the first sample;
-    None if it is unknown. In that case only the measured specific force `force` (n, 3) is used."""
+    None if it is unknown. If the attitude is unknown, only the measured specific force `force` (n, 3) is used."""
     n = len(time)
     if start is None:
         nothing = np.zeros((n, 3))
@@ -102,8 +103,8 @@ def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
 
 
 def rates_of(time: Array, attitude: Array) -> Array:
-    """Angular rates (n, 3) in the body's axes between the neighbours of each sample, from attitudes (n, 3, 3) that transform
-    vectors to these axes."""
+    """Angular rates (n, 3) in the body's axes, as differences between the two neighbours of each sample, from attitudes (n, 3, 3)
+    that transform vectors to these axes."""
     from scipy.spatial.transform import Rotation
 
     before, after = np.r_[0, np.arange(len(time) - 1)], np.r_[np.arange(1, len(time)), len(time) - 1]

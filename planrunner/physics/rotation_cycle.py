@@ -49,7 +49,7 @@ class RotationCycle:
 
     @cached_property
     def stops(self) -> Array:
-        """Angle of every stop from the first [rad], shape (n,), full turns included."""
+        """Angle of every stop from the first stop [rad], shape (n,), full turns included."""
         return np.concatenate(([0.0], np.cumsum(self.turns)[:-1]))
 
     @property
@@ -145,7 +145,7 @@ class RotationCycle:
 
 @cache
 def _gauss_legendre() -> tuple[Array, Array]:
-    """Ten nodes and their weights. It is cached because numpy must load its polynomials for them, which few plans need."""
+    """Ten nodes and their weights. The result is cached, because numpy must load its polynomials for it, and few plans need them."""
     return np.polynomial.legendre.leggauss(10)
 
 

@@ -26,10 +26,10 @@ class StimulusError(ValueError):
 class Stimulus:
     """The input to the sensor at n moments, or averaged over n segments.
 
-    omega: shape (n, 3), rad/s, angular rate relative to inertial space on the sensor's x, y, z. specific_force: (n, 3), m/s^2. temperature:
-    (n,), K, NaN where not known. time: (n,), s, the middle of a segment. table_rate: (n,), rad/s. table_angle: (n,), rad turned since the
-    dwell began. moving: (n,), whether the attitude changed while averaging; the mean of a product then differs from the product of the
-    means.
+    omega: shape (n, 3), rad/s, angular rate relative to inertial space on the sensor's x, y, z. specific_force: (n, 3), m/s^2.
+    temperature: (n,), K, NaN where not known. time: (n,), s, the middle of a segment. table_rate: (n,), rad/s. table_angle: (n,),
+    rad, angle turned since the dwell began. moving: (n,), True if the attitude changed while averaging; the mean of a product then
+    differs from the product of the means.
     """
 
     omega: Array
@@ -58,9 +58,9 @@ def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[f
 class Poses:
     """Attitudes and rotations of n segments, which give the mean stimulus at any site.
 
-    attitude: (n, 3, 3), at the beginning. mean: (n, 3, 3), takes a vector that is fixed at the site to its mean over the segment in the
-    sensor's axes. spin: (n, 3), rad/s, mean rate of the table in the sensor's axes. table_rate, table_angle, temperature, time: as in
-    `Stimulus`.
+    attitude: (n, 3, 3), attitude at the beginning of each segment. mean: (n, 3, 3), transforms a vector that is fixed at the site
+    to its mean over the segment in the sensor's axes. spin: (n, 3), rad/s, mean rate of the table in the sensor's axes. table_rate,
+    table_angle, temperature, time: as in `Stimulus`.
     """
 
     attitude: Array

@@ -41,8 +41,8 @@ class SpinCourse:
     def of(
         cls, motion: Spin, axes: Sequence[TableAxis], joints: Sequence[float] | Array, azimuth: float = 0.0
     ) -> SpinCourse:
-        """The course of a spin. joints: rad, at the beginning of the spin; azimuth: of the site, rad. Raises `Unreachable` if no
-        axis has that direction."""
+        """The course of a spin. joints: rad, joint angles at the beginning of the spin; azimuth: rad, azimuth of the site. Raises
+        `Unreachable` if no axis has the direction of the spin."""
         index = spin_axis(axes, joints, motion.about, azimuth)
         along = float(joint_directions(axes, joints, azimuth)[index] @ np.asarray(motion.about))
         ramp = abs(motion.rate) / axes[index].max_acceleration

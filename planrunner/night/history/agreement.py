@@ -3,10 +3,10 @@
     E_n = (x − X) / √(U(x)² + U(X)²)
 
 with expanded uncertainties for about 95 %; |E_n| ≤ 1 is agreement (ISO 13528:2022, 9.7; ISO/IEC 17043:2023, B.3.1.3). x is the mean
-of the values of one participant. Its standard uncertainty is the root mean square of the stated ones. It does not decrease with the
-number of runs, because most of what a bench states is the same in all its runs. The reference X is the value of a named
-participant, otherwise the mean of all others, weighted with 1/u². The participant itself is excluded from this mean, because the
-formula requires independent values.
+of the values of one participant. The standard uncertainty of x is the root mean square of the stated standard uncertainties. It
+does not decrease with the number of runs, because most of what a bench states is the same in all its runs. The reference X is the
+value of a named participant, otherwise the mean of all others, weighted with 1/u². The participant itself is excluded from this
+mean, because the formula requires independent values.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ COVERAGE = 2.0
 
 @dataclass(frozen=True, slots=True)
 class ParticipantAgreement:
-    """Agreement of one participant. value, standard_uncertainty: of the participant; reference, reference_uncertainty: of the
-    reference; runs: number of its values."""
+    """Agreement of one participant. value, standard_uncertainty: mean value of the participant and its standard uncertainty;
+    reference, reference_uncertainty: reference value and its standard uncertainty; runs: number of values of the participant."""
 
     name: str
     runs: int
@@ -33,7 +33,7 @@ class ParticipantAgreement:
 
     @property
     def en(self) -> float:
-        """The E_n number; nan without any uncertainty."""
+        """The E_n number; nan if neither the value nor the reference has an uncertainty."""
         expanded = COVERAGE * math.hypot(self.standard_uncertainty, self.reference_uncertainty)
         return (self.value - self.reference) / expanded if expanded > 0 else math.nan
 
@@ -46,7 +46,7 @@ def agreement(
     values: Mapping[str, Sequence[tuple[float, float]]], reference: str | None = None
 ) -> tuple[ParticipantAgreement, ...]:
     """The E_n number of every participant, by name. values: participant → values with standard uncertainties. reference: the
-    participant whose value is the assigned one. Empty with fewer than two participants."""
+    participant whose value is the assigned one. The result is empty if there are fewer than two participants."""
     means = {name: _mean(found) for name, found in values.items() if found}
     compared = []
     for name, (value, u) in sorted(means.items()):

@@ -28,9 +28,9 @@ LEVEL = 0.01
 
 @dataclass(frozen=True, slots=True)
 class CauseCandidate:
-    """A circumstance that changed with the level. before, after: its values in the last run before the change and in the first
-    after it. shared: fraction of the runs of both stretches in which it had the value of its side; 1 means that it distinguishes
-    the stretches completely."""
+    """A circumstance that changed with the level. before, after: values of the circumstance in the last run before the change and
+    in the first run after it. shared: fraction of the runs in both stretches in which the circumstance had the value of its
+    stretch, `before` or `after`; 1 means that it distinguishes the stretches completely."""
 
     kind: CircumstanceKind
     name: str
@@ -45,8 +45,9 @@ class CauseCandidate:
 
 @dataclass(frozen=True, slots=True)
 class ChangePoint:
-    """A change of the level. index: of the first value after it. step, standard_uncertainty: in the unit of the values; p: its p-value.
-    begin, end: the two stretches that it divides are [begin, index) and [index, end)."""
+    """A change of the level. index: index of the first value after the change. step, standard_uncertainty: size of the change and
+    its standard uncertainty, in the unit of the values; p: p-value of the change. begin, end: the change divides the stretches
+    [begin, index) and [index, end)."""
 
     index: int
     step: float
@@ -118,8 +119,8 @@ def _misfit(values: Array, weight: Array, design: Array) -> float:
 
 
 def causes(point: ChangePoint, circumstances: Sequence[Sequence[Circumstance]]) -> tuple[CauseCandidate, ...]:
-    """Circumstances that changed with the level. Those that distinguish the two stretches best come first. circumstances: of every
-    run, in the order of the values."""
+    """Circumstances that changed with the level. Those that distinguish the two stretches best come first. circumstances:
+    circumstances of every run, in the order of the values."""
     known = [{(one.kind, one.name): one.value for one in run} for run in circumstances[point.begin : point.end]]
     split = point.index - point.begin
     before, after = known[split - 1], known[split]

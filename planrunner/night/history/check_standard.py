@@ -44,7 +44,7 @@ CHECK_STANDARD_FORMAT = 1
 
 
 class ControlStanding(Enum):
-    """Result for the check standard of a bench."""
+    """Possible results of the control of a check standard."""
 
     IN_CONTROL = "in control"
     OUT_OF_CONTROL = "out of control"
@@ -57,7 +57,7 @@ class ControlStanding(Enum):
 
 
 class ControlTest(Enum):
-    """Comparisons of a value of a check standard."""
+    """Comparisons in which a value of a check standard is tested."""
 
     REFERENCE = "reference"
     SHEWHART = "Shewhart"
@@ -77,9 +77,9 @@ class ControlLimits:
 
 @dataclass(frozen=True)
 class CoefficientControl:
-    """A coefficient of the check standard. trend: its history, the newest value last. limits: limits of the newest value, in each
-    comparison that has limits. charts: of its own history, None with too few values. failed: comparisons in which the newest value
-    is outside the limits. missing: number of earlier values that are still needed for limits."""
+    """A coefficient of the check standard. trend: history of the coefficient, the newest value last. limits: limits of the newest
+    value, in each comparison that has limits. charts: control charts of this history, None if there are too few values. failed:
+    comparisons in which the newest value is outside the limits. missing: number of earlier values that are still needed for limits."""
 
     quantity: str
     trend: Trend
@@ -118,9 +118,9 @@ class CoefficientControl:
 
 @dataclass(frozen=True)
 class ControlState:
-    """The check standard of a bench at a moment. run: its newest run, None if there is none. reasons: reasons why it is not in
-    control, in words. damaged: runs of the archive that cannot be read and that are or may be runs of the check standard; left_out:
-    folders whose bench cannot be determined, and which the rule of the bench does not use."""
+    """The check standard of a bench at a moment. run: newest run of the check standard, None if there is none. reasons: reasons why
+    the check standard is not in control, in words. damaged: runs of the archive that cannot be read and that are or may be runs of
+    the check standard; left_out: folders whose bench cannot be determined, and which the rule of the bench does not use."""
 
     bench: str
     device: str
@@ -176,9 +176,9 @@ def judge(
     now: datetime,
     damaged: Sequence[FaultRow] = (),
 ) -> ControlState:
-    """The state at a moment. runs: runs of the check standard on this bench, the newest first. points: coefficient → its values in
-    these runs, the oldest first. damaged: runs of the archive that cannot be read. A damaged run that was recorded on another
-    bench, or with another plan or device, is not considered."""
+    """The state of the check standard at a moment. runs: runs of the check standard on this bench, the newest first. points:
+    coefficient → its values in these runs, the oldest first. damaged: runs of the archive that cannot be read. A damaged run that
+    was recorded on another bench, or with another plan or device, is not considered."""
     unreadable = tuple(fault for fault in damaged if fault.recorded is None)
     own = RecordedAs(bench, rule.plan_name, rule.device)
     damaged = tuple(fault for fault in damaged if fault.recorded == own)

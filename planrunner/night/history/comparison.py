@@ -36,8 +36,8 @@ class ComparedCoefficient:
 
 @dataclass(frozen=True, slots=True)
 class RunComparison:
-    """The comparison of several runs. runs: the compared runs, the first of which is the reference; names: as the user gave them, a
-    URL for a copy of a remote run."""
+    """The comparison of several runs. runs: the compared runs, the first of which is the reference; names: the runs as the user
+    named them, a URL for a copy of a remote run."""
 
     names: tuple[str, ...]
     runs: tuple[RunRow, ...]

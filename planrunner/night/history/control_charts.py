@@ -36,8 +36,9 @@ BASELINE = 20
 
 @dataclass(frozen=True, slots=True)
 class Centre:
-    """The centre of the charts. mean: weighted with 1/σ_i²; standard_uncertainty: of the mean; between: τ; values: number of values
-    from which it was computed. All in the unit of the values."""
+    """The centre of the charts. mean: mean of the values, weighted with 1/σ_i²; standard_uncertainty: standard uncertainty of the
+    mean; between: τ; values: number of values from which the centre was computed. Mean, uncertainty and τ are in the unit of the
+    values."""
 
     mean: float
     standard_uncertainty: float
@@ -47,8 +48,8 @@ class Centre:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """A chart of n values. statistic: (n,), the value, its moving average or the sum; lower, upper: (n,), its limits; alarms: (n,),
-    whether the statistic is outside its limits."""
+    """A chart of n values. statistic: (n,), the values, their moving averages or their sums; lower, upper: (n,), limits of the
+    statistic; alarms: (n,), True if the statistic is outside its limits."""
 
     statistic: Array
     lower: Array
@@ -101,11 +102,11 @@ def shewhart(values: Array, mean: float, sigma: Array, width: float = SHEWHART) 
 def ewma(
     values: Array, mean: float, sigma: Array, weight: float = LAMBDA, width: float = EWMA_WIDTH, *, steady: bool = False
 ) -> Chart:
-    """The exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. values: (n, …); sigma: (n,) or like
-    values.
+    """The exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. values: (n, …); sigma: (n,), or the
+    same shape as values.
 
-    Its variance V_i = λ² σ_i² + (1 − λ)² V_{i−1} begins with 0, so that the first limits are narrower. steady: whether the variance
-    begins with its final value for σ_0 instead, λ/(2 − λ) σ², as in the handbook.
+    The variance of E_i is V_i = λ² σ_i² + (1 − λ)² V_{i−1}. It begins with 0, so that the first limits are narrower. steady: if
+    True, it begins with its final value for the first σ, λ/(2 − λ) σ², as in the handbook.
     """
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     average, half = np.empty_like(values), np.empty_like(values)
@@ -122,7 +123,7 @@ def cusum(
     values: Array, mean: float, sigma: Array, allowance: float = ALLOWANCE, decision: float = DECISION
 ) -> tuple[Chart, Chart]:
     """The tabular CUSUM: sums S⁺_i = max(0, S⁺_{i−1} + z_i − k) and S⁻_i = min(0, S⁻_{i−1} + z_i + k) of z_i = (x_i − mean)/σ_i,
-    with the limits ±h. values: (n, …); sigma: (n,) or like values, all positive."""
+    with the limits ±h. values: (n, …); sigma: (n,), or the same shape as values; all positive."""
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     up, down = np.empty_like(values), np.empty_like(values)
     high, low = np.zeros(values.shape[1:]), np.zeros(values.shape[1:])

@@ -34,7 +34,7 @@ _CONNECT = 10
 
 
 class Database(Protocol):
-    """An open database. Parameters in statements are `?`."""
+    """An open database. Parameters in statements are written as `?`."""
 
     name: str
     """For messages; without a password."""
@@ -57,8 +57,8 @@ class Database(Protocol):
 
 
 def open_database(index: str | None, archive: Path) -> Database:
-    """The database of an archive's index. index: a file, or the URL of a PostgreSQL database; None: as the environment says, by default a
-    file in this user's state folder. Raises `InputError`."""
+    """The database of an archive's index. index: a file, or the URL of a PostgreSQL database; if None, the environment names it, by
+    default a file in this user's state folder. Raises `InputError`."""
     named = index or os.environ.get(INDEX) or ""
     if re.match(r"postgres(ql)?://", named):
         return Postgres(named)
@@ -92,7 +92,7 @@ _APPLICATION = int.from_bytes(b"plnr", "big")
 class Sqlite:
     """An SQLite file in write-ahead mode: readers never wait, and writers wait for one another.
 
-    own: whether planrunner chose the name of the file. Such a file is renamed to `….unreadable` if it is not a database, because an
+    own: True if planrunner chose the name of the file. Such a file is renamed to `….unreadable` if it is not a database, because an
     index can always be made again. A file that the user named is never replaced, nor is the database of another program used.
     """
 

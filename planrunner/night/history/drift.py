@@ -38,8 +38,8 @@ the next calibration is a date."""
 
 @dataclass(frozen=True, slots=True)
 class DriftLine:
-    """A fitted line. slope, slope_uncertainty: unit per day. level: at the mean time `middle` [days]. between: τ; stated: ū; times
-    in days."""
+    """A fitted line. slope, slope_uncertainty: unit per day. level: value of the line at the mean time `middle`. between: τ;
+    stated: ū. All times are in days."""
 
     slope: float
     slope_uncertainty: float
@@ -81,8 +81,8 @@ def drift_line(days: Array, values: Array, u: Array, between: float) -> DriftLin
 
 
 def days_left(line: DriftLine, permissible: float | None = None) -> float:
-    """Days from the last value to the next calibration; 0 if it is due at once, `HORIZON` if it is later than that. permissible:
-    largest deviation."""
+    """Days from the last value to the next calibration; 0 if the calibration is due at once, `HORIZON` if it is due later than
+    that. permissible: largest deviation."""
 
     def due(later: float) -> bool:
         change = abs(line.slope) * later

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 
 def export_index(index: Index, target: Path) -> None:
-    """Writes the tables runs, coefficients and limits: to a DuckDB database if the name ends with `.duckdb`, else as Parquet files to a
-    folder, which is made. An existing database or file of these names is replaced as a whole. Raises `InputError`."""
+    """Writes the tables runs, coefficients and limits: to a DuckDB database if the name ends with `.duckdb`, otherwise as Parquet
+    files to a folder, which is created. An existing database or file of these names is replaced as a whole. Raises `InputError`."""
     tables = index_tables(index)
     try:
         if target.suffix == ".duckdb":

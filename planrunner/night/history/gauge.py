@@ -4,8 +4,8 @@ A balanced, fully crossed random-effects model with all interactions, for one to
 
     E(MS_S) = σ² + r·Σ_{T ⊇ S} σ_T²·∏_{f ∉ T} a_f
 
-with r repetitions and a_f levels of factor f. The variance components follow from it; a negative one counts as zero.
-Reproducibility is all variance that is neither that of the device nor repeatability. Intervals are those of the modified
+with r repetitions and a_f levels of factor f. The variance components follow from these expectations; a negative component counts
+as zero. Reproducibility is all variance that is neither that of the device nor repeatability. Intervals are those of the modified
 large-sample method: Graybill and Wang (Journal of the American Statistical Association 75, 1980) for sums of mean squares, and Ting
 et al. (Journal of Statistical Computation and Simulation 35, 1990) for differences, as Burdick, Borror and Montgomery (Design and
 Analysis of Gauge R&R Studies, 2005) apply them.
@@ -33,7 +33,8 @@ class UnbalancedError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class MeanSquare:
-    """One mean square. factors: factors of the effect; empty for the repetitions. df: degrees of freedom."""
+    """One mean square of the analysis of variance. factors: factors of the effect; empty for the repetitions. df: degrees of
+    freedom."""
 
     factors: tuple[str, ...]
     sum_of_squares: float
@@ -64,8 +65,9 @@ GAUGE_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class GaugeStudy:
-    """Result of a gauge study. components: repeatability, every factor and interaction, reproducibility, gauge (both together), and
-    total. levels: factor → number of levels; repetitions: number in each cell; unused: number of values beyond these repetitions."""
+    """Result of a gauge study. components: repeatability, every factor and interaction, reproducibility, gauge (repeatability and
+    reproducibility together), and total. levels: factor → number of levels; repetitions: number of values in each cell; unused:
+    number of values beyond these repetitions."""
 
     anova: tuple[MeanSquare, ...]
     components: tuple[VarianceComponent, ...]
@@ -97,7 +99,7 @@ def gauge_study(
     factors: Mapping[str, Sequence[str]], values: Sequence[float], item: str = "device", *, pooled: bool = False
 ) -> GaugeStudy:
     """The study of n values. factors: name → label of each value (n); a factor with one level is left out. item: the factor of the
-    measured items. If a cell has more values than the others, only its first values count. pooled: whether interactions count as
+    measured items. If a cell has more values than the others, only its first values count. pooled: True if interactions count as
     repeatability, which is usual if they are not significant. Raises `UnbalancedError`."""
     used = {name: list(labels) for name, labels in factors.items() if len(set(labels)) > 1}
     levels = {name: sorted(set(labels)) for name, labels in used.items()}
@@ -155,8 +157,8 @@ def _pooled(anova: Sequence[MeanSquare]) -> list[MeanSquare]:
 
 
 def _components(anova: Sequence[MeanSquare], levels: Mapping[str, int], r: int, item: str) -> list[VarianceComponent]:
-    """The components of variance. Each is a linear combination of mean squares; the expectations are solved from the highest
-    interaction down."""
+    """The components of variance. Each component is a linear combination of mean squares; the expectations are solved from the
+    highest interaction down."""
     squares = {one.factors: one for one in anova}
     combos: dict[tuple[str, ...], dict[tuple[str, ...], float]] = {(): {(): 1.0}}
     for factors in sorted((one for one in squares if one), key=len, reverse=True):

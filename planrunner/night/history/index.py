@@ -2,8 +2,8 @@
 
 The run folders are the record; the index is a copy for quick answers. It can be made again from the folders at any time. Each run
 is replaced in one transaction, so that a reader sees every run in a consistent state, even while the index is refreshed or rebuilt.
-Several processes may do this at the same time: each writes the runs that it read, and the next refresh reads a folder that changed
-in the meantime again.
+Several processes may refresh an index at the same time: each writes the runs that it read, and the next refresh reads a folder that
+changed in the meantime again.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ _SCHEMA = (
 
 @dataclass(frozen=True, slots=True)
 class Refreshed:
-    """Result of a refresh. read: runs that were read again; removed: runs that no longer exist; faults: folders that are not in the
-    index."""
+    """Result of a refresh. read: number of runs that were read again; removed: number of runs that no longer exist; faults: folders
+    that are not in the index."""
 
     read: int
     removed: int
@@ -150,8 +150,8 @@ class Index:
     def refresh(
         self, *, rebuild: bool = False, notice: Announce | None = None, workers: Workers | None = None
     ) -> Refreshed:
-        """Reads the runs that are new or changed, and removes those that no longer exist. rebuild: whether to read all runs again.
-        notice: receives the progress; workers: processes that read, by default as many of this machine as the work justifies."""
+        """Reads the runs that are new or changed, and removes those that no longer exist. rebuild: if True, reads all runs again.
+        notice: receives the progress; workers: processes that read; by default, as many of this machine as the work justifies."""
         query = self._database.query
         rows = query("SELECT folder, fingerprint FROM runs WHERE archive = ?", (self._name,))
         known = {str(place): mark for place, mark in rows}
@@ -252,7 +252,7 @@ class Index:
         return [_run_row(row) for row in found]
 
     def count(self, wanted: RunFilter = RunFilter()) -> int:  # noqa: B008 - frozen
-        """Number of runs that pass the filter; its limit does not count."""
+        """Number of runs that pass the filter; the limit of the filter is ignored."""
         where, values = self._where(wanted)
         return cast(int, self._database.query(f"SELECT count(*) FROM runs WHERE {where}", values)[0][0])
 
@@ -280,7 +280,7 @@ class Index:
         return tuple(map(_limit_row, found))
 
     def all_coefficients(self) -> list[tuple[str, CoefficientRow]]:
-        """Folder and coefficient of all runs, by folder and name."""
+        """Folder and coefficient, for all coefficients of all runs, sorted by folder and name."""
         found = self._database.query(
             f"SELECT folder, {_named(_COEFFICIENT, 'c')} FROM runs JOIN coefficients c ON c.run_id = runs.id "
             "WHERE archive = ? ORDER BY folder, quantity",
@@ -289,7 +289,7 @@ class Index:
         return [(str(folder), _coefficient_row(tuple(row))) for folder, *row in found]
 
     def all_limits(self) -> list[tuple[str, LimitRow]]:
-        """Folder and limit of all runs, by folder and quantity."""
+        """Folder and limit, for all limits of all runs, sorted by folder and quantity."""
         found = self._database.query(
             f"SELECT folder, {_named(_LIMIT, 'l')} FROM runs JOIN limits l ON l.run_id = runs.id "
             "WHERE archive = ? ORDER BY folder, quantity, requirement",
@@ -298,7 +298,7 @@ class Index:
         return [(str(folder), _limit_row(tuple(row))) for folder, *row in found]
 
     def devices(self) -> list[DeviceSummary]:
-        """The devices by serial number; runs that state none have an empty one."""
+        """The devices, sorted by serial number; runs that state no serial number belong to a device with an empty one."""
         found = self._database.query(
             "SELECT device, count(*), max(created) FROM runs WHERE archive = ? GROUP BY device ORDER BY device",
             (self._name,),
@@ -336,7 +336,7 @@ class Index:
         return points
 
     def history(self, device: str, quantity: str, since: str = "") -> list[HistoryPoint]:
-        """A coefficient of a device over time, the oldest first. since: first day or moment; empty for all."""
+        """A coefficient of a device over time, the oldest first. since: first day or moment; empty for the whole history."""
         return self.points(quantity, RunFilter(device=literal(device), since=since))
 
     def faults(self) -> list[FaultRow]:
@@ -427,8 +427,8 @@ def _values(row: CoefficientRow | LimitRow | RecordedAs) -> SqlRow:
 
 
 def _apart(row: _Row, parameters: Mapping[str, str]) -> _Row:
-    """A row of a run that has its own values for parameters of the plan. Its history is separate from that of other values, so its
-    quantity has another name."""
+    """A row of a run for which values of plan parameters were given. Its history is separate from the history with other values, so
+    its quantity gets another name."""
     return replace(row, quantity=variant_name(row.quantity, parameters)) if parameters else row
 
 

@@ -44,8 +44,8 @@ _MOST_TEXT = 2000
 
 
 def fingerprint(entries: Mapping[str, Entry]) -> str:
-    """A value that changes whenever planrunner writes to a run folder. entries: of the folder. It is empty if the last change is so
-    recent that the next one might not change it."""
+    """A value that changes whenever planrunner writes to a run folder. entries: entries of the folder. The value is empty if the
+    last change is so recent that the next change might leave the value as it is."""
     known = [(name, entries[name]) for name in _READ if name in entries]
     if known and abs(time.time() - max(entry.modified for _, entry in known) / 1e9) < _SETTLED:
         return ""
@@ -54,8 +54,8 @@ def fingerprint(entries: Mapping[str, Entry]) -> str:
 
 
 def read_run(archive: Path, place: str) -> IndexedRun:
-    """Reads a run folder of an archive. place: relative to it, with slashes. Never raises an exception because of faults in the
-    folder."""
+    """Reads a run folder of an archive. place: path relative to the archive, with slashes. Never raises an exception because of
+    faults in the folder."""
     mark = ""
     found: Examined | None = None
     try:
@@ -175,7 +175,7 @@ def _circumstances(
 
 @lru_cache(maxsize=256)
 def _bench_facts(data: bytes) -> JsonObject:
-    """Facts from a bench file. Its drivers need not be installed, and it need not pass the present checks."""
+    """Facts from a bench file. The drivers named in the file need not be installed, and the file need not pass the present checks."""
     root = _parsed(data, BENCH)
     return {
         "name": _scalar(root, "name") or "unknown",

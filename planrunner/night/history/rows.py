@@ -32,7 +32,8 @@ class CircumstanceKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Circumstance:
-    """One circumstance of a run. name: which one of its kind, such as `table.serial`; empty if there is only one."""
+    """One circumstance of a run. name: name among the circumstances of this kind, such as `table.serial`; empty if there is only
+    one."""
 
     kind: CircumstanceKind
     name: str

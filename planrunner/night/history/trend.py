@@ -27,7 +27,7 @@ class Trend:
     """The history of a coefficient. points: the runs whose value can be used, the oldest first; values, standard_uncertainties:
     (n,), in `unit`, which is the unit of the newest run. left_out: folders of runs without a usable value: in another dimension,
     missing, or without a finite uncertainty. charts, drift: None if there are too few values. tolerance: permissible deviation for
-    computing the next calibration, None without one."""
+    computing the next calibration, None if it is not stated."""
 
     device: str
     quantity: str
