@@ -199,7 +199,8 @@ class NightCourse:
         self._benches[self.tests[test].bench].running = None
 
     def abandon(self, test: int) -> EndOfTest | None:
-        """Records that a waiting test will not run. If the test waited for a repetition, returns its result: the end of its last attempt."""
+        """Records that a waiting test will not run. Returns the result of a test that waited for a repetition: the end of its last
+        attempt."""
         self._withdraw(test)
         state = self._tests[test]
         state.state, state.ending = "not run" if state.failed is None else "ended", state.failed

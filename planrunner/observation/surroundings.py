@@ -106,8 +106,9 @@ def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Arr
 
 @dataclass(frozen=True, slots=True)
 class Monitors:
-    """Channels that show the state of the sensor besides its motion; None for a state that comes from the plan. thermometer: of the
-    sensor; voltmeter: of its supply; barometer: of the ambient air. nominal_supply: V."""
+    """Channels that show the state of the sensor besides its motion; None for a state that comes from the plan. thermometer: channel
+    with the temperature of the sensor; voltmeter: channel with its supply voltage; barometer: channel with the ambient pressure.
+    nominal_supply: V."""
 
     thermometer: str | None = None
     voltmeter: str | None = None
