@@ -11,8 +11,7 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.added import LASTING
 from planrunner.error_model.effects.held import sticking
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.apart import repeated_parameters
-from planrunner.gap.evidence.repeated import repeated
+from planrunner.gap.answer.apart import repeated, repeated_parameters
 from tests.gap.turntable import record
 
 SIGMA = 0.01

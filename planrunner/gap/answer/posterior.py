@@ -2,7 +2,7 @@
 
 The evidence determines directly the probability that effects of the catalogue are the whole cause, that they act together with
 something else, and that none of them acts. The probability of effects is then divided among sets of them. For this, the evidence is
-computed with the noise enlarged by the dispersion of the residuals (`evidence.dispersion`). If even the best set leaves more than
+computed with the noise enlarged by the dispersion of the residuals (`gap.answer.remainder`). If even the best set leaves more than
 noise, the evidence for its names is weaker by this factor.
 
 Noise is never a rival of a cause. Hypotheses that differ only in an effect on the level of the noise are the same cause, and their
