@@ -1,4 +1,4 @@
-"""Data for the template of a certificate in addition to those of the report: plain text in parts that catalogues translate.
+"""Data for the template of a certificate, in addition to the data of the report: plain text in parts that catalogues translate.
 
 The template has the wording; names, figures and dates are prepared here. A missing value is an empty text, which the page shows as
 not stated.

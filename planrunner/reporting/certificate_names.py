@@ -1,6 +1,8 @@
-"""Names that certificates show in their own language: of conditions, of references that are named after their role, and of estimators.
+"""Names that certificates show in their own language: names of conditions, of references that are named after their role, and of
+estimators.
 
-In English, an estimator has the name that plans use. An estimator of a plug-in package has this name in every language.
+In English, an estimator has the name that plans use. An estimator of a plug-in package has the name that plans use in every
+language.
 """
 
 from __future__ import annotations

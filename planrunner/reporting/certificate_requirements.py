@@ -43,8 +43,8 @@ STANDARD = "ISO/IEC 17025:2017"
 
 @dataclass(frozen=True, slots=True)
 class CertificateItem:
-    """Run information that a certificate shows. required: whether no certificate is written without it. instead: an alternative
-    name."""
+    """Run information that a certificate shows. required: True if no certificate is written without it. instead: name of other run
+    information that is accepted in its place."""
 
     name: str
     clause: str
@@ -147,8 +147,8 @@ def _list(names: list[str]) -> str:
 def check_certificate(
     plan: Plan, bench: Bench, schedule: Schedule | None, known: Collection[str], log: Findings
 ) -> None:
-    """Adds errors, at the first certificate in the plan's `report`, for information that it could not show. known: names of existing
-    reports; unknown names are reported elsewhere."""
+    """Adds errors, at the first certificate in the plan's `report`, for information that the certificate could not show. known:
+    names of existing reports; unknown names are reported elsewhere."""
     places = [index for index, name in enumerate(plan.report) if is_certificate(name) and name in known]
     if not places:
         return

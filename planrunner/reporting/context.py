@@ -19,7 +19,7 @@ from planrunner.reporting.verdict import Headline, headline
 
 @dataclass(frozen=True, slots=True)
 class Traced:
-    """A reference of the calibration: the site or an instrument, its description of itself, and its stated calibration."""
+    """A reference used in the calibration: the site or an instrument, its description of itself, and its stated calibration."""
 
     name: Said
     identity: str = ""
@@ -32,9 +32,10 @@ class Traced:
 @dataclass(frozen=True, slots=True)
 class PrintedSignature:
     """A signature of the run as pages print it (21 CFR 11.50). meaning: `reviewed`, `approved`, `released`, or for a bench
-    `recorded`, `evaluated`; name: of the signer; at: time of the signer's clock, UTC; key: fingerprint; analyses: numbers of the
-    analyses that it covers. standing: valid with a key of the ring, made with a key that nobody has confirmed (`unknown`), or
-    invalid; owner: name of the key in the ring; why: the reason why it is not valid."""
+    `recorded`, `evaluated`; name: name of the signer; at: time according to the signer's clock, UTC; key: fingerprint of the key;
+    analyses: numbers of the analyses that the signature covers. standing: valid (made with a key of the key ring), unknown (made
+    with a key that nobody has confirmed), or invalid; owner: name of the key in the key ring; why: the reason why the signature is
+    not valid."""
 
     meaning: str
     name: str
@@ -51,10 +52,11 @@ class CertificateFacts:
     """Data that only certificates show. Dates are ISO 8601.
 
     laboratory: the bench file's `laboratory`. told: run information, from the run and from the issue of the certificate; corrected:
-    names that were changed at the issue → value recorded with the run. performed: first and last day of the run. conditions: (name,
-    text). events: deviations from the method, as (kind, segment, reason) with the kinds truncated, rejected, fault. approvals: of
-    the plan, each with person, time and key. before: estimates of the run before the adjustment, by name. duration: time from the
-    first to the last sample, s. simulated: whether no real item was measured; replayed: whether a recording was played back.
+    name of each item that was changed at the issue → value recorded with the run. performed: first and last day of the run.
+    conditions: (name, text). events: deviations from the method, as (kind, segment, reason) with the kinds truncated, rejected,
+    fault. approvals: approvals of the plan, each with person, time and key. before: estimates of the run before the adjustment, by
+    name. duration: time from the first to the last sample, s. simulated: True if no real item was measured; replayed: True if a
+    recording was played back.
     """
 
     run: str
@@ -94,12 +96,12 @@ class SegmentSummary:
 class ReportContext:
     """All data that reports show. Mappings keep their order.
 
-    run_information: information given for this run (operator, device_serial, work_order, fixture, ambient_pressure …). bench: facts about
-    the bench (name, description …); instruments: role → identity as the instrument gave it. failures: estimates that could not be made →
-    reason. provenance: versions, hashes of plan, bench, journal head and seal, number of the analysis, UTC times. probability: coverage
-    probability of the expanded uncertainties. certificate: additional data for certificates. on_top: the most important facts: item,
-    operator, date, duration, analysis. origin: source of the samples, if known. seal: SHA-256 of seal.json, if the run is sealed.
-    signatures: of the run, made before the page.
+    run_information: information given for this run (operator, device_serial, work_order, fixture, ambient_pressure …). bench: facts
+    about the bench (name, description …); instruments: role → identity as the instrument gave it. failures: estimates that could
+    not be made → reason. provenance: versions, hashes of plan, bench, journal head and seal, number of the analysis, UTC times.
+    probability: coverage probability of the expanded uncertainties. certificate: additional data for certificates. on_top: the most
+    important facts: item, operator, date, duration, analysis. origin: source of the samples, if known. seal: SHA-256 of seal.json,
+    if the run is sealed. signatures: signatures of the run that were made before the page.
     """
 
     title: str
@@ -124,7 +126,7 @@ class ReportContext:
 
     @property
     def headline(self) -> Headline:
-        """The verdict, with the warnings of the run and of its estimates counted."""
+        """The verdict, together with the number of warnings of the run and of its estimates."""
         warnings = len(self.warnings) + sum(len(estimate.warnings) for estimate in self.estimates)
         return headline(self.limits, self.failures, warnings)
 

@@ -1,4 +1,4 @@
-"""Output of a design study of a rotation cycle: residuals of the cycles, their moves, the searches, and their courses."""
+"""Output of a design study of a rotation cycle: the residuals and moves of the cycles, the searches, and plots over time."""
 
 from __future__ import annotations
 

@@ -44,8 +44,9 @@ Data = Mapping[str, Json]
 
 @dataclass(frozen=True)
 class DiagnosisContext:
-    """Input of the page of a diagnosis. title: of the plan; diagnosis: plain data; facts: about the diagnosed recording; remarks:
-    warnings about the recording; next_plan: text of the proposed plan, or empty. origin: source of the samples."""
+    """Input of the page of a diagnosis. title: title of the plan; diagnosis: the diagnosis as plain data; facts: facts about the
+    diagnosed recording; remarks: warnings about the recording; next_plan: text of the proposed plan, or empty. origin: source of
+    the samples."""
 
     title: str
     diagnosis: Data
@@ -113,7 +114,7 @@ def verdict(found: Data) -> str:
 
 
 def _noise_beside(found: Data) -> list[str]:
-    """Sentences about the effects on the noise beside the cause."""
+    """Sentences about the effects on the noise that act beside the cause."""
     chances = found.get("noise_effects", {})
     return [
         f"The noise differs from its declaration: {name} ({probability(chances[name])})."
@@ -200,7 +201,7 @@ def _something_else(found: Data) -> str:
 
 
 def _much(found: Data, nearly: bool) -> str:
-    """The part of the gap that the named effects explain. If the remaining gap is only noise, they explain all of it."""
+    """The part of the gap that the named effects explain. If the remaining gap is only noise, the named effects explain all of it."""
     rest = found.get("rest")
     if rest is not None and not rest["passes"]:
         return "nearly all of the gap"
@@ -356,7 +357,8 @@ def _closure(found: Data) -> Table:
 
 
 def comparison(found: Data) -> Table:
-    """The gap between the recording and simulations without and with the effects found, by channel; no rows without a comparison."""
+    """The gap between the recording and simulations without and with the effects found, by channel; empty if the diagnosis contains
+    no comparison."""
     channels = (found.get("comparison") or {}).get("channels", {})
     rows = tuple(
         (
@@ -480,7 +482,8 @@ def _change(shrinks_by: float) -> str:
 
 
 def _interval(low: float, high: float) -> str:
-    """The interval with the smaller value first, for a gap that shrinks or grows. If it may do either, the interval is in words."""
+    """The interval with the smaller value first, for a gap that shrinks or grows. If the gap may do either, the interval is in
+    words."""
     if low >= 0:
         return f"{_percent(low)} to {_percent(high)}"
     if high <= 0:

@@ -42,7 +42,7 @@ large, and so on."""
 
 
 def pictures(found: Data) -> list[JsonObject]:
-    """Title, description and SVG of each picture for which the diagnosis has data. wide: whether the picture spans the full width
+    """Title, description and SVG of each picture for which the diagnosis has data. wide: True if the picture spans the full width
     of the page."""
     from markupsafe import Markup
 
@@ -137,7 +137,8 @@ def _spectrum(name: str, one: Data) -> Plot:
 
 
 def heat_svg(heat: Data, key: str) -> str:
-    """One row per channel, one column per segment. White is noise alone; darker is larger, on a logarithmic scale."""
+    """A heat map of the gap, with one row for each channel and one column for each segment. White is noise alone; a darker field is
+    a larger gap, on a logarithmic scale."""
     from matplotlib.colors import LinearSegmentedColormap
 
     channels, segments = list(heat["channels"]), list(heat["segments"])
@@ -196,7 +197,8 @@ def posterior_svg(hypotheses: Sequence[tuple[str, float]], key: str) -> str:
 
 
 def confusability_svg(alike: Data, key: str) -> str:
-    """Row: effect with the signature; column: effect that reproduces it; in hundredths."""
+    """A map of the confusability, in hundredths: each row is the effect with the signature, and each column an effect that
+    reproduces it."""
     from matplotlib.colors import LinearSegmentedColormap
 
     names = list(alike["effects"])

@@ -1,7 +1,8 @@
 """The difference of two plans, benches or runs as a page, and as a comment in Markdown for a review.
 
-Texts from files are treated as data in both. The page is escaped, and its policy prevents loading and running anything. In the
-comment, every text from a file is in a code element, and all characters that Markdown could interpret are written as entities.
+On both, texts from files are treated as data. The page is escaped, and its content security policy prevents loading and running
+anything. In the comment, every text from a file is in a code element, and all characters that Markdown could interpret are written
+as entities.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ def _timeline(schedule: Schedule | None, side: str) -> str:
 
 
 def _pictures(compared: Compared) -> Iterator[JsonObject]:
-    """One picture of every changed orientation. Segments that change it in the same way share the picture."""
+    """One picture of every changed orientation. Segments whose orientation changes in the same way share one picture."""
     from markupsafe import Markup
 
     groups: dict[str, tuple[PartChange, list[str]]] = {}
@@ -106,7 +107,8 @@ def _attitude(content: object) -> np.ndarray[tuple[int, ...], np.dtype[np.float6
 
 
 def difference_markdown(compared: Compared) -> str:
-    """The difference as a comment in Markdown. Tables that would make it too long are omitted, and the comment states this."""
+    """The difference as a comment in Markdown. Tables that would make the comment too long are omitted, and the comment states
+    this."""
     first, second = (code(name) for name in compared.names)
     lines = [f"**{headline(compared)}**", "", f"{first} → {second}", ""]
     size = sum(len(line) + 1 for line in lines)

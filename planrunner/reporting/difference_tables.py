@@ -26,7 +26,7 @@ MOST_TEXT = 160
 
 
 def headline(compared: Compared) -> str:
-    """One line: whether the two differ, and in how many places."""
+    """One line: whether the two plans, benches or runs differ, and in how many places."""
     found = compared.meaning
     if compared.kind == "run":
         return "The runs differ." if compared.different else "The runs have the same results."
@@ -57,7 +57,7 @@ def difference_tables(compared: Compared) -> list[Table]:
 
 
 def notes(compared: Compared) -> list[str]:
-    """Differences without meaning that may interest a reader, and results that could not be computed."""
+    """Differences that do not change the meaning but may interest a reader, and results that could not be computed."""
     found = compared.meaning
     lines = [
         f"The {change.place[-1]} differs. It is a text for readers, so this is not a difference in meaning."
@@ -115,7 +115,7 @@ def _segments(segments: Sequence[SegmentChange]) -> Table:
 
 
 def _segment_rows(item: SegmentChange) -> Iterator[tuple[str, str, str]]:
-    """What changed, before and after."""
+    """The changes of one segment: what changed, the text before, and the text after."""
     if item.before is None or item.after is None:
         text = cut(", ".join(f"{_key(change.place)} {change.shown[0] or change.shown[1]}" for change in item.changes))
         yield ("added", "–", text) if item.before is None else ("removed", text, "–")
@@ -133,7 +133,7 @@ def _key(place: Sequence[str]) -> str:
 
 
 def _sides(change: PartChange) -> tuple[str, str]:
-    """The values before and after. For lists of names, only removed and added names."""
+    """The values before and after. For lists of names, only the removed and the added names are shown."""
     if change.gained or change.lost:
         return cut(", ".join(change.lost)) or "–", cut(", ".join(change.gained)) or "–"
     return cut(change.shown[0]) or "–", cut(change.shown[1]) or "–"

@@ -44,7 +44,7 @@ class ExportError(Exception):
 
 
 def export(estimate: Estimate, form: str, provenance: Mapping[str, str] | None = None) -> str:
-    """The text of one file. form: csv, matlab, yaml or c (see `FORMS`); provenance: written in the opening comment.
+    """The text of one file. form: csv, matlab, yaml or c (see `FORMS`); provenance: facts that the opening comment states.
 
     Raises `ExportError` for an unknown form.
     """

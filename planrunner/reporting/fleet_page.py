@@ -272,7 +272,8 @@ def facts(found: Data) -> dict[str, str]:
 def render_page(
     found: Data, remarks: Sequence[str] = (), origin: DataOrigin | None = None, folder: Path | None = None
 ) -> str:
-    """Renders one self-contained HTML page. remarks: warnings about the recordings; origin: of the samples. Raises `ReportError`."""
+    """Renders one self-contained HTML page. remarks: warnings about the recordings; origin: source of the samples. Raises
+    `ReportError`."""
     from markupsafe import Markup
 
     from planrunner.reporting.plots import plot_svg

@@ -175,7 +175,7 @@ def sentences(found: Trend) -> list[str]:
 
 
 def _stamps(found: Trend) -> Iterator[str]:
-    """A note on runs whose samples were not measured in them."""
+    """Notes on the runs whose samples were not measured in the run itself, such as simulated samples."""
     origins = [point.run.origin for point in found.points]
     for origin in _NOT_MEASURED:
         mark = stamp(origin)

@@ -29,8 +29,9 @@ def languages() -> tuple[str, ...]:
 
 @lru_cache(maxsize=8)
 def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
-    """English message → translation, or the plural forms of one. Doubtful (fuzzy) and empty entries are omitted. The English plural
-    is also a message, because in earlier versions a text could have only this form, and stored results contain it."""
+    """Maps each English message to its translation, or to the plural forms of its translation. Doubtful (fuzzy) and empty entries
+    are omitted. The English plural is also a message, because in earlier versions a text could have only this form, and stored
+    results contain it."""
     if language == ENGLISH:
         return {}
     from babel.messages.pofile import read_po
@@ -113,5 +114,5 @@ def numeral(text: str, language: str) -> str:
 
 
 def filled(message: str, values: Mapping[str, Json]) -> str:
-    """The message with `%(name)s` replaced and `%%` as %. Raises KeyError for a name without a value."""
+    """The message in which each `%(name)s` is replaced by its value, and `%%` by `%`. Raises KeyError for a name without a value."""
     return _PLACE.sub(lambda place: "%" if place[1] is None else str(values[place[1]]), message)

@@ -1,7 +1,7 @@
 """Pictures of orientations: the sensor's axes in the site's East-North-Up frame, as inline SVG drawn from the attitude.
 
-The viewpoint is south-south-east of the sensor and above it, so that east points right, north away from the viewer, and up upwards. No two
-of the six cardinal directions coincide. Axes towards the viewer are drawn over axes pointing away.
+The viewpoint is south-south-east of the sensor and above it, so that east points right, north points away from the viewer, and up
+points upwards. No two of the six cardinal directions coincide. Axes towards the viewer are drawn over axes pointing away.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Charts as inline SVG: values per label or over x, correlations, and the timeline of a schedule.
+"""Charts as inline SVG: values per label or over x, curves, correlations, and the timeline of a schedule.
 
 They are drawn by matplotlib at the width of a phone and scaled by the page, so that text is legible on phones and large screens. Text stays
 text, and equal data give equal bytes.
@@ -60,7 +60,7 @@ _STYLE: dict[RcKeyType, object] = {
 
 
 def plot_svg(plot: Plot, key: str) -> str:
-    """One chart of points with error bars (±1 standard uncertainty) over labels, of points and lines over numbers, or of courses.
+    """One chart: points with error bars (±1 standard uncertainty) over labels, points and lines over numbers, or curves.
 
     key: a name unique in the page, of letters, digits and hyphens; ids in the picture begin with it.
     """
@@ -118,7 +118,7 @@ def _draw_points(axes: Axes, plot: Plot, labels: list[str]) -> None:
 
 
 def _draw_courses(axes: Axes, plot: Plot) -> None:
-    """Each series as a line, with ±1 standard uncertainty, if given, as a band. A non-finite value interrupts the line."""
+    """Draws each series as a line, with ±1 standard uncertainty, if given, as a band. A non-finite value interrupts the line."""
     xs = np.array([float(x) for x in plot.x])
     for index, (name, values) in enumerate(plot.series.items()):
         colour = COLOURS[index % len(COLOURS)]

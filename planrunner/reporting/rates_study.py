@@ -1,4 +1,4 @@
-"""Output of a design study of rates: their efficiencies, expected results, and the variance over rate."""
+"""Output of a design study of rates: their efficiencies, expected results, and the variance as a function of the rate."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _rates(found: FoundRates) -> Table:
 
 
 def _pairs(found: FoundRates) -> dict[str, tuple[Coefficient, Coefficient]]:
-    """Expected coefficients of both sets by name."""
+    """Maps each name of a coefficient to the expected coefficients of the planned set and of the best set."""
     after = {item.name: item for item in found.sets["best"].predicted}
     return {item.name: (item, after[item.name]) for item in found.sets["planned"].predicted if item.name in after}
 

@@ -18,8 +18,8 @@ from planrunner.reporting.view import report_view
 
 @dataclass(frozen=True, slots=True)
 class RunDeviation:
-    """Something that a reviewer must judge. kind: in words; segment: label of the segment, estimate: name of the estimate that it
-    concerns, if any. grave: whether it prevents the release of the run."""
+    """Something that a reviewer must judge. kind: kind of the deviation in words; segment: label of the affected segment, if any;
+    estimate: name of the affected estimate, if any. grave: True if the deviation prevents the release of the run."""
 
     kind: str
     text: str
@@ -30,7 +30,8 @@ class RunDeviation:
 
 @dataclass(frozen=True, slots=True)
 class DigestedFile:
-    """A file of the run folder. segment: label of the segment whose samples it contains; size in bytes, if recorded."""
+    """A file of the run folder. segment: label of the segment whose samples the file contains; size: in bytes, None if not
+    recorded."""
 
     name: str
     sha256: str

@@ -1,7 +1,8 @@
 """A Jinja environment in which a template can only lay out its data.
 
-It is sandboxed. Text is escaped unless it was made here. An undefined name is an error. Templates are read from the user's folder,
-if one is named, and then from the shipped folder. Every failure is a `ReportError` with its place and reason.
+The environment is sandboxed. Text is escaped unless it was made by this program. An undefined name is an error. Templates are read
+from the user's folder, if one is named, and then from the shipped folder. Every failure is a `ReportError` with its place and
+reason.
 """
 
 from __future__ import annotations

@@ -92,8 +92,8 @@ def show_view(context: ShowContext) -> JsonObject:
 
 
 def show_json(schedule: Schedule, designs: Mapping[str, Design]) -> JsonObject:
-    """A schedule and its expected results as plain JSON data: total_s, segments, predicted (by estimate), in the units named in the
-    keys. None: not specified in the plan."""
+    """A schedule and its expected results as plain JSON data. The keys are total_s, segments, and predicted, which has one entry
+    for each estimate. Keys name the units of their values. None means that the plan does not specify a value."""
     return {
         "total_s": schedule.total,
         "segments": [_segment_json(item) for item in schedule.segments],
@@ -183,8 +183,8 @@ def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
 def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
     """One row per segment: start, transition, state, duration. Columns without information are omitted.
 
-    brief: whether to fit the width of a terminal: soaking and settling in one column, no end time, no orientation if there is only
-    one.
+    brief: if True, the table fits the width of a terminal: soaking and settling in one column, no end time, no orientation if there
+    is only one.
     """
     segments = schedule.segments
     ends = {span.segment.index: words.clock(span.end) for span in spans(schedule) if span.segment.dwell is not None}

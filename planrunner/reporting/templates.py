@@ -1,8 +1,8 @@
 """Makes pages from templates: shipped templates in this process, templates of users in a child process with limits on time and memory.
 
-Both use the sandbox. Shipped templates are part of the program and are tested with it. Other templates may loop for ever or fill the memory
-without leaving the sandbox, and a long run must not fail because of that. Therefore a child process receives the data as JSON and returns
-the page or the error. Any failure of the child is a `ReportError`.
+Both kinds of templates use the sandbox. Shipped templates are part of the program and are tested with it. Other templates may loop
+for ever or fill the memory without leaving the sandbox, and a long run must not fail because of that. Therefore a child process
+receives the data as JSON and returns the page or the error. Any failure of the child is a `ReportError`.
 """
 
 from __future__ import annotations

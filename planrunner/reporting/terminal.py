@@ -79,7 +79,8 @@ def _coefficients(title: str, shown: Iterable[Coefficient], value: str) -> Rende
 
 
 def limits_table(limits: Sequence[LimitVerdict]) -> RenderableType:
-    """A table of limits with their verdicts in words, coloured on a terminal. P(false): probability that the verdict is wrong."""
+    """A table of limits with their verdicts in words, coloured on a terminal. The column P(false) contains the probability that the
+    verdict is wrong."""
     titles = ("quantity", "requirement", "value", "± U", "unit", "k", "rule", "P(false)", "verdict")
     keys = ("quantity", "requirement", "value", "expanded", "unit", "factor", "rule_in_words", "false")
     rows, risks = [], []

@@ -29,7 +29,7 @@ class SegmentTimes:
 
 
 def spans(schedule: Schedule) -> list[SegmentTimes]:
-    """The planned times of every segment. A dwell of unknown length has none."""
+    """The planned times of every segment. A dwell of unknown length counts as zero."""
     result = []
     for segment in schedule.segments:
         arrive = segment.start - segment.settle - segment.soak

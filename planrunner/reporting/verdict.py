@@ -50,7 +50,7 @@ def _and(verdict: str, beside: str, why: str) -> str:
 @dataclass(frozen=True, slots=True)
 class Stamp:
     """The mark next to every verdict on samples that were not measured in this run. about: an explanation in a sentence; alarming:
-    whether the samples were never measured on an item."""
+    True if the samples were never measured on an item."""
 
     word: str
     about: str

@@ -99,7 +99,7 @@ def stamped(origin: DataOrigin | None) -> JsonObject:
 
 
 def estimate_view(estimate: Estimate, index: int, probability: float) -> JsonObject:
-    """One estimate with its pictures. index: makes ids in the page unique."""
+    """One estimate with its pictures. index: number of the estimate, which makes ids in the page unique."""
     from planrunner.reporting.plots import correlation, correlation_svg, plot_svg, strong
 
     key = f"e{index + 1}"

@@ -126,7 +126,7 @@ def motion(what: Motion) -> str:
 
 
 def orientation(segment: Segment) -> str:
-    """Directions of the axes: as written in the plan, otherwise from the attitude."""
+    """Directions of the axes: as written in the plan or, if the plan does not write them, from the attitude."""
     if segment.orientation:
         return segment.orientation
     return "unknown" if segment.attitude is None else in_words(segment.attitude)

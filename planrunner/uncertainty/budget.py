@@ -1,8 +1,8 @@
 """Combined uncertainty: scatter of the data (type A) plus stated uncertainties (type B), with the budget of each coefficient.
 
-Uses the law of propagation of uncertainty for independent inputs (JCGM 100:2008, 5.1.2), applied to all coefficients at once to keep their
-covariance (H.2.4), and the Welch–Satterthwaite formula for effective degrees of freedom (G.4.1). An input that acts on the coefficients in
-several ways is one input: its sensitivities are added before they are squared.
+The module uses the law of propagation of uncertainty for independent inputs (JCGM 100:2008, 5.1.2), applied to all coefficients at
+once to keep their covariance (H.2.4), and the Welch–Satterthwaite formula for effective degrees of freedom (G.4.1). An input that
+acts on the coefficients in several ways is one input: its sensitivities are added before they are squared.
 """
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ def _added(same: Sequence[Influence]) -> Influence:
 
 
 def effective_degrees_of_freedom(contributions: Sequence[float], degrees_of_freedom: Sequence[float]) -> float:
-    """Effective degrees of freedom by Welch–Satterthwaite (JCGM 100:2008, G.4.1). Infinite if nothing contributes, zero if a
-    contribution has no degrees of freedom."""
+    """Effective degrees of freedom by Welch–Satterthwaite (JCGM 100:2008, G.4.1). The result is infinite if nothing contributes,
+    and zero if a contribution has no degrees of freedom."""
     pairs = [(size, freedom) for size, freedom in zip(contributions, degrees_of_freedom, strict=True) if size]
     if any(not freedom > 0 for _, freedom in pairs):
         return 0.0

@@ -27,8 +27,9 @@ Moved = Callable[[float], C]
 
 @dataclass(frozen=True, slots=True)
 class StatedCondition(Generic[C]):
-    """An input that is stated with an uncertainty above zero. parts: change of the conditions by each of its independent parts, by
-    name; the name is empty if there is only one part. in_scatter: whether the scatter of the data contains it."""
+    """An input that is stated with an uncertainty above zero. parts: change of the conditions by each independent part of the
+    input, by name of the part; the name is empty if there is only one part. in_scatter: True if the scatter of the data already
+    contains the input."""
 
     quantity: InputQuantity
     parts: Mapping[str, Moved[C]]
@@ -81,7 +82,7 @@ def influences_on_several(
 
 
 def slopes(formula: Callable[[C], Array], moved: Iterable[Moved[C]], step: float) -> list[Array]:
-    """The derivative with respect to each change of the conditions, in the shape of the formula's results. It evaluates the formula
+    """The derivative with respect to each change of the conditions, in the shape of the formula's results. The formula is evaluated
     twice for each change."""
     return [central(_after(one, formula), step) for one in moved]
 

@@ -30,8 +30,8 @@ class CoefficientRole(StrEnum):
 
 @lru_cache(maxsize=4096)
 def coverage_factor(degrees_of_freedom: float, confidence: float = CONFIDENCE) -> float:
-    """The factor k of the expanded uncertainty: Student's t for a two-sided interval (JCGM 100:2008, G.3), or the normal quantile for
-    infinite degrees of freedom. Infinite if there are no degrees of freedom."""
+    """The factor k of the expanded uncertainty: Student's t for a two-sided interval (JCGM 100:2008, G.3), or the normal quantile
+    for infinite degrees of freedom. The factor is infinite if there are no degrees of freedom."""
     from scipy.special import ndtri, stdtrit
 
     upper = 0.5 + confidence / 2
@@ -64,7 +64,7 @@ class Decision:
 
     @property
     def false(self) -> float:
-        """Specific risk (JCGM 106, 9.3): of false acceptance for a pass, of false rejection for a fail."""
+        """The specific risk (JCGM 106, 9.3): the probability of false acceptance for a pass, or of false rejection for a fail."""
         return 1.0 - self.probability if self.verdict == "pass" else self.probability
 
 

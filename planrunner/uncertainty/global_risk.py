@@ -1,8 +1,8 @@
 """Global risks of a decision rule over all tested items (JCGM 106:2012, 9.5): the fraction of a laboratory's decisions that are wrong.
 
-They require prior knowledge: the distribution of the quantity over the items, which is assumed to be normal. A measurement scatters
-about the true value of an item as Student's t (normal for infinitely many degrees of freedom), with the standard uncertainty of the
-present measurement.
+Global risks require prior knowledge: the distribution of the quantity over the items, which is assumed to be normal. A measurement
+scatters about the true value of an item as Student's t (normal for infinitely many degrees of freedom), with the standard
+uncertainty of the present measurement.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from planrunner.base.dataclass import dataclass
 
 
 class Aspect(StrEnum):
-    """Quantity stated for each output of a sensor; every output has a separate input."""
+    """A kind of quantity that is stated for each output of a sensor; every output has its own input quantity."""
 
     BIAS_INSTABILITY = "bias instability"
     RESOLUTION = "resolution"
@@ -28,11 +28,11 @@ class Aspect(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class InputQuantity:
-    """One stated quantity. value, standard_uncertainty: in `unit`, SI-coherent. distribution: normal, rectangular, triangular, u-shaped, t.
-    source: origin of the statement, for an auditor: instrument, asset number, certificate, or the key of a file. calibrated: ISO date, or
-    empty. shown: unit in budgets, usually the unit of the statement, equal to `shown_factor` times `unit`; if empty, `unit`.
-    from_residuals: whether its uncertainty was estimated from the residuals of the same fit, so that it is not independent of the scatter
-    of the data.
+    """One stated quantity. value, standard_uncertainty: in `unit`, SI-coherent. distribution: normal, rectangular, triangular,
+    u-shaped, t. source: origin of the statement, for an auditor: instrument, asset number, certificate, or the key of a file.
+    calibrated: ISO date, or empty. shown: unit in budgets, usually the unit of the statement, equal to `shown_factor` times `unit`;
+    if empty, budgets show `unit`. from_residuals: True if the uncertainty was estimated from the residuals of the same fit, so that
+    it is not independent of the scatter of the data.
     """
 
     name: str
@@ -52,10 +52,11 @@ class InputQuantity:
 class Influence:
     """Dependence of m coefficients on an input quantity.
 
-    sensitivities: (m, r), ∂coefficient/∂input in the coefficient's unit per `quantity.unit`. r > 1 for r independent inputs with the
-    same uncertainty, such as the error of the table at each of r positions; r = 1 for an input that all segments share. in_scatter:
-    whether the scatter of the data already contains it; the budget then lists it without adding it. parts: names of the r inputs, such
-    as orientations, which identify an input that acts through two influences; inputs without names count as different.
+    sensitivities: (m, r), ∂coefficient/∂input in the coefficient's unit per `quantity.unit`. r > 1 for r independent inputs with
+    the same uncertainty, such as the error of the table at each of r positions; r = 1 for an input that all segments share.
+    in_scatter: True if the scatter of the data already contains the input; the budget then lists the input without adding it.
+    parts: names of the r inputs, such as orientations, which identify an input that acts through two influences; inputs without
+    names count as different.
     """
 
     quantity: InputQuantity
@@ -75,9 +76,10 @@ class Influence:
 
 @dataclass(frozen=True, slots=True)
 class BudgetLine:
-    """One row of a budget (JCGM 100:2008, H.1, table H.1). sensitivity: coefficient's unit per input's unit; contribution: |c|·u, in
-    the coefficient's unit. kind: A or B; added: whether the row is part of the sum. count: number of independent inputs with this
-    uncertainty; for several, the sensitivity is the root sum of squares. calibrated: ISO date, or empty."""
+    """One row of a budget (JCGM 100:2008, H.1, table H.1). sensitivity: c, in the coefficient's unit per unit of the input;
+    contribution: |c|·u, in the coefficient's unit. kind: A or B; added: True if the row is part of the sum. count: number of
+    independent inputs with this uncertainty; for several, the sensitivity is the root sum of squares. calibrated: ISO date, or
+    empty."""
 
     quantity: str
     kind: str

@@ -35,7 +35,8 @@ a function of a module, or a `partial` of one."""
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Monte Carlo result for one coefficient. low, high: the probabilistically symmetric interval; shortest: the shortest one."""
+    """Monte Carlo result for one coefficient. low, high: ends of the probabilistically symmetric interval; shortest: the shortest
+    interval."""
 
     mean: float
     standard_deviation: float
@@ -46,9 +47,9 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Propagated:
-    """Result of a propagation of distributions. intervals: one for each coefficient. draws: number of draws. stabilised: whether
-    the results stabilised before the largest number of draws was reached. spread: (m,), half-width of the 95 % confidence interval of
-    the ends of the intervals (Student's t over the blocks), the larger of the two ends; infinite for a single block."""
+    """Result of a propagation of distributions. intervals: one for each coefficient. draws: number of draws. stabilised: True if
+    the results stabilised before the largest number of draws was reached. spread: (m,), half-width of the 95 % confidence interval
+    of the ends of the intervals (Student's t over the blocks), the larger of the two ends; infinite for a single block."""
 
     intervals: tuple[Interval, ...]
     draws: int
@@ -166,8 +167,8 @@ def t_draws(
     """Draws of m coefficients about zero: jointly normal with `covariance` (m, m), scaled to Student's t with the degrees of freedom of
     each coefficient (JCGM 101:2008, 6.4.9.2).
 
-    variances: (m,), index of the estimated variance behind each coefficient; coefficients with the same variance share the scale. By
-    default, coefficients with the same degrees of freedom share it.
+    variances: (m,), index of the estimated variance behind each coefficient; coefficients with the same variance share the scale.
+    By default, coefficients with the same degrees of freedom share the scale.
     """
     root = square_root(np.asarray(covariance, dtype=float))
     freedoms = np.asarray(degrees_of_freedom, dtype=float)
@@ -206,8 +207,8 @@ def t_scale(rng: np.random.Generator, degrees_of_freedom: float, n: int) -> Arra
 
 
 def square_root(covariance: Array) -> Array:
-    """A matrix L with L·Lᵀ = covariance (m, m); the covariance may be singular. Computed from the eigenvectors of the correlation
-    matrix, so that units do not matter."""
+    """A matrix L with L·Lᵀ = covariance (m, m); the covariance may be singular. L is computed from the eigenvectors of the
+    correlation matrix, so that units do not matter."""
     size = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / (size[:, None] * size))

@@ -75,7 +75,7 @@ def check_vertical(bench: Bench, models: BenchModels, log: Findings) -> None:
 
 
 def input_quantity(name: str, stated: Quantity, si: str, source: str, calibrated: str = "") -> InputQuantity:
-    """A quantity as stated in a file. si: SI-coherent unit of its value."""
+    """A quantity as stated in a file. si: SI-coherent unit of the quantity."""
     return InputQuantity(
         name,
         stated.value,
@@ -134,8 +134,8 @@ def _chamber(chamber: ChamberModel, source: str, day: str) -> Iterator[InputQuan
 
 
 def _outputs(sensor: SensorModel, source: str, day: str) -> Iterator[InputQuantity]:
-    """Uncertainties of the outputs: resolution of ± half a count (JCGM 100:2008, F.2.2.1), and flicker by its coefficient, in the unit
-    of the output."""
+    """Uncertainties of the outputs: the resolution as ± half a count (JCGM 100:2008, F.2.2.1), and the flicker by its coefficient,
+    in the unit of the output."""
     for output in sensor.outputs:
         yield InputQuantity(
             Aspect.BIAS_INSTABILITY.of(output.name),
