@@ -233,18 +233,41 @@ def _remainder(residue: str | None, named: list[str]) -> str:
     return f" The contribution of {residue} is below 5 % and is treated as form residue."
 
 
+NOT_MEASURED = {
+    "no effect": "No effect is named, so the output does not state by how much the gap shrinks.",
+    "few segments": "The recording has fewer than six segments, so it cannot show by how much the gap of withheld segments shrinks.",
+    "not repeated": (
+        "The recording cannot show by how much the gap of withheld segments shrinks, because the other segments contain too little "
+        "information about the effect. Repeat the segments that show the effect."
+    ),
+    "wide": (
+        "The recording cannot show by how much the gap of withheld segments shrinks, because the gap is too small compared with the noise."
+    ),
+}
+"""The sentence for each reason why there is no closure, except "random"."""
+
+
 def closure_words(found: Data) -> str:
-    """The reduction or growth of the gap, in one sentence; "not resolvable" if the data do not determine it."""
+    """The reduction or growth of the gap, in one or two sentences, or the reason why it is not known."""
     closure = found["closure"]
     if found["verdict"]["kind"] == "none":
         return "There is no gap to close."
+    unpredicted = closure.get("unpredicted", ())
+    if closure.get("reason") == "random":
+        return (
+            f"{listed(unpredicted)} cannot be predicted from other segments, because it is random. Therefore, withheld segments cannot "
+            "show by how much the gap shrinks."
+        )
     if not closure["resolvable"] or closure["shrinks_by"] is None:
-        return "This recording cannot show by how much the gap of withheld segments shrinks."
+        default = "This recording cannot show by how much the gap of withheld segments shrinks."
+        return NOT_MEASURED.get(closure.get("reason"), default)
     text = f"The gap of withheld segments {_change(closure['shrinks_by'])}"
     if closure["interval_90"] is not None:
         text += f" (90 % interval {_interval(*closure['interval_90'])})"
     if closure["before"] is not None and closure["after"] is not None:
         text += f", from {closure['before']:.3g} to {closure['after']:.3g} standard deviations of the noise"
+    if unpredicted:
+        text += f". The gap that remains includes {listed(unpredicted)}, which is random and cannot be predicted from other segments"
     return text + "."
 
 

@@ -296,19 +296,42 @@ def accel_noise_factor(faults: Faults) -> float:
 
 def recorded(sensor: Sensor, clean: Array, faults: Faults, noise: Array) -> Array:
     """Outputs as recorded: noise added, clipped where the device clips, rounded to the resolution."""
-    values = clean + noise
+    values = clipped(faults, clean, clean + noise)
     steps = np.array(sensor.counts) if sensor.counts else np.repeat([t.resolution for t in sensor.triads], 3)
+    for channel, step in steps_of(faults).items():
+        steps[channel] = step
+    return np.round(values / steps) * steps
+
+
+def clipped(faults: Faults, clean: Array, values: Array) -> Array:
+    """Outputs with noise, cut at the limit of a device that saturates."""
+    values = values.copy()
     if "gyro_saturation" in faults:
         stop = float(np.abs(clean[:, :3]).max())
         values[:, :3] = np.clip(values[:, :3], -stop, stop)
     if "gyro_saturation_asymmetric" in faults:
         (side,) = faults["gyro_saturation_asymmetric"].shape
         values[:, :3] = side * np.minimum(side * values[:, :3], (side * clean[:, :3]).max())
-    if "gyro_quantization" in faults:
-        steps[:3] = faults["gyro_quantization"].theta[0]
-    if "accel_quantization" in faults:
-        steps[3:] = faults["accel_quantization"].theta[0]
-    return np.round(values / steps) * steps
+    return values
+
+
+def steps_of(faults: Faults) -> dict[int, float]:
+    """The coarse counts of faults, by channel."""
+    first = {"gyro_quantization": 0, "accel_quantization": 3}
+    return {
+        channel: float(faults[name].theta[0])
+        for name, start in first.items()
+        if name in faults
+        for channel in range(start, start + 3)
+    }
+
+
+def coarse(faults: Faults, values: Array) -> Array:
+    """Outputs rounded to the coarse counts of faults alone."""
+    values = values.copy()
+    for channel, step in steps_of(faults).items():
+        values[:, channel] = np.round(values[:, channel] / step) * step
+    return values
 
 
 def stuck(time: Array, values: Array, faults: Faults) -> Array:

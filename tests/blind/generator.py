@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, reduce
 
@@ -14,6 +15,8 @@ from tests.blind.device import (
     Sensor,
     accel_noise_factor,
     clean_output,
+    clipped,
+    coarse,
     noise_factor,
     random_device,
     recorded,
@@ -315,6 +318,33 @@ def _filtered(values: Array, response: Array) -> Array:
     """Noise (n, channels) behind a filter that keeps the standard deviation of white noise."""
     response = response / np.sqrt(np.sum(response**2))
     return np.column_stack([np.convolve(column, response)[: len(column)] for column in values.T])
+
+
+ACTS_ON_SAMPLES = ("gyro_saturation", "gyro_saturation_asymmetric", "gyro_quantization", "accel_quantization")
+"""Effects whose change of the mean output depends on the noise: a limit cuts the noise on one side, a coarse count rounds it."""
+QUANTILES = 200  # of the noise of a sample
+
+
+def mean_change(
+    schedule: Schedule, sensor: Sensor, device: Device, faults: list[Fault], factors: Sequence[float], seed: int = 0
+) -> Array:
+    """What faults change in the mean of the recorded outputs over the noise, shape (n, channels). Faults that act on samples are averaged
+    over the distribution of the noise. factors: true ÷ declared white noise of each triad."""
+    changed = change(schedule, sensor, device, faults)
+    acting = {fault.effect: fault for fault in faults if fault.effect in ACTS_ON_SAMPLES}
+    if not acting:
+        return changed
+    by_name = {fault.effect: fault for fault in faults}
+    clean = clean_output(schedule, sensor, device, by_name)
+    draws = real.noise if sensor.real else noise
+    scaled = np.repeat(np.asarray(factors, float), 3)
+    scaled[:3] *= noise_factor(by_name)
+    drawn = np.sort(draws(schedule, sensor, scaled, np.random.default_rng(seed)), axis=0)
+    levels = drawn[((np.arange(QUANTILES) + 0.5) / QUANTILES * len(drawn)).astype(int)]
+    found = np.zeros_like(clean)
+    for level in levels:
+        found += coarse(by_name, clipped(by_name, clean, clean + level)) - clean - level
+    return changed + found / QUANTILES
 
 
 def simulate(

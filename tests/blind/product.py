@@ -18,10 +18,9 @@ from planrunner.base.findings import Findings
 from planrunner.bench.model import BenchModels
 from planrunner.bench.scheduling import build_schedule
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.closure import FoldChoice, predictions
+from planrunner.gap.answer.closure import FoldChoice, choices_of, predictions
 from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
 from planrunner.gap.answer.diagnosis import diagnose as diagnosed
-from planrunner.gap.answer.sets import Member, together
 from planrunner.gap.fleet.attribution import Contribution, Estimates, Source, attribute
 from planrunner.gap.hypotheses.declarations import corrected
 from planrunner.gap.hypotheses.forms import shape_alone, whole_forms
@@ -36,11 +35,10 @@ from planrunner.tasks.propose import Frame, propose_next
 from tests.blind import folder as store
 from tests.blind.device import SENSORS
 from tests.blind.folder import Shown
-from tests.blind.generator import Case, channel_names, device_of
+from tests.blind.generator import Case, channel_names, device_of, mean_change
 from tests.blind.motion import WORDS, Array, Fault, Schedule, vector
 from tests.blind.plans import PLANS, Axis
 from tests.blind.plans import Segment as Row
-from tests.blind.signatures import change
 
 ZERO_CELSIUS = 273.15
 TABLE = TableModel(
@@ -161,14 +159,15 @@ Shut = tuple[float, float, float, float]
 
 def closures_of(answer: Diagnosis, case: Case) -> dict[str, Shut]:
     """The closure of all channels under '', and by channel; without those that are not stated."""
-    shut, weighing = answer.closure, answer.grounds.weighing
-    if not shut.resolvable:
+    shut, weighing, known = answer.closure, answer.grounds.weighing, answer.grounds.noise
+    if known is None or not shut.resolvable:
         return {}
     sensor = SENSORS[case.sensor]
     factors = [channel.factor for channel in weighing.observed.channels]
-    changed = change(Schedule(PLANS[case.plan], sensor.sampling), sensor, case.device, list(case.faults)) * factors
+    schedule, noise = Schedule(PLANS[case.plan], sensor.sampling), case.label["noise_factors"]
+    changed = mean_change(schedule, sensor, case.device, list(case.faults), noise) * factors
     coefficients = weighing.spectrum.project(weighing.observed, changed)
-    gap, difference, channel = predictions(weighing, answer.grounds.choices, coefficients)
+    gap, difference, channel = predictions(weighing, known, answer.grounds.choices, coefficients)
     names = [one.name for one in weighing.observed.channels]
     found = {"": (shut.shrinks_by, *shut.interval_90, _shrinks_by(gap, difference))}
     for one in shut.channels:
@@ -186,15 +185,15 @@ def closure_and_truth(shown: Shown) -> dict[str, Any]:
     faults = [Fault(e["effect"], np.array(e["theta"]), tuple(e["shape"])) for e in label["entries"]]
     answer = _kept(shown.folder.parents[1], shown.name)
     plain = {"closure": answer.to_json()["closure"]}
-    if answer.closure.resolvable:
-        weighing = answer.grounds.weighing
+    if answer.grounds.noise is not None and answer.closure.resolvable:
+        weighing, known = answer.grounds.weighing, answer.grounds.noise
         factors = [channel.factor for channel in weighing.observed.channels]
-        changed = change(shown.schedule, shown.sensor, device, faults) * factors
+        changed = mean_change(shown.schedule, shown.sensor, device, faults, label["noise_factors"]) * factors
         coefficients = weighing.spectrum.project(weighing.observed, changed)
         told = _told(answer, label["effects"])
         plain["closure"] |= {
-            "true": _shrinks_by(*predictions(weighing, answer.grounds.choices, coefficients)[:2]),
-            "told": _shrinks_by(*predictions(weighing, told, coefficients, -np.inf)[:2]) if told else None,
+            "true": _shrinks_by(*predictions(weighing, known, answer.grounds.choices, coefficients)[:2]),
+            "told": _shrinks_by(*predictions(weighing, known, told, coefficients, -np.inf)[:2]) if told else None,
         }
     return plain
 
@@ -210,11 +209,12 @@ def _told(answer: Diagnosis, effects: Sequence[str]) -> list[FoldChoice]:
     if not known:
         return []
     if len(known) > 1:
-        pair = answer.posterior.pairs.get("+".join(one.id for one in known))
-        return [FoldChoice(pair or together(weighing, [Member.best(one) for one in known]), 1.0)]
+        return choices_of("told", [(one.best, one) for one in known], 1.0)
     shaped = shape_alone(known[0])
     exact = whole_forms(weighing, shaped) if shaped is not None else []
-    return [FoldChoice(weighed, share, bool(exact)) for weighed, share in exact or known[0].likely_forms()]
+    if exact:
+        return [FoldChoice("told", weighed.raw, (1,), share, whole=True) for weighed, share in exact]
+    return choices_of("told", [(known[0].best, known[0])], 1.0)
 
 
 @dataclass(frozen=True)

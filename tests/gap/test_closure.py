@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scipy.stats import binom
+from scipy.stats import binom, t
 
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.closure import FOLDS, KnownCause, dealt_by_motion, measured
+from planrunner.gap.answer.closure import FOLDS, Amplitudes, KnownCause, NotMeasured, dealt_by_motion, measured
 from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions, diagnose
 from planrunner.plan.schedule import Rock
 from tests.gap.turntable import kept, record
@@ -48,7 +50,8 @@ def test_intervals_of_an_explained_gap_cover_the_truth_and_no_more() -> None:
         covariance = np.linalg.inv(4 * gram)
         mean = covariance @ (signature.T @ residual + 3 * gram @ predicted)
         difference = signature @ predicted
-        cause = KnownCause(1.0, gram, signature.T @ difference, mean, covariance)
+        amplitudes = Amplitudes(mean, np.linalg.cholesky(covariance)[None], np.array([np.inf]))
+        cause = KnownCause(1.0, gram, signature.T @ difference, amplitudes)
         found, any_gap = measured(residual, difference, [cause], 0.0), measured(residual, difference)
         shrinks = 1 - np.linalg.norm(signature @ (true - predicted)) / np.linalg.norm(signature @ true)
         covered += bool(found.interval_90[0] <= shrinks <= found.interval_90[1])
@@ -70,6 +73,45 @@ def test_every_fold_holds_some_of_every_motion() -> None:
         assert np.count_nonzero(dealt == fold) == 16
         assert np.count_nonzero(dealt[::4] == fold) == 4
         assert np.count_nonzero(dealt[::8] == fold) == 2
+
+
+def test_few_residuals_give_wide_errors() -> None:
+    """Amplitudes with Student's t distribution: nine in ten draws lie within the quantile of scipy's t."""
+    one = np.ones((1, 1, 1))
+    for degrees in (3.0, 10.0):
+        drawn = Amplitudes(np.zeros(1), one, np.array([degrees])).drawn(20000, np.random.default_rng(3))
+        inside = int(np.count_nonzero(np.abs(drawn) < t.ppf(0.95, degrees)))
+        assert binom.ppf(0.001, 20000, 0.9) <= inside <= binom.ppf(0.999, 20000, 0.9)
+
+
+def _unbalance(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+    return force @ np.array([[0, 4e-3, 0], [-2e-3, 0, 0], [0, 1e-3, 0]]).T * np.pi / 180 / 9.8, 0.0
+
+
+def test_flicker_that_is_declared_but_absent_does_not_change_the_closure() -> None:
+    """The recording contains white noise alone. The declared flicker of the second diagnosis is five times its noise of the means."""
+    recorded = record(seed=44, fault=_unbalance)
+    options, shut = DiagnosisOptions(effects=("gyro_g_sensitivity", "table_tilt")), []
+    for flicker in (0.0, 2e-5):
+        channels = tuple(replace(one, flicker=flicker) for one in recorded.channels)
+        found = diagnose(replace(recorded, channels=channels), options)
+        assert found.verdict.effects == ("gyro_g_sensitivity",)
+        shut.append(found.closure)
+    plain, flickering = shut
+    assert flickering.shrinks_by == pytest.approx(plain.shrinks_by, abs=0.025)
+    assert np.ptp(flickering.interval_90) == pytest.approx(np.ptp(plain.interval_90), rel=0.3)
+
+
+def _walk(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+    steps = np.sqrt(np.diff(observed.time, prepend=observed.time[0]))
+    return np.cumsum(draw.normal(0, 2e-4 * np.pi / 180, omega.shape) * steps[:, None], axis=0), 0.0
+
+
+def test_what_is_random_has_no_closure() -> None:
+    found = diagnose(record(seed=14, fault=_walk), DiagnosisOptions(effects=("gyro_bias_random_walk", "table_tilt")))
+    assert found.verdict.effects == ("gyro_bias_random_walk",)
+    assert found.closure.reason is NotMeasured.RANDOM
+    assert found.closure.unpredicted == ("gyro_bias_random_walk",)
 
 
 def _late(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:

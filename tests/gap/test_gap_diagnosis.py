@@ -188,6 +188,8 @@ def test_the_json_is_plain_and_keeps_the_contract() -> None:
         "shrinks_by": None,
         "interval_90": None,
         "resolvable": False,
+        "reason": "no effect",
+        "unpredicted": [],
         "channels": [],
     }
 

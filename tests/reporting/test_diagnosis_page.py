@@ -170,6 +170,13 @@ def test_the_closure_with_its_interval_or_not_resolvable():
         assert "-" not in said
     cannot = {"before": None, "after": None, "shrinks_by": None, "interval_90": None, "resolvable": False}
     assert "cannot show by how much" in closure_words(diagnosis(closure=cannot))
+    repeat = closure_words(diagnosis(closure={**cannot, "reason": "not repeated"}))
+    assert repeat.endswith("Repeat the segments that show the effect.")
+    walk = {"unpredicted": ["gyro_bias_random_walk"]}
+    alone = closure_words(diagnosis(closure={**cannot, **walk, "reason": "random"}))
+    assert alone.startswith("gyro_bias_random_walk cannot be predicted from other segments, because it is random.")
+    beside = closure_words(diagnosis(closure={**made, **walk, "reason": None}))
+    assert "The gap that remains includes gyro_bias_random_walk" in beside
     assert closure_words(diagnosis("none")) == "There is no gap to close."
 
 

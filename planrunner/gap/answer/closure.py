@@ -4,17 +4,23 @@ Segments are held out in groups, each with segments of every kind of motion, and
 difference d between the predictions with and without the effect is then known exactly. The unknown is the gap g itself: its size is
 |g| before and |g − d| after. Two cases are averaged, weighted by their probability in the diagnosis.
 
-- An effect or pair of the catalogue is the whole cause: g is its signature with amplitudes estimated from all segments, normal with
-  their covariance.
+- An effect or pair of the catalogue is the whole cause: g is its signature with amplitudes estimated from all segments. Their errors
+  have the covariance that the noise gives them.
 - Something else acts, additionally or alone. Let r be the held-out residual of the nominal simulation, whitened with the uncertainty
   of its fitted parameters (r = g + noise). The part of g along d is then measured with unit noise. The size of the other part follows
   from a non-central χ² (its confidence distribution: Schweder and Hjort, Confidence, Likelihood, Probability, 2016).
+
+Both cases need the level of the noise. The declared slow noise may be wrong by any factor, and the evidence tries only half and twice
+its level. The level is therefore measured, from the residuals that the most probable effects leave: by triad, and separately for the
+segment means and for the changes within segments. A level from few residuals is uncertain, so errors have Student's t distribution
+with their degrees of freedom.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
@@ -22,8 +28,8 @@ from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import best_amplitudes, best_scales, log_bayes_factors
-from planrunner.gap.evidence.weighing import DEPENDENT
-from planrunner.gap.hypotheses.candidates import Weighed, Weighing
+from planrunner.gap.evidence.weighing import DEPENDENT, ChannelWeights
+from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 
 FOLDS = 4
 FEWEST = 6  # segments; three quarters of fewer carry too little information
@@ -31,7 +37,9 @@ DRAWS = 2000
 SEED = 21
 WIDEST = 0.5  # width of an interval above which the closure is not resolvable
 TOLD = 0.5  # information on an effect that the other segments must have, relative to the held-out ones
-_EXACT = np.full((1, 1), 1e-12)
+SMALLEST = 1e-4  # of the measured variance of the noise, relative to its model
+SHAPES = 6  # number of shapes of an effect besides the best one
+UNLIKELY = 8.0  # nats below the most probable shape at which a shape is left out
 WORTH = 4.0  # log BF in a fold at and above which an effect is selected
 
 
@@ -51,36 +59,62 @@ class ChannelClosure:
     interval_90: tuple[float, float]
 
 
+class NotMeasured(StrEnum):
+    """Why there is no closure. NO_EFFECT: no effect is named. RANDOM: the named effects are random processes or act only on the noise;
+    the other segments do not determine what they do in the withheld ones. FEW_SEGMENTS: there are fewer than six. NOT_REPEATED: the
+    other segments contain too little information about the effect. WIDE: the 90 % interval is too wide, or the gap may be zero."""
+
+    NO_EFFECT = "no effect"
+    RANDOM = "random"
+    FEW_SEGMENTS = "few segments"
+    NOT_REPEATED = "not repeated"
+    WIDE = "wide"
+
+
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """Result of the check on held-out data: how much of the gap the effects explain. before, after: size of the held-out gap in
-    standard deviations of the noise, root mean square over coefficients. shrinks_by: relative reduction, 1 for a closed gap.
-    interval_90: 90 % interval of `shrinks_by`. resolvable: False if the data do not determine the reduction; all numbers are then
-    NaN. channels: one entry for each channel whose data determine the reduction."""
+    """Result of the check on held-out data: how much of the gap the effects explain. before, after: size of the held-out gap in standard
+    deviations of the noise, root mean square over coefficients. shrinks_by: relative reduction, 1 for a closed gap. interval_90: 90 %
+    interval of `shrinks_by`. reason: why the data do not determine it; the numbers are then NaN. channels: one entry for each channel
+    whose data determine the reduction. unpredicted: the named effects that remain in the gap, because other segments cannot predict
+    them."""
 
     before: float
     after: float
     shrinks_by: float
     interval_90: tuple[float, float]
-    resolvable: bool
+    reason: NotMeasured | None = None
     channels: tuple[ChannelClosure, ...] = ()
+    unpredicted: tuple[str, ...] = ()
+
+    @property
+    def resolvable(self) -> bool:
+        return self.reason is None
 
 
-NOT_RESOLVABLE = Closure(np.nan, np.nan, np.nan, (np.nan, np.nan), False)
+def not_measured(reason: NotMeasured) -> Closure:
+    return Closure(np.nan, np.nan, np.nan, (np.nan, np.nan), reason)
 
 
 @dataclass(frozen=True, slots=True)
 class FoldChoice:
-    """An effect or a pair of effects that a fold may choose. probability: probability that this choice is the whole cause. whole:
-    True if its amplitude is fixed at 1."""
+    """A form of an effect or set of effects that a fold may choose. effect: name of the effect or set. raw: by channel, its columns
+    (M, p) in magnitudes, not whitened; widths: number of columns of each effect. probability: probability that it is the whole cause.
+    prior: logarithm of the prior probability among the forms of the same effect, apart from a constant. whole: whether the amplitude is
+    fixed at 1."""
 
-    weighed: Weighed
+    effect: str
+    raw: tuple[Array, ...] = field(repr=False)
+    widths: tuple[int, ...]
     probability: float
+    prior: float = 0.0
     whole: bool = False
 
     def amplitudes(self, gram: Array, score: Array) -> tuple[Array, Array]:
         """Mean (p,) and covariance (p, p) of the amplitudes, from information (p, p) and score (p,)."""
-        return (np.ones(1), _EXACT) if self.whole else best_amplitudes(gram, score, self.weighed.variant.widths)
+        if self.whole:
+            return np.ones(1), np.zeros((1, 1))
+        return best_amplitudes(gram, score, self.widths)
 
     def log_bayes(self, gram: Array, score: Array) -> float:
         if self.whole:
@@ -89,15 +123,44 @@ class FoldChoice:
 
 
 @dataclass(frozen=True)
+class MeasuredNoise:
+    """The noise of the coefficients. weights: by channel, at the most probable level of flicker. scale: by channel (M,), measured standard
+    deviation of whitened coefficients, which is 1 if `weights` are right. group: by channel (M,), the group of each coefficient; degrees:
+    (groups,), degrees of freedom of the measured level of each group."""
+
+    weights: tuple[ChannelWeights, ...] = field(repr=False)
+    scale: tuple[Array, ...] = field(repr=False)
+    group: tuple[NDArray[np.int64], ...] = field(repr=False)
+    degrees: Array
+
+
+@dataclass(frozen=True)
+class Amplitudes:
+    """Amplitudes that are fitted to all segments. mean: (p,); roots: (groups, p, p), roots of the covariance of their errors that
+    each group of coefficients causes; degrees: (groups,), as in `MeasuredNoise`."""
+
+    mean: Array
+    roots: Array = field(repr=False)
+    degrees: Array
+
+    def drawn(self, count: int, draw: np.random.Generator) -> Array:
+        """Random amplitudes (count, p). Errors have Student's t distribution in each group."""
+        out = np.tile(self.mean, (count, 1))
+        for root, degrees in zip(self.roots, self.degrees, strict=True):
+            larger = np.sqrt(degrees / draw.chisquare(degrees, (count, 1))) if np.isfinite(degrees) else 1.0
+            out += larger * (draw.standard_normal((count, len(self.mean))) @ root.T)
+        return out
+
+
+@dataclass(frozen=True)
 class KnownCause:
-    """A cause from the catalogue. gram: (p, p), inner products of its held-out signatures with each other; along: (p,), inner
-    products of these signatures with d; mean (p,), covariance (p, p): of the amplitudes of the cause."""
+    """A cause from the catalogue. gram: (p, p), inner products of its held-out signatures with each other; along: (p,), inner products of
+    these signatures with d."""
 
     probability: float
     gram: Array = field(repr=False)
     along: Array = field(repr=False)
-    mean: Array = field(repr=False)
-    covariance: Array = field(repr=False)
+    amplitudes: Amplitudes = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -112,49 +175,179 @@ class _Fold:
     told: list[Array]
 
 
-def closure(weighing: Weighing, choices: Sequence[FoldChoice], beyond: float) -> Closure:
+def choices_of(effect: str, members: Sequence[tuple[Weighed, Candidate]], probability: float) -> list[FoldChoice]:
+    """The choices for an effect or a set of effects: the best form, and its variation by the probable shapes of one effect at a time.
+    members: the best form of each effect, and the effect with all its forms."""
+    best = [form for form, _ in members]
+    varied = [(best, 0.0)]
+    for number, (form, candidate) in enumerate(members):
+        others = _probable_shapes(form, candidate)
+        varied += [([*best[:number], other, *best[number + 1 :]], prior) for other, prior in others]
+    return [
+        FoldChoice(
+            effect,
+            tuple(np.hstack(blocks) for blocks in zip(*(form.raw for form in forms), strict=True)),
+            tuple(len(form.variant.columns) for form in forms),
+            probability / len(varied),
+            prior,
+        )
+        for forms, prior in varied
+    ]
+
+
+def _probable_shapes(best: Weighed, candidate: Candidate) -> list[tuple[Weighed, float]]:
+    """Forms of an effect with other shapes, at most `SHAPES`, with the logarithm of their prior probability relative to `best`. The
+    prior is uniform in the logarithm of the shape, so a form counts in proportion to the distance between its neighbours."""
+    known = {
+        form.variant.shape: form for form in candidate.variants if form.trace > 0 and form.variant.shape is not None
+    }
+    if best.variant.shape is None or len(known) < 2:
+        return []
+    known[best.variant.shape] = best
+    shapes = np.array(sorted(known))
+    width = dict(zip(shapes.tolist(), np.gradient(np.log(shapes)).tolist(), strict=True))
+    evidence = {shape: float(known[shape].log_bayes[candidate.at]) + np.log(width[shape]) for shape in width}
+    likely = sorted((shape for shape in width if shape != best.variant.shape), key=lambda shape: -evidence[shape])
+    worth = max(evidence.values()) - UNLIKELY
+    return [
+        (known[shape], float(np.log(width[shape] / width[best.variant.shape])))
+        for shape in likely[:SHAPES]
+        if evidence[shape] > worth
+    ]
+
+
+def closure(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice], beyond: float) -> Closure:
     """Computes the closure. choices: the effects and pairs among which each fold chooses again. beyond: probability that none of them is
     the whole cause."""
-    if len(weighing.observed) < FEWEST or not choices:
-        return NOT_RESOLVABLE
-    folds = [_fold(weighing, choices, held) for held in held_out(weighing)]
-    likeliest = max(range(len(choices)), key=lambda c: choices[c].probability)
-    if _told(choices[likeliest].weighed, likeliest, folds) < TOLD:
-        return NOT_RESOLVABLE
-    whole = _measured_rows(choices, folds, [np.ones(len(fold.channel), dtype=bool) for fold in folds], beyond)
+    if not choices:
+        return not_measured(NotMeasured.NO_EFFECT)
+    if len(weighing.observed) < FEWEST:
+        return not_measured(NotMeasured.FEW_SEGMENTS)
+    folds = [_fold(weighing, noise, choices, held) for held in held_out(weighing)]
+    fits = _fits(weighing, noise, choices)
+    shares = _shares(choices, fits)
+    likeliest = int(np.argmax(shares)) if shares.any() else len(choices) - 1
+    if _told(choices[likeliest].widths, fits[likeliest], likeliest, folds) < TOLD:
+        return not_measured(NotMeasured.NOT_REPEATED)
+    amplitudes = [fit.amplitudes for fit in fits]
+    whole = _measured_rows(
+        folds, [np.ones(len(fold.channel), dtype=bool) for fold in folds], amplitudes, shares, beyond
+    )
     if not whole.resolvable:
         return whole
     channels = []
     for index in range(len(weighing.weights)):
         rows = [fold.channel == index for fold in folds]
-        own = _measured_rows(choices, folds, rows, beyond)
+        own = _measured_rows(folds, rows, amplitudes, shares, beyond)
         if own.resolvable:
             residual = np.concatenate([fold.residual[at] for fold, at in zip(folds, rows, strict=True)])
-            channels.append(_in_unit(weighing, index, own, residual))
+            channels.append(_in_unit(weighing, noise, index, own, residual))
     return replace(whole, channels=tuple(channels))
 
 
+def measured_noise(
+    weighing: Weighing, choice: FoldChoice, log_bayes: Array, walking: bool, explained: bool
+) -> MeasuredNoise:
+    """The noise that remains beside an effect. log_bayes: (G,), log BF of the effect at each setting of the noise. walking: whether a
+    random walk acts too. A walk belongs to the gap, not to the noise. explained: whether the effect leaves only noise. Otherwise the
+    residuals contain a part of the gap, so the noise is at most as large as they are."""
+    terms = weighing.base + weighing.log_prior[int(walking)] + np.where(np.isfinite(log_bayes), log_bayes, -1e300)
+    gyro, accel = divmod(int(np.argmax(terms)), weighing.shape[1])
+    flicker = weighing.settings["gyro"][gyro].flicker
+    still = next(k for k, one in enumerate(weighing.settings["gyro"]) if one.flicker == flicker and one.walk == 0)
+    channels = weighing.observed.channels
+    weights = tuple(
+        own[{"gyro": still, "accel": accel}[channel.kind]]
+        for own, channel in zip(weighing.weights, channels, strict=True)
+    )
+    within = (weighing.spectrum.frequency > 0).astype(np.int64)
+    kinds = ("gyro", "accel")
+    group = tuple(2 * kinds.index(channel.kind) + within for channel in channels)
+    unit = MeasuredNoise(weights, tuple(np.ones(len(within)) for _ in channels), group, np.full(2 * len(kinds), np.inf))
+    (fit,) = _fits(weighing, unit, [choice])
+    covariance = np.sum([root @ root.T for root in fit.amplitudes.roots], axis=0)
+    squares, degrees = np.zeros(2 * len(kinds)), np.zeros(2 * len(kinds))
+    for rows, columns, own in zip(fit.rows, fit.columns, group, strict=True):
+        free = 1 - (rows.basis**2).sum(1) - np.einsum("ij,jk,ik->i", columns, covariance, columns)
+        np.add.at(squares, own, (rows.residual - columns @ fit.amplitudes.mean) ** 2)
+        np.add.at(degrees, own, free)
+    degrees = np.maximum(degrees, 1.0)
+    ratio = np.where(degrees > 1, squares / degrees, 1.0)
+    scale = np.sqrt(np.maximum(ratio if explained else np.minimum(ratio, 1.0), SMALLEST))
+    return MeasuredNoise(weights, tuple(scale[own] for own in group), group, degrees)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A choice fitted to all segments. gram: (p, p), score: (p,); rows and columns: by channel, whitened."""
+
+    gram: Array
+    score: Array
+    log_bayes: float
+    amplitudes: Amplitudes
+    rows: list[_Rows]
+    columns: list[Array]
+
+
+def _fits(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice]) -> list[_Fit]:
+    every = np.ones(len(weighing.spectrum.segment), dtype=bool)
+    rows = [_Rows(weighing, noise, channel, every) for channel in range(len(weighing.weights))]
+    return [_fit(choice, noise, rows) for choice in choices]
+
+
+def _fit(choice: FoldChoice, noise: MeasuredNoise, rows: list[_Rows]) -> _Fit:
+    columns = [own.project(raw) for own, raw in zip(rows, choice.raw, strict=True)]
+    p = columns[0].shape[1]
+    grams = np.zeros((len(noise.degrees), p, p))
+    for block, group in zip(columns, noise.group, strict=True):
+        for number in np.unique(group):
+            own = block[group == number]
+            grams[number] += own.T @ own
+    gram = grams.sum(axis=0)
+    score = np.sum([block.T @ own.residual for block, own in zip(columns, rows, strict=True)], axis=0)
+    mean, covariance = choice.amplitudes(gram, score)
+    prior = covariance - covariance @ gram @ covariance
+    parts = np.concatenate([covariance @ grams @ covariance, prior[None]])
+    values, vectors = np.linalg.eigh((parts + np.swapaxes(parts, 1, 2)) / 2)
+    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    amplitudes = Amplitudes(mean, roots, np.append(noise.degrees, np.inf))
+    return _Fit(gram, score, choice.log_bayes(gram, score), amplitudes, rows, columns)
+
+
+def _shares(choices: Sequence[FoldChoice], fits: Sequence[_Fit]) -> Array:
+    """The probabilities of the choices. Those of the forms of one effect are computed again with the measured noise."""
+    shares = np.array([choice.probability for choice in choices])
+    for effect in {choice.effect for choice in choices if choice.probability > 0}:
+        own = np.array([choice.effect == effect for choice in choices]) & (shares > 0)
+        evidence = np.array([fit.log_bayes + choice.prior for fit, choice in zip(fits, choices, strict=True)])[own]
+        likely = np.exp(evidence - evidence.max())
+        shares[own] = shares[own].sum() * likely / likely.sum()
+    return shares
+
+
 def _measured_rows(
-    choices: Sequence[FoldChoice], folds: Sequence[_Fold], rows: Sequence[NDArray[np.bool_]], beyond: float
+    folds: Sequence[_Fold],
+    rows: Sequence[NDArray[np.bool_]],
+    amplitudes: Sequence[Amplitudes],
+    shares: Array,
+    beyond: float,
 ) -> Closure:
     """The closure computed from the selected `rows` of every fold."""
     chosen = list(zip(folds, rows, strict=True))
     difference = np.concatenate([fold.difference[at] for fold, at in chosen])
     known = []
-    for number, choice in enumerate(choices):
+    for number, (fitted, share) in enumerate(zip(amplitudes, shares, strict=True)):
         signature = np.concatenate([fold.signatures[number][at] for fold, at in chosen])
-        gram, along = signature.T @ signature, signature.T @ difference
-        fitted = choice.amplitudes(choice.weighed.gram[0], choice.weighed.score[0])
-        known.append(KnownCause(choice.probability, gram, along, *fitted))
+        known.append(KnownCause(float(share), signature.T @ signature, signature.T @ difference, fitted))
     return measured(np.concatenate([fold.residual[at] for fold, at in chosen]), difference, known, beyond)
 
 
-def _in_unit(weighing: Weighing, index: int, own: Closure, residual: Array) -> ChannelClosure:
-    """The closure of a channel, with the sizes of the gap also in the channel's unit. Coefficients count in proportion to the mean
-    square of their noise."""
-    channel, weight = weighing.observed.channels[index], weighing.weights[index][0]
+def _in_unit(weighing: Weighing, noise: MeasuredNoise, index: int, own: Closure, residual: Array) -> ChannelClosure:
+    """The closure of a channel, with its sizes also in the channel's unit. Coefficients count in proportion to the mean square of
+    their noise."""
+    channel, weight = weighing.observed.channels[index], noise.weights[index]
     every = np.ones(len(weight.scale), dtype=bool)
-    sigma = float(np.sqrt(np.mean(np.diag(weight.covariance(every)))))
+    sigma = float(np.sqrt(np.mean(np.diag(weight.covariance(every)) * noise.scale[index] ** 2)))
     size = sigma * float(np.sqrt(len(residual) / weighing.observed.counts.sum())) / channel.factor
     return ChannelClosure(
         channel.name,
@@ -169,17 +362,17 @@ def _in_unit(weighing: Weighing, index: int, own: Closure, residual: Array) -> C
 
 
 def predictions(
-    weighing: Weighing, choices: Sequence[FoldChoice], change: Array, worth: float = WORTH
+    weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice], change: Array, worth: float = WORTH
 ) -> tuple[Array, Array, NDArray[np.int64]]:
     """The gap g (m,) that a known change causes in the held-out segments, its prediction d (m,), and the channel of every row. change:
     (M, K), coefficients of the change of the outputs. Used by tests in which the true gap is known. worth: the least log BF at which a
     fold selects one of the choices."""
     gap, difference, channels = [], [], []
     for held in held_out(weighing):
-        rows = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
+        rows = [_Rows(weighing, noise, channel, ~held) for channel in range(len(weighing.weights))]
         known = [one.predict(change[:, [channel]], held)[1][:, 0] for channel, one in enumerate(rows)]
         gap.append(np.concatenate(known))
-        fold = _fold(weighing, choices, held, worth)
+        fold = _fold(weighing, noise, choices, held, worth)
         difference.append(fold.difference)
         channels.append(fold.channel)
     return np.concatenate(gap), np.concatenate(difference), np.concatenate(channels)
@@ -202,10 +395,10 @@ def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
     return dealt
 
 
-def _told(weighed: Weighed, number: int, folds: Sequence[_Fold]) -> float:
+def _told(widths: tuple[int, ...], fit: _Fit, number: int, folds: Sequence[_Fold]) -> float:
     """The fraction of an effect's energy in held-out segments that the other segments determine, for amplitudes of the estimated
-    size. The fraction is 0 if only one segment shows the effect."""
-    size = best_scales(weighed.gram[0], weighed.score[0], weighed.variant.widths)
+    size. 0 if only one segment shows the effect."""
+    size = best_scales(fit.gram, fit.score, widths)
     shown = left = 0.0
     for fold in folds:
         gram = fold.signatures[number].T @ fold.signatures[number]
@@ -220,7 +413,7 @@ def measured(residual: Array, difference: Array, known: Sequence[KnownCause] = (
     the cause is none of `known`. Only the ratios of `beyond` and the probabilities of `known` matter; their sum need not be 1."""
     m = len(residual)
     if float(np.linalg.norm(difference)) < 1e-9 or m < 3:
-        return NOT_RESOLVABLE
+        return not_measured(NotMeasured.WIDE)
     draw = np.random.default_rng(SEED)
     share = np.array([beyond, *(one.probability for one in known)])
     counts = np.diff(np.round(DRAWS * np.concatenate(([0.0], np.cumsum(share))) / share.sum()).astype(int))
@@ -230,13 +423,13 @@ def measured(residual: Array, difference: Array, known: Sequence[KnownCause] = (
     ]
     before, after = np.sqrt(np.maximum(np.concatenate(drawn), 0.0)).T
     if float(np.quantile(before, 0.05)) < 1e-9:  # no relative reduction of a gap that may be zero
-        return NOT_RESOLVABLE
+        return not_measured(NotMeasured.WIDE)
     shrink = 1 - after / np.maximum(before, 1e-9)
     low, middle, high = (float(value) for value in np.quantile(shrink, [0.05, 0.5, 0.95]))
     if high - low > WIDEST:
-        return NOT_RESOLVABLE
+        return not_measured(NotMeasured.WIDE)
     scale = np.sqrt(m)
-    return Closure(float(np.median(before)) / scale, float(np.median(after)) / scale, middle, (low, high), True)
+    return Closure(float(np.median(before)) / scale, float(np.median(after)) / scale, middle, (low, high))
 
 
 def _unknown(residual: Array, difference: Array, count: int, draw: np.random.Generator) -> Array:
@@ -255,19 +448,24 @@ def _unknown(residual: Array, difference: Array, count: int, draw: np.random.Gen
 
 
 def _explained(cause: KnownCause, squared: float, count: int, draw: np.random.Generator) -> Array:
-    """Random values of the squared size of the gap before and after, (count, 2), if a known cause is the whole gap. squared: |d|²."""
-    root = np.linalg.cholesky(cause.covariance)
-    amplitudes = cause.mean + draw.standard_normal((count, len(cause.mean))) @ root.T
+    """Squares of the gap before and after, (count, 2), if a known cause is the whole gap. squared: |d|²."""
+    amplitudes = cause.amplitudes.drawn(count, draw)
     before = np.einsum("ni,ij,nj->n", amplitudes, cause.gram, amplitudes)
     return np.column_stack([before, before - 2 * amplitudes @ cause.along + squared])
 
 
-def _fold(weighing: Weighing, choices: Sequence[FoldChoice], held: NDArray[np.bool_], worth: float = WORTH) -> _Fold:
-    """The held-out rows of all channels in one fold. The effect is chosen from the other rows."""
-    used = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
-    bounds = np.concatenate(([0], np.cumsum([len(choice.weighed.gram[0]) for choice in choices])))
+def _fold(
+    weighing: Weighing,
+    noise: MeasuredNoise,
+    choices: Sequence[FoldChoice],
+    held: NDArray[np.bool_],
+    worth: float = WORTH,
+) -> _Fold:
+    """The held-out rows of all channels. The effect is chosen from the other rows."""
+    used = [_Rows(weighing, noise, channel, ~held) for channel in range(len(weighing.weights))]
+    bounds = np.concatenate(([0], np.cumsum([choice.raw[0].shape[1] for choice in choices])))
     parts = [slice(low, high) for low, high in pairwise(bounds)]
-    raw = [np.hstack([choice.weighed.raw[c] for choice in choices]) for c in range(len(used))]
+    raw = [np.hstack([choice.raw[c] for choice in choices]) for c in range(len(used))]
     columns = [rows.project(table[~held]) for rows, table in zip(used, raw, strict=True)]
     score = np.sum([block.T @ rows.residual for block, rows in zip(columns, used, strict=True)], axis=0)
     told = [np.sum([block[:, part].T @ block[:, part] for block in columns], axis=0) for part in parts]
@@ -288,12 +486,13 @@ def _fold(weighing: Weighing, choices: Sequence[FoldChoice], held: NDArray[np.bo
 class _Rows:
     """The chosen coefficients of one channel, whitened and without the part that the nominal parameters explain."""
 
-    def __init__(self, weighing: Weighing, channel: int, chosen: NDArray[np.bool_]):
-        self.weight = weighing.weights[channel][0]
+    def __init__(self, weighing: Weighing, noise: MeasuredNoise, channel: int, chosen: NDArray[np.bool_]):
+        self.weight = noise.weights[channel]
+        self.scale = noise.scale[channel]
         self.values = weighing.spectrum.values[:, channel]
         self.nominal = weighing.nominal[channel]
         self.chosen = chosen
-        self.whiten = self.weight.whitening(chosen)
+        self.whiten = self.whitening(chosen)
         size = np.linalg.norm(self.nominal, axis=0)
         left, values, right = np.linalg.svd(self.whiten(self.nominal[chosen] / size), full_matrices=False)
         told = values > DEPENDENT * values.max(initial=0.0)
@@ -301,6 +500,11 @@ class _Rows:
         self.parameters = right[told].T / values[told] / size[:, None]
         self.untold = right[~told].T / size[:, None]
         self.residual = self.project(self.values[chosen])
+
+    def whitening(self, rows: NDArray[np.bool_]) -> Callable[[Array], Array]:
+        """A function that whitens some rows of coefficients, (n,) or (n, P), with the measured level of the noise."""
+        whiten, scale = self.weight.whitening(rows), self.scale[rows]
+        return lambda columns: (whiten(columns).T / scale).T
 
     def project(self, columns: Array) -> Array:
         whitened = self.whiten(columns)
@@ -314,7 +518,7 @@ class _Rows:
         """
         both = np.column_stack([self.values, signatures])
         fitted = self.parameters @ (self.basis.T @ self.whiten(both[self.chosen]))
-        whiten, nominal = self.weight.whitening(held), self.nominal[held]
+        whiten, nominal = self.whitening(held), self.nominal[held]
         left = whiten(both[held] - nominal @ fitted)
         spread = whiten(nominal @ self.parameters)
         if self.untold.shape[1]:

@@ -26,7 +26,16 @@ from planrunner.error_model.effects.interface import (
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer import parameters as estimates
 from planrunner.gap.answer.apart import Apart, found_apart, likely_repeats
-from planrunner.gap.answer.closure import NOT_RESOLVABLE, Closure, FoldChoice, closure
+from planrunner.gap.answer.closure import (
+    Closure,
+    FoldChoice,
+    MeasuredNoise,
+    NotMeasured,
+    choices_of,
+    closure,
+    measured_noise,
+    not_measured,
+)
 from planrunner.gap.answer.noise_found import NoiseFound, noise_found
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.answer.pictures import gap_by_channel, pictures
@@ -44,7 +53,6 @@ Forms = list[tuple[Weighed, float]]
 FEWEST_SEGMENTS = 4
 SHOWN_PLACES = 20
 _MOST_CHOICES = 30
-_CHOICES = 6  # number of candidates among which a fold of the closure chooses
 _LIKELY = 1e-3  # smallest probability of such a candidate
 _ABSORBED_SHARE = 0.05  # remaining share of a signature's energy below which an effect counts as absorbed
 
@@ -62,12 +70,13 @@ class DiagnosisOptions:
 @dataclass(frozen=True)
 class Grounds:
     """Basis of a diagnosis, for further analysis. nominal: names of the terms that the nominal simulation fits; choices: the choices of
-    the closure."""
+    the closure; noise: that of the closure, None if no effect is named that other segments can predict."""
 
     weighing: Weighing
     candidates: tuple[Candidate, ...]
     nominal: tuple[str, ...]
     choices: tuple[FoldChoice, ...]
+    noise: MeasuredNoise | None
 
 
 @dataclass(frozen=True)
@@ -139,6 +148,8 @@ class Diagnosis:
                 "shrinks_by": shut.shrinks_by,
                 "interval_90": list(shut.interval_90) if shut.resolvable else None,
                 "resolvable": shut.resolvable,
+                "reason": shut.reason,
+                "unpredicted": list(shut.unpredicted),
                 "channels": [asdict(one) for one in shut.channels],
             },
             "unknown_form": None if self.unknown is None else self.unknown.to_json(),
@@ -182,17 +193,22 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
     named = [name for name in said.effects if name in by_id]
     absorbed = {c.id: c.kept for c in candidates if c.variants and c.kept < _ABSORBED_SHARE}
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
-    ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))
     key = key_of(named)
     after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
     walks = {
         effect.id for effect in effects if isinstance(effect, OutsideCoefficients) and effect.outside == "random walk"
     }
     exact = _exact(weighing, by_id[named[0]]) if len(named) == 1 else {}
-    choices = _choices(found, by_id, walks, exact) or [FoldChoice(c.best, 0.0) for c in ranked[:_CHOICES]]
-    if after is not None and all(after is not choice.weighed for choice in choices):
-        choices.append(FoldChoice(after, 0.0))
+    choices = _choices(found, by_id, walks, exact)
+    if after is not None and all(choice.effect != key for choice in choices):
+        choices.append(FoldChoice(key, after.raw, after.variant.widths or (len(after.variant.columns),), 0.0))
     rest = None if after is None or walks & set(said.effects) else remainder(weighing, after, said.something_else)
+    unpredicted = tuple(name for name in said.effects if name not in by_id)
+    noise = None
+    if after is not None:
+        likeliest = max((choice for choice in choices if choice.effect == key), key=lambda choice: choice.probability)
+        walking, explained = bool(walks & set(said.effects)), rest is not None and rest.passes
+        noise = measured_noise(weighing, likeliest, after.log_bayes, walking, explained)
     beyond = 1 - found.probability["none"] - sum(choice.probability for choice in choices)
     if rest is not None and not rest.passes:  # then no effect or set is the whole cause
         choices, beyond = [replace(choice, probability=0.0) for choice in choices], 1.0
@@ -205,13 +221,22 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         tuple(ambiguity_set(found.probability, said)),
         absorbed,
         tuple(_parameters(weighing, said, found, by_id, effects, exact, apart)),
-        closure(weighing, choices, max(beyond, 0.0)) if said.kind != "none" else NOT_RESOLVABLE,
+        replace(_closure(weighing, noise, choices, max(beyond, 0.0), said), unpredicted=unpredicted),
         unknown_form(weighing, found) if "unknown" in (said.kind, said.residue, *said.members) else None,
         rest,
         pictures(weighing, usable, after),
-        Grounds(weighing, tuple(candidates), options.nominal, tuple(choices)),
+        Grounds(weighing, tuple(candidates), options.nominal, tuple(choices), noise),
         tuple(_parameters_of_given(plain, given, found.sets.get(key), by_id, named)),
     )
+
+
+def _closure(
+    weighing: Weighing, noise: MeasuredNoise | None, choices: Sequence[FoldChoice], beyond: float, said: Verdict
+) -> Closure:
+    """The closure, or why there is none."""
+    if noise is None:
+        return not_measured(NotMeasured.RANDOM if said.effects else NotMeasured.NO_EFFECT)
+    return closure(weighing, noise, choices, beyond)
 
 
 def _given(candidates: Sequence[Candidate], names: Sequence[str]) -> list[Member]:
@@ -290,15 +315,25 @@ def _choices(
         key = "+".join(part for part in parts if part in by_id)
         if p >= _LIKELY and key:
             likely[key] = likely.get(key, 0.0) + (0.0 if {*walks, UNKNOWN} & set(parts) else p)
-    chosen: list[FoldChoice] = []
-    for key, p in likely.items():
-        if key in found.pairs:
-            chosen.append(FoldChoice(found.pairs[key], p))
-        elif key in exact:
-            chosen += [FoldChoice(weighed, p * share, True) for weighed, share in exact[key]]
-        elif key in by_id:
-            chosen += [FoldChoice(weighed, p * share) for weighed, share in by_id[key].likely_forms()]
-    return [choice for choice in chosen if choice.weighed.trace > 0][:_MOST_CHOICES]
+    chosen = [choice for key, p in likely.items() for choice in _forms(found, by_id, exact, key, p)]
+    return sorted(chosen, key=lambda choice: -choice.probability)[:_MOST_CHOICES]
+
+
+def _forms(
+    found: Posterior, by_id: Mapping[str, Candidate], exact: Mapping[str, Forms], key: str, p: float
+) -> list[FoldChoice]:
+    """The choices for one effect or set of effects with the probability p."""
+    if key in exact:
+        return [
+            FoldChoice(key, weighed.raw, (1,), p * share, whole=True)
+            for weighed, share in exact[key]
+            if weighed.trace > 0
+        ]
+    if key in found.sets:
+        return choices_of(key, [(member.form, member.candidate) for member in found.sets[key].members], p)
+    if key not in by_id or by_id[key].best.trace <= 0:
+        return []
+    return choices_of(key, [(by_id[key].best, by_id[key])], p)
 
 
 def _parameters(

@@ -40,7 +40,6 @@ from planrunner.plan.model import NOMINAL_TERMS
 
 ABSORBED = 1e-4  # share of a signature's energy that remains through rounding when nominal parameters absorb an effect completely
 FULL = NOMINAL_TERMS
-_FORMS = 5
 EXCLUDED = -15.0  # log probability below which amplitudes count as physically impossible: 5 σ beyond a limit
 _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise is left out
 
@@ -131,13 +130,6 @@ class Candidate:
     def stacked(self) -> tuple[Array, ...]:
         """Whitened, projected columns of all variants side by side: for each channel, an array (M, V·p)."""
         return tuple(np.hstack(blocks) for blocks in zip(*(item.by_channel for item in self.variants), strict=True))
-
-    def likely_forms(self) -> list[tuple[Weighed, float]]:
-        """The most probable forms, at most `_FORMS`, and their shares of the effect's probability."""
-        best = sorted(self.variants, key=lambda weighed: -float(weighed.log_bayes[self.at]))[:_FORMS]
-        evidence = np.array([float(weighed.log_bayes[self.at]) for weighed in best])
-        share = np.exp(evidence - evidence.max())
-        return list(zip(best, (share / share.sum()).tolist(), strict=True))
 
     def across(self, other: Weighed) -> Array:
         """Inner products (V, q, p) of another variant's q columns with those of every variant, at the first setting."""
